@@ -1,0 +1,44 @@
+"""Errors that a person can act on: what is wrong, what was found, what to do.
+
+Every error that sunspin raises on purpose derives from :class:`SunspinError`; the command line prints its text as one
+sentence and exits with code 2. Anything else that escapes is a defect of sunspin.
+"""
+
+from __future__ import annotations
+
+
+class SunspinError(ValueError):
+    """Base of all errors raised on purpose; ``str(error)`` is one sentence for the user."""
+
+
+class VehicleError(SunspinError):
+    """A vehicle, or the file that describes it, cannot be used."""
+
+
+class TelemetryError(SunspinError):
+    """A telemetry file or array cannot be used."""
+
+
+class MotionError(SunspinError):
+    """A trajectory was asked for that the model cannot give."""
+
+
+class InputError(SunspinError):
+    """An argument of a function or command does not make sense."""
+
+
+class OutputError(SunspinError):
+    """A result cannot be written where it was asked for."""
+
+
+def sentence(what: str, *, got: object = None, do: str | None = None, where: str | None = None) -> str:
+    """Build the one-sentence text of an error: ``where: what, got ...; do``."""
+    text = f"{where}: {what}" if where else what
+    if got is not None:
+        shown = got if isinstance(got, str) else repr(got)
+        if len(shown) > 120:
+            shown = shown[:117] + "..."
+        text += f" (found {shown})"
+    if do:
+        text += f"; {do}"
+    return " ".join(text.split())  # one line, whatever came from outside

@@ -1,0 +1,338 @@
+"""The form of ``vehicle.toml`` and the way from it to a :class:`~sunspin.vehicle.Vehicle`.
+
+Every physical value may be a bare number (or list) or a table ``{value, sigma, source}``. Unknown keys are refused: a
+misspelt key must not silently mean its default.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from sunspin import vehicle as v
+from sunspin.errors import VehicleError, sentence
+
+MAX_FILE_BYTES = 1_000_000
+"""A vehicle file is a page or two of text; what is larger is some other file."""
+
+
+class Given(NamedTuple):
+    """A physical value as the file gives it."""
+
+    value: Any
+    sigma: Any = None
+    source: str | None = None
+
+
+def _given(raw: Any) -> Given:
+    if isinstance(raw, dict):
+        unknown = set(raw) - {"value", "sigma", "source"}
+        if "value" not in raw or unknown:
+            raise ValueError(f"a table here has the keys value, sigma, source, not {sorted(raw)}")
+        source = raw.get("source")
+        if source is not None and not (isinstance(source, str) and source.strip()):
+            raise ValueError("source must be a text that is not empty")
+        return Given(_numbers(raw["value"]), None if raw.get("sigma") is None else _numbers(raw["sigma"]), source)
+    return Given(_numbers(raw))
+
+
+def _numbers(raw: Any) -> Any:
+    """Numbers, or nested lists of them, as floats; anything else is refused (so "0.5" or true is not a number)."""
+    if isinstance(raw, list):
+        return [_numbers(item) for item in raw]
+    if isinstance(raw, bool) or not isinstance(raw, int | float):
+        raise ValueError(f"a number is expected, not {raw!r}")
+    if raw != raw or raw in (float("inf"), float("-inf")):
+        raise ValueError(f"a finite number is expected, not {raw!r}")
+    return float(raw)
+
+
+Value = Annotated[Any, BeforeValidator(_given)]
+Name = Annotated[str, Field(min_length=1, max_length=100)]
+
+
+class Form(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class BodyForm(Form):
+    mass_kg: Value | None = None
+    inertia_kg_m2: Value | None = None
+
+
+class PanelForm(Form):
+    name: Name
+    normal_B: Value
+    cells: Value | None = None
+    relative_gain: Value | None = None
+    gain_W: Value | None = None
+    gain_A: Value | None = None
+
+
+class SpinDownForm(Form):
+    c1_rad_s: Value
+    c2_per_s: Value
+    c3_rad_s: Value
+
+
+class FrictionForm(Form):
+    coulomb_N_m: Value | None = None
+    viscous_N_m_s: Value | None = None
+    spin_down: SpinDownForm | None = None
+
+
+class WheelForm(Form):
+    name: Name
+    axis_B: Value
+    inertia_kg_m2: Value
+    speed_rad_s: Value | None = None
+    brake_torque_N_m: Value | None = None
+    friction: FrictionForm | None = None
+    alternative_frictions: dict[str, FrictionForm] = {}
+
+
+class LegForm(Form):
+    name: Name
+    tip_B_m: Value
+
+
+class SunRuleForm(Form):
+    all_dark: Annotated[list[str], Field(min_length=1)]
+    reason: Name
+
+
+class TelemetryTable(Form):
+    quantity: Literal["power_W", "current_A"] = "power_W"
+    time_column: Name = "time"
+    time_format: Literal["utc", "unix", "elapsed"] = "utc"
+    epoch_utc: str | None = None
+    columns: dict[str, str] = {}
+    scale: Value = 1.0
+    noise: Value | None = None
+    lit_threshold: Value | None = None
+    bad_rows: Literal["refuse", "flag"] = "refuse"
+
+
+class VehicleForm(Form):
+    name: Name
+    description: str = ""
+    body: BodyForm = BodyForm()
+    panel: list[PanelForm] = []
+    wheel: list[WheelForm] = []
+    leg: list[LegForm] = []
+    sun_rule: list[SunRuleForm] = []
+    telemetry: TelemetryTable = TelemetryTable()
+
+
+GAIN_KEYS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}
+"""Key of a panel's gain -> the unit of the signal it predicts (None: relative)."""
+
+
+def read_vehicle(source: object) -> v.Vehicle:
+    """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
+    if isinstance(source, v.Vehicle):
+        return source
+    if isinstance(source, str) and source in builtin_names():
+        text = resources.files("sunspin").joinpath("cases", source, "vehicle.toml").read_text(encoding="utf-8")
+        return parse_vehicle(text, f"built-in vehicle {source!r}")
+    if not isinstance(source, str | Path):
+        raise VehicleError(sentence("a vehicle is named by a text or a path", got=type(source).__name__))
+    return parse_vehicle(_read_text(Path(source)), str(source))
+
+
+def builtin_names() -> list[str]:
+    """Names of the vehicles that come with the package."""
+    folder = resources.files("sunspin").joinpath("cases")
+    return sorted(entry.name for entry in folder.iterdir() if entry.joinpath("vehicle.toml").is_file())
+
+
+def _read_text(path: Path) -> str:
+    known = ", ".join(builtin_names())
+    try:
+        if path.is_dir():
+            raise VehicleError(sentence("this is a folder, not a vehicle file", where=str(path)))
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise VehicleError(
+                sentence(f"a vehicle file is smaller than {MAX_FILE_BYTES} bytes", got=path.stat().st_size, where=str(path))
+            )
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise VehicleError(
+            sentence(f"the file is not UTF-8 text (byte {error.start})", do="save it as UTF-8", where=str(path))
+        ) from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, VehicleError):
+            raise
+        reason = getattr(error, "strerror", None) or str(error)
+        raise VehicleError(
+            sentence(
+                f"the vehicle file cannot be read ({reason})",
+                do=f"give the path of a vehicle.toml or a built-in name: {known}",
+                where=str(path),
+            )
+        ) from None
+
+
+def parse_vehicle(text: str, where: str) -> v.Vehicle:
+    """Turn the text of a vehicle file into a `Vehicle`; `where` names the file in messages."""
+    if not text.strip():
+        raise VehicleError(sentence("the file is empty", do="`sunspin init DIR` writes one to start from", where=where))
+    try:
+        table = tomllib.loads(text)
+        form = VehicleForm.model_validate(table)
+        return _vehicle(form)
+    except tomllib.TOMLDecodeError as error:
+        raise VehicleError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+    except RecursionError:
+        raise VehicleError(sentence("the file is nested too deeply to be a vehicle file", where=where)) from None
+    except ValidationError as error:
+        raise VehicleError(_first_problem(error, where)) from None
+    except VehicleError as error:
+        raise VehicleError(f"{where}: {error}") from None
+
+
+def _first_problem(error: ValidationError, where: str) -> str:
+    problem = error.errors(include_url=False)[0]
+    key = ".".join(f"[{part}]" if isinstance(part, int) else str(part) for part in problem["loc"]).replace(".[", "[")
+    if problem["type"] == "extra_forbidden":
+        *parents, last = problem["loc"]
+        return sentence(f"unknown key {str(last)!r}", do=f"known keys: {_known_keys(parents)}", where=f"{where}, {key}")
+    if problem["type"] == "missing":
+        return sentence("this key is missing", do="add it", where=f"{where}, {key}")
+    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    prefix = "should be " if problem["msg"].startswith("Input should be ") else ""
+    got = None if isinstance(problem["input"], dict) else problem["input"]
+    return sentence(prefix + message, got=got, where=f"{where}, {key}")
+
+
+def _known_keys(parents: list) -> str:
+    """The keys allowed in the table that `parents` leads to."""
+    form: Any = VehicleForm
+    for part in parents:
+        if isinstance(part, int):
+            continue
+        annotation = form.model_fields[part].annotation if part in getattr(form, "model_fields", {}) else form
+        while not (isinstance(annotation, type) and issubclass(annotation, Form)):
+            arguments = [item for item in getattr(annotation, "__args__", ()) if item is not type(None)]
+            if not arguments:
+                return "see the file that `sunspin init` writes"
+            annotation = arguments[-1]
+        form = annotation
+    return ", ".join(form.model_fields)
+
+
+def _vehicle(form: VehicleForm) -> v.Vehicle:
+    facts: dict[str, v.Fact] = {}
+    panels, gain_unit = _panels(form, facts)
+    body = form.body
+    return v.Vehicle(
+        name=form.name,
+        inertia_kg_m2=_take(facts, "body.inertia_kg_m2", body.inertia_kg_m2),
+        mass_kg=_scalar(facts, "body.mass_kg", body.mass_kg),
+        panels=panels,
+        wheels=tuple(_wheel(wheel, facts) for wheel in form.wheel),
+        legs=tuple(v.Leg(leg.name, _take(facts, f"leg.{leg.name}.tip_B_m", leg.tip_B_m)) for leg in form.leg),
+        sun_rules=tuple(v.SunRule(tuple(rule.all_dark), rule.reason) for rule in form.sun_rule),
+        gain_unit=gain_unit,
+        telemetry=_telemetry(form.telemetry, facts),
+        facts=facts,
+    )
+
+
+def _panels(form: VehicleForm, facts: dict[str, v.Fact]) -> tuple[tuple[v.Panel, ...], str | None]:
+    panels, units = [], set()
+    for panel in form.panel:
+        given = [key for key in GAIN_KEYS if getattr(panel, key) is not None]
+        if len(given) != 1:
+            raise VehicleError(
+                sentence(
+                    f"panel {panel.name!r} must give exactly one of {', '.join(GAIN_KEYS)}", got=", ".join(given) or "none"
+                )
+            )
+        units.add(GAIN_KEYS[given[0]])
+        gain = _scalar(facts, f"panel.{panel.name}.{given[0]}", getattr(panel, given[0]))
+        panels.append(v.Panel(panel.name, _take(facts, f"panel.{panel.name}.normal_B", panel.normal_B), gain))
+    if len(units) > 1:
+        raise VehicleError(sentence("the gains of the panels must all be relative, all gain_W or all gain_A"))
+    return tuple(panels), next(iter(units), None)
+
+
+def _wheel(form: WheelForm, facts: dict[str, v.Fact]) -> v.Wheel:
+    key = f"wheel.{form.name}"
+    inertia = _scalar(facts, f"{key}.inertia_kg_m2", form.inertia_kg_m2)
+    if not inertia > 0:
+        raise VehicleError(sentence(f"{key}.inertia_kg_m2 must be positive", got=inertia))
+    friction = v.Friction() if form.friction is None else _friction(form.friction, inertia, f"{key}.friction", facts)
+    return v.Wheel(
+        name=form.name,
+        axis_B=_take(facts, f"{key}.axis_B", form.axis_B),
+        inertia_kg_m2=inertia,
+        speed_rad_s=0.0 if form.speed_rad_s is None else _scalar(facts, f"{key}.speed_rad_s", form.speed_rad_s),
+        friction=friction,
+        alternative_frictions={
+            name: _friction(other, inertia, f"{key}.alternative_frictions.{name}", facts)
+            for name, other in form.alternative_frictions.items()
+        },
+        brake_torque_N_m=_scalar(facts, f"{key}.brake_torque_N_m", form.brake_torque_N_m),
+    )
+
+
+def _friction(form: FrictionForm, inertia: float, key: str, facts: dict[str, v.Fact]) -> v.Friction:
+    if form.spin_down is not None:
+        if form.coulomb_N_m is not None or form.viscous_N_m_s is not None:
+            raise VehicleError(sentence(f"{key} gives both a spin_down and coefficients", do="keep one of them"))
+        names = ("c1_rad_s", "c2_per_s", "c3_rad_s")
+        values = [_scalar(facts, f"{key}.spin_down.{name}", getattr(form.spin_down, name)) for name in names]
+        return v.Friction.from_spin_down(*values, inertia_kg_m2=inertia)
+    coefficients = {
+        name: 0.0 if getattr(form, name) is None else _scalar(facts, f"{key}.{name}", getattr(form, name))
+        for name in ("coulomb_N_m", "viscous_N_m_s")
+    }
+    return v.Friction(**coefficients)
+
+
+def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryForm:
+    scale = 1.0 if isinstance(form.scale, float) else _scalar(facts, "telemetry.scale", form.scale)
+    noise = _scalar(facts, "telemetry.noise", form.noise)
+    threshold = _scalar(facts, "telemetry.lit_threshold", form.lit_threshold)
+    for key, value in (("scale", scale), ("noise", noise), ("lit_threshold", threshold)):
+        if value is not None and not value > 0:
+            raise VehicleError(sentence(f"telemetry.{key} must be positive", got=value))
+    if form.time_format == "elapsed" and form.epoch_utc is None:
+        raise VehicleError(
+            sentence("telemetry.time_format is elapsed but telemetry.epoch_utc is missing", do="add the UTC of time zero")
+        )
+    return v.TelemetryForm(
+        quantity=form.quantity,
+        time_column=form.time_column,
+        time_format=form.time_format,
+        epoch_utc=form.epoch_utc,
+        columns=form.columns,
+        scale=scale,
+        noise=noise,
+        lit_threshold=threshold,
+        bad_rows=form.bad_rows,
+    )
+
+
+def _take(facts: dict[str, v.Fact], key: str, given: Given | None) -> Any:
+    """Note the birth certificate of a value under `key` and return the bare value."""
+    if given is None:
+        return None
+    facts[key] = v.Fact(_tuples(given.value), _tuples(given.sigma), given.source)
+    return given.value
+
+
+def _scalar(facts: dict[str, v.Fact], key: str, given: Given | None) -> Any:
+    value = _take(facts, key, given)
+    if value is not None and not isinstance(value, float):
+        raise VehicleError(sentence(f"{key} must be one number", got=value))
+    return value
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
