@@ -1,0 +1,1 @@
+"""Built-in cases: vehicle, timeline, telemetry and published figures, as data."""

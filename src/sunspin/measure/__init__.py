@@ -1,0 +1,1 @@
+"""What was seen: telemetry, panel powers and the Sun directions that they tell."""

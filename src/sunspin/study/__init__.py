@@ -1,0 +1,1 @@
+"""What the motion means: twins, the paper row by row."""

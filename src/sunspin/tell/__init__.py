@@ -1,0 +1,1 @@
+"""How results are told: figures, reports, files for other tools."""
