@@ -1,0 +1,93 @@
+"""Compiled kernels: generated source in a module named by the hash of that source.
+
+numba's disk cache keys a function by its file and its time stamp and does not notice changes in what it inlines from
+elsewhere. A module whose name is the hash of everything in it can be cached for good: an edit to the physics is another
+module.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+import threading
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+
+from sunspin.motion import codegen as c
+
+_lock = threading.Lock()
+
+
+def source(structure: c.Structure) -> str:
+    """The complete source of the kernel for this structure."""
+    rows = c.Rows(len(structure.axes))
+    text = Path(__file__).with_name("kernel_template.py").read_text(encoding="utf-8")
+    constants = {
+        "LANES": structure.lanes,
+        "N_WHEELS": rows.n_wheels,
+        "N_STATE": rows.n_state,
+        "ROWS": rows.count,
+        "NEW": rows.new,
+        "DT": rows.dt,
+        "INVERSE": rows.inverse,
+        "WHEEL": rows.wheel(0),
+        "PER_WHEEL": len(c.WHEEL_ROWS),
+        "BINS": structure.bins,
+    }
+    for name, value in constants.items():
+        text = text.replace(f'{name} = "{name}"', f"{name} = {value}")
+    bodies = {
+        "        pass  # STEP_LANES": c.step_body(structure, structure.lanes),
+        "        pass  # OBSERVE_LANES": c.observe_body(structure, structure.lanes),
+        "    pass  # STEP_ONE": c.step_body(structure, 1),
+        "    pass  # OBSERVE_ONE": c.observe_body(structure, 1),
+        "    pass  # OMEGA_ONE": c.omega_body(structure),
+    }
+    for marker, lines in bodies.items():
+        indent = marker[: len(marker) - len(marker.lstrip())]
+        text = text.replace(marker, "\n".join(indent + line for line in lines) or f"{indent}pass")
+    return text
+
+
+def cache_folder() -> Path:
+    """Where generated modules and their machine code are kept: the user's cache, or a private temporary folder."""
+    base = os.environ.get("SUNSPIN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    folder = Path(base) / "sunspin" / "kernels"
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass
+    return _private_folder()
+
+
+@lru_cache(maxsize=1)
+def _private_folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="sunspin-kernels-"))
+
+
+@lru_cache(maxsize=32)
+def kernel(structure: c.Structure) -> ModuleType:
+    """The module with the compiled functions `run` and `emd_rows` for this structure."""
+    text = source(structure)
+    key = f"{metadata.version('numba')}\n{text}"
+    name = f"sunspin_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
+    with _lock:
+        if name in sys.modules:
+            return sys.modules[name]
+        path = cache_folder() / f"{name}.py"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            part = path.with_suffix(f".{os.getpid()}.part")
+            part.write_text(text, encoding="utf-8")
+            os.replace(part, path)
+        spec = importlib.util.spec_from_file_location(name, path)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+        return module
