@@ -30,6 +30,7 @@ class Structure:
     normals: tuple[tuple[int | None, int | None, int | None], ...] = ()
     mask: tuple[Literals, ...] = ()  # disjunction; empty means every direction counts
     bins: int = 0  # 0: no histogram
+    samples: int = 4  # of r_z per step, for the histogram
     lanes: int = 16
 
 
@@ -63,8 +64,13 @@ class Rows:
         return 2 * self.n_state
 
     @property
-    def inverse(self) -> int:
+    def slope(self) -> int:
+        """dr/dt at the state, for the samples inside a step."""
         return self.dt + 1
+
+    @property
+    def inverse(self) -> int:
+        return self.slope + 3
 
     @property
     def held(self) -> int:
@@ -176,15 +182,13 @@ def _combination(i: int, weights) -> str:
 
 
 def observe_body(structure: Structure, lanes: int) -> list[str]:
-    """At the new state of lane j: wheel speeds and holding torques, whether an event was missed, the histogram's bin."""
+    """At the new state of lane j: wheel speeds and holding torques, and whether an event was missed."""
     n = len(structure.axes)
-    rows, names = Rows(n), _state_names(n)
-    lines = [f"{name} = w[{(rows.new + i) * lanes} + j]" for i, name in enumerate(names)]
-    if n:
-        lines += _loads(structure, rows, lanes, "j") + _wheel_checks(structure, rows, lanes)
-    if structure.bins:
-        lines += _bin_lines(structure)
-    return lines
+    if not n:
+        return []
+    rows = Rows(n)
+    lines = [f"{name} = w[{(rows.new + i) * lanes} + j]" for i, name in enumerate(_state_names(n)[: 3 + n])]
+    return lines + _loads(structure, rows, lanes, "j") + _wheel_checks(structure, rows, lanes)
 
 
 def _wheel_checks(structure: Structure, rows: Rows, lanes: int) -> list[str]:
@@ -219,25 +223,63 @@ def omega_body(structure: Structure) -> list[str]:
     return lines + _assignments([f"omega[{k}]" for k in range(3)], list(g.body_rate(H, h, _parameters(structure))), "c")
 
 
-def _bin_lines(structure: Structure) -> list[str]:
-    """Bin of r_z in [-1, 1], or the extra last bin where the Sun could not have been reconstructed."""
+def slope_body(structure: Structure, lanes: int, where: int) -> list[str]:
+    """dr/dt at the state whose rows begin at `where`, into s0..s2."""
+    n = len(structure.axes)
+    rows = Rows(n)
+    H, h, r = _symbolic_state(n)
+    p = _parameters(structure)
+    lines = [f"{name} = w[{(where + i) * lanes} + j]" for i, name in enumerate(_state_names(n))]
+    lines += _loads(structure, rows, lanes, "j")
+    return lines + _assignments(["s0", "s1", "s2"], list(g.cross(r, g.body_rate(H, h, p))), "d")
+
+
+def start_body(structure: Structure, lanes: int) -> list[str]:
+    """Note the slope of r before the first step."""
+    rows = Rows(len(structure.axes))
+    lines = slope_body(structure, lanes, 0)
+    return lines + [f"w[{(rows.slope + k) * lanes} + j] = s{k}" for k in range(3)]
+
+
+def sample_body(structure: Structure, lanes: int) -> list[str]:
+    """Bins of r_z at `samples` equal fractions of the step just made, r by cubic Hermite interpolation."""
+    rows = Rows(len(structure.axes))
+    lines = slope_body(structure, lanes, rows.new) + [f"dt = w[{rows.dt * lanes} + j]"]
+    for k in range(3):
+        lines.append(f"p{k} = w[{(rows.r + k) * lanes} + j]")
+        lines.append(f"e{k} = r{k} - p{k}")
+        lines.append(f"m{k} = dt * w[{(rows.slope + k) * lanes} + j]")
+        lines.append(f"n{k} = dt * s{k}")
+        lines.append(f"w[{(rows.slope + k) * lanes} + j] = s{k}")
+    for m in range(1, structure.samples + 1):
+        x = m / structure.samples
+        end, first, last = x * x * (3 - 2 * x), x * (1 - x) ** 2, x * x * (x - 1)
+        for k in range(3):
+            value = f"p{k} + {end!r} * e{k} + {first!r} * m{k} + {last!r} * n{k}"
+            lines.append(f"x{k} = {value if m < structure.samples else f'r{k}'}")
+        lines += _bin_lines(structure, f"bins[{(m - 1) * lanes} + j]")
+    return lines
+
+
+def _bin_lines(structure: Structure, target: str) -> list[str]:
+    """Bin of x2 in [-1, 1], or the extra last bin where the Sun x could not have been reconstructed."""
     lines = []
+    used = {k for conjunction in structure.mask for k, _ in conjunction}
     for k, normal in enumerate(structure.normals):
         terms = []
         for c, part in enumerate(normal):
             if part is None:
-                terms.append(f"normals[{3 * k + c}] * r{c}")
+                terms.append(f"normals[{3 * k + c}] * x{c}")
             elif part:
-                terms.append(f"{'-' if part < 0 else ''}r{c}")
-        lines.append(f"lit{k} = ({' + '.join(terms) or '0.0'}) > 0.0")
-    used = {k for conjunction in structure.mask for k, _ in conjunction}
-    lines = [line for k, line in enumerate(lines) if k in used]
+                terms.append(f"{'-' if part < 0 else ''}x{c}")
+        if k in used:
+            lines.append(f"lit{k} = ({' + '.join(terms) or '0.0'}) > 0.0")
     clauses = [
         " & ".join(f"lit{k}" if lit else f"(not lit{k})" for k, lit in conjunction) or "True"
         for conjunction in structure.mask
     ]
     seen = " | ".join(f"({clause})" for clause in clauses) or "True"
-    lines.append(f"place = (r2 + 1.0) * {structure.bins / 2!r}")
+    lines.append(f"place = (x2 + 1.0) * {structure.bins / 2!r}")
     lines.append(f"place = min(max(place, 0.0), {structure.bins - 1!r}.0)")
-    lines.append(f"bins[j] = np.int32(place) if {seen} else np.int32({structure.bins})")
+    lines.append(f"{target} = np.int32(place) if {seen} else np.int32({structure.bins})")
     return lines

@@ -18,9 +18,28 @@ from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
+import llvmlite.binding as llvm
+import numba
+
 from sunspin.motion import codegen as c
 
 _lock = threading.Lock()
+
+
+def _use_full_vectors() -> None:
+    """Let LLVM use 512-bit vectors where the processor has them; its default for many of them is 256.
+
+    Measured on the Philae scan: 107 against 142 microseconds a row. Only before numba has set up its compiler, and not
+    where the user has chosen a processor.
+    """
+    features = llvm.get_host_cpu_features()
+    if features.get("avx512f") and not (numba.config.CPU_NAME or numba.config.CPU_FEATURES):
+        features["prefer-256-bit"] = False
+        numba.config.CPU_NAME = llvm.get_host_cpu_name()
+        numba.config.CPU_FEATURES = features.flatten()
+
+
+_use_full_vectors()
 
 
 def source(structure: c.Structure) -> str:
@@ -38,11 +57,14 @@ def source(structure: c.Structure) -> str:
         "WHEEL": rows.wheel(0),
         "PER_WHEEL": len(c.WHEEL_ROWS),
         "BINS": structure.bins,
+        "SAMPLES": structure.samples,
     }
     for name, value in constants.items():
         text = text.replace(f'{name} = "{name}"', f"{name} = {value}")
     bodies = {
         "        pass  # STEP_LANES": c.step_body(structure, structure.lanes),
+        "        pass  # START_LANES": c.start_body(structure, structure.lanes) if structure.bins else [],
+        "        pass  # SAMPLE_LANES": c.sample_body(structure, structure.lanes) if structure.bins else [],
         "        pass  # OBSERVE_LANES": c.observe_body(structure, structure.lanes),
         "    pass  # STEP_ONE": c.step_body(structure, 1),
         "    pass  # OBSERVE_ONE": c.observe_body(structure, 1),

@@ -20,16 +20,20 @@ from sunspin.motion import modes as m
 from sunspin.motion.compiled import kernel
 from sunspin.vehicle import Vehicle
 
-LANES = 16
+LANES = 32
 MAX_STEPS = 10**8
 LADDER = 2.0**0.25
 """Ratio of neighbouring step counts: at most 19 % more steps than asked for, few enough rungs to fill blocks."""
 
-ERROR_CONSTANT = 1.5e-6
+ERROR_CONSTANT = 3e-6
 """Direction error per radian turned of a step h at rate s is at most this times (s h)^8; measured, see `steps_for`."""
 
-MAX_STEP_ANGLE = 2.0
+MAX_STEP_ANGLE = 1.1
 """rad turned per step at most: beyond it the error law no longer holds."""
+
+
+SAMPLES_PER_STEP = 8
+"""Samples of r_z in the histogram per step, by interpolation inside the step."""
 
 
 class Outcome(IntEnum):
@@ -72,11 +76,11 @@ class Rows:
         return Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index])
 
 
-def rate_bound(vehicle: Vehicle, rows: Rows) -> np.ndarray:
-    """A bound (n) in rad/s on how fast each row will turn: |H| over the smallest moment, or its initial rate."""
-    smallest = np.linalg.eigvalsh(g.free_inertia(vehicle, [True] * len(vehicle.wheels)))[0]
+def rate_scale(vehicle: Vehicle, rows: Rows) -> np.ndarray:
+    """How fast each row turns (n), rad/s: the larger of its rate now and its rate once the wheels' momentum is the body's."""
     momentum = g.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    return np.maximum(np.linalg.norm(rows.omega_B, axis=1), np.linalg.norm(momentum, axis=1) / smallest)
+    later = np.linalg.solve(vehicle.require_inertia(), momentum.T).T
+    return np.maximum(np.linalg.norm(rows.omega_B, axis=1), np.linalg.norm(later, axis=1))
 
 
 def steps_for(vehicle: Vehicle, rows: Rows, duration_s: float, direction_error: float) -> np.ndarray:
@@ -85,7 +89,7 @@ def steps_for(vehicle: Vehicle, rows: Rows, duration_s: float, direction_error: 
     The method is of eighth order: the error after turning through an angle s T in steps of angle s h is at most
     ERROR_CONSTANT (s h)^8 s T.
     """
-    rate = np.maximum(rate_bound(vehicle, rows), 1e-12)
+    rate = np.maximum(rate_scale(vehicle, rows), 1e-12)
     turned = rate * abs(duration_s)
     angle = np.minimum((direction_error / (ERROR_CONSTANT * turned)) ** 0.125, MAX_STEP_ANGLE)
     wanted = np.maximum(turned / angle, 1.0)
@@ -103,9 +107,9 @@ def steps_for(vehicle: Vehicle, rows: Rows, duration_s: float, direction_error: 
 def structure_of(vehicle: Vehicle, mask: Mask | None, bins: int) -> c.Structure:
     axes = tuple(tuple(c.component(x) for x in wheel.axis_B) for wheel in vehicle.wheels)
     if mask is None:
-        return c.Structure(axes, bins=bins, lanes=LANES)
+        return c.Structure(axes, bins=bins, samples=SAMPLES_PER_STEP, lanes=LANES)
     normals = tuple(tuple(c.component(x) for x in normal) for normal in mask.normals_B)
-    return c.Structure(axes, normals, mask.clauses, bins, LANES)
+    return c.Structure(axes, normals, mask.clauses, bins, SAMPLES_PER_STEP, LANES)
 
 
 def _states(vehicle: Vehicle, rows: Rows, commands: Sequence[str]) -> list[list[m.WheelState]]:

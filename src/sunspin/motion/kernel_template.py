@@ -18,6 +18,7 @@ INVERSE = "INVERSE"
 WHEEL = "WHEEL"  # first wheel row
 PER_WHEEL = "PER_WHEEL"
 BINS = "BINS"
+SAMPLES = "SAMPLES"
 # rows of a wheel
 FREE, COULOMB, INERTIA, WATCH, INVERSE_LIMIT2, DRY, SPEED, TORQUE = 4, 5, 7, 8, 9, 10, 11, 12
 FINE, CHATTERS, PAST_UNKNOWN, NOT_FINITE = 0, 1, 2, 3
@@ -32,7 +33,19 @@ def step(w):
 
 
 @jit
-def observe(w, normals, bins):
+def start(w):
+    for j in range(LANES):
+        pass  # START_LANES
+
+
+@jit
+def sample(w, normals, bins):
+    for j in range(LANES):
+        pass  # SAMPLE_LANES
+
+
+@jit
+def observe(w):
     missed = 0
     for j in range(LANES):
         pass  # OBSERVE_LANES
@@ -46,7 +59,7 @@ def step_one(w):
 
 
 @jit
-def observe_one(w, normals, bins):
+def observe_one(w):
     missed = 0
     j = 0
     pass  # OBSERVE_ONE
@@ -103,13 +116,13 @@ def body_rate(w, omega):
 
 
 @jit
-def settle(w, inverses, normals, bins):
+def settle(w, inverses):
     """Release the stuck wheels that friction cannot hold, the most overloaded first."""
     omega = np.empty(3)
     for _ in range(N_WHEELS + 1):
         for i in range(N_STATE):
             w[NEW + i] = w[i]
-        observe_one(w, normals, bins)
+        observe_one(w)
         worst, load = -1, 1.0
         for i in range(N_WHEELS):
             at = WHEEL + PER_WHEEL * i
@@ -135,19 +148,19 @@ def event_value(w, i, stuck):
 
 
 @jit
-def event_fraction(w, i, normals, bins):
+def event_fraction(w, i):
     """Fraction of the step dt (in w) after which the event of wheel i happens: regula falsi, Illinois variant."""
     at = WHEEL + PER_WHEEL * i
     stuck = w[at + INVERSE_LIMIT2] > 0.0
     dt = w[DT]
     for k in range(N_STATE):
         w[NEW + k] = w[k]
-    observe_one(w, normals, bins)
+    observe_one(w)
     low, f_low = 0.0, event_value(w, i, stuck)
     if f_low <= 0.0:
         return 0.0
     step_one(w)
-    observe_one(w, normals, bins)
+    observe_one(w)
     high, f_high = 1.0, event_value(w, i, stuck)
     if f_high > 0.0:
         return 2.0
@@ -157,7 +170,7 @@ def event_fraction(w, i, normals, bins):
             break
         w[DT] = middle * dt
         step_one(w)
-        observe_one(w, normals, bins)
+        observe_one(w)
         f = event_value(w, i, stuck)
         if f > 0.0:
             if abs(f) < 1e-12 * abs(f_low):
@@ -174,14 +187,14 @@ def event_fraction(w, i, normals, bins):
 
 
 @jit
-def through_events(w, inverses, normals, bins):
+def through_events(w, inverses):
     """Redo the step of one lane through the wheel events inside it; returns its outcome."""
     left = w[DT]
     omega = np.empty(3)
     for _ in range(MAX_EVENTS_PER_STEP):
         w[DT] = left
         step_one(w)
-        if observe_one(w, normals, bins) == 0:
+        if observe_one(w) == 0:
             return FINE
         if left < 0.0:
             return PAST_UNKNOWN
@@ -190,13 +203,13 @@ def through_events(w, inverses, normals, bins):
             at = WHEEL + PER_WHEEL * i
             if w[at + WATCH] != 0.0 or w[at + INVERSE_LIMIT2] > 0.0:
                 w[DT] = left
-                theta = event_fraction(w, i, normals, bins)
+                theta = event_fraction(w, i)
                 if theta < fraction:
                     first, fraction = i, theta
         if first < 0:
             w[DT] = left
             step_one(w)
-            observe_one(w, normals, bins)
+            observe_one(w)
             return FINE
         w[DT] = fraction * left
         step_one(w)
@@ -208,7 +221,7 @@ def through_events(w, inverses, normals, bins):
             rest_momentum(w, first, omega)
             stick(w, first)
             set_modes(w, inverses)
-        settle(w, inverses, normals, bins)
+        settle(w, inverses)
     return CHATTERS
 
 
@@ -234,16 +247,16 @@ def give_up(w):
 
 
 @jit
-def settle_all(w, one, bins_one, inverses, normals):
+def settle_all(w, one, inverses):
     """Before the first step: wheels at rest may have to slip at once."""
     for j in range(LANES):
         gather(w, one, j)
-        settle(one, inverses[j], normals, bins_one)
+        settle(one, inverses[j])
         scatter(one, w, j, one[DT])
 
 
 @jit
-def repair(w, one, bins, bins_one, inverses, normals, outcome):
+def repair(w, one, inverses, outcome):
     """Redo the step for each lane in which an event was missed."""
     for j in range(LANES):
         missed = False
@@ -255,15 +268,13 @@ def repair(w, one, bins, bins_one, inverses, normals, outcome):
         if missed:
             gather(w, one, j)
             dt = one[DT]
-            result = through_events(one, inverses[j], normals, bins_one)
+            result = through_events(one, inverses[j])
             if result != FINE:
                 give_up(one)
                 outcome[j] = result
                 one[DT] = dt
                 step_one(one)
-                observe_one(one, normals, bins_one)
-            if BINS:
-                bins[j] = bins_one[0]
+                observe_one(one)
             scatter(one, w, j, dt)
 
 
@@ -276,24 +287,26 @@ def run(w, inverses, normals, steps, dts, hist, track, outcome):
     the state after each segment; outcome (LANES).
     """
     one = np.zeros(ROWS)
-    bins = np.zeros(LANES, dtype=np.int32)
-    bins_one = np.zeros(1, dtype=np.int32)
+    bins = np.zeros(SAMPLES * LANES, dtype=np.int32)
     if N_WHEELS:
-        settle_all(w, one, bins_one, inverses, normals)
+        settle_all(w, one, inverses)
+    if BINS:
+        start(w)
     for s in range(steps.size):
         for j in range(LANES):
             w[DT * LANES + j] = dts[s]
         for _ in range(steps[s]):
             step(w)
-            if N_WHEELS or BINS:
-                missed = observe(w, normals, bins)
-                if missed:
-                    repair(w, one, bins, bins_one, inverses, normals, outcome)
+            if N_WHEELS:
+                if observe(w):
+                    repair(w, one, inverses, outcome)
+            if BINS:
+                sample(w, normals, bins)
+                for j in range(LANES):
+                    for m in range(SAMPLES):
+                        hist[j, bins[m * LANES + j]] += 1
             for k in range(N_STATE * LANES):
                 w[k] = w[NEW * LANES + k]
-            if BINS:
-                for j in range(LANES):
-                    hist[j, bins[j]] += 1
         if s < track.shape[0]:
             for k in range(N_STATE):
                 for j in range(LANES):
