@@ -128,7 +128,7 @@ def test_axisymmetric_body_with_a_coasting_wheel_has_a_closed_form():
     wheel = Wheel("w", [0, 0, 1], 0.0058, 865.0, friction)
     vehicle = Vehicle("axisymmetric", np.diag([13.0, 13.0, 16.5]), wheels=[wheel])
     t = np.linspace(0, 2000, 401)
-    run = ss.propagate(vehicle, [-0.2, 0.1, 0.05], FIRST_SUN, 865.0, t)
+    run = ss.propagate(vehicle, [-0.2, 0.1, 0.05], FIRST_SUN / np.linalg.norm(FIRST_SUN), 865.0, t)
     H, r = run["momentum_B"].values, run["sun_B"].values
     size = np.linalg.norm(H[0])
     theta, alpha = np.arccos(H[:, 2] / size), np.arccos(np.einsum("ij,ij->i", H, r) / size)

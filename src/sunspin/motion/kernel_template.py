@@ -196,8 +196,6 @@ def through_events(w, inverses):
         step_one(w)
         if observe_one(w) == 0:
             return FINE
-        if left < 0.0:
-            return PAST_UNKNOWN
         first, fraction = -1, 2.0
         for i in range(N_WHEELS):
             at = WHEEL + PER_WHEEL * i
@@ -214,7 +212,12 @@ def through_events(w, inverses):
         w[DT] = fraction * left
         step_one(w)
         commit_one(w)
+        before = left
         left -= fraction * left
+        if before < 0.0:
+            # backward in time a turning wheel meets zero only where it reversed: what can hold it never let it start
+            slip(w, first, -w[WHEEL + PER_WHEEL * first + WATCH])
+            continue
         stuck = w[WHEEL + PER_WHEEL * first + INVERSE_LIMIT2] > 0.0
         if not stuck:
             body_rate(w, omega)
@@ -288,8 +291,12 @@ def run(w, inverses, normals, steps, dts, hist, track, outcome):
     """
     one = np.zeros(ROWS)
     bins = np.zeros(SAMPLES * LANES, dtype=np.int32)
-    if N_WHEELS:
+    if N_WHEELS and dts[-1] > 0.0:
         settle_all(w, one, inverses)
+    for i in range(N_WHEELS):
+        for j in range(LANES):
+            if dts[-1] < 0.0 and w[(WHEEL + PER_WHEEL * i + INVERSE_LIMIT2) * LANES + j] > 0.0:
+                outcome[j] = PAST_UNKNOWN
     if BINS:
         start(w)
     for s in range(steps.size):

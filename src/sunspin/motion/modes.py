@@ -38,6 +38,7 @@ class WheelState:
     speed: float  # rad/s at the start of the interval
     sign: float  # of the speed, for the friction law; 0 where there is no dry friction
     limit: float  # N m, dry friction (and brake) that can hold the wheel
+    watch_from: float | None = None  # s; a wheel that has just begun to slip is watched for a stop only from here on
 
 
 def schedules(vehicle: Vehicle, wheel_mode: Any) -> tuple[Schedule, ...]:

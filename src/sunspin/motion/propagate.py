@@ -23,6 +23,12 @@ from sunspin.vehicle import Vehicle
 SUN_LENGTH_TOLERANCE = 1e-3
 """A direction to the Sun printed to three or four digits is taken as it is; beyond this it is an error."""
 
+TAKE_OFF_ANGLE = 1e-3
+"""rad that the body turns while a wheel that begins to slip gathers speed; only then its speed is told from rounding."""
+
+ROUNDING_SPEED = 1e-9
+"""rad/s; a slipping wheel slower than this has just begun to."""
+
 MAX_EVENTS = 100_000
 """Wheel events in one run; more means that the wheel chatters and the run would not end."""
 
@@ -222,6 +228,9 @@ def _piece(run: _Run, ta, t_stop: float):
         for state, stopped in zip(run.wheels, run.stopped_at, strict=True):
             if state.turning is m.Turning.STUCK and stopped is not None and target < stopped < run.t:
                 target = stopped
+    for state in run.wheels:
+        if state.watch_from is not None:
+            target = max(target, state.watch_from) if run.backward else min(target, state.watch_from)
     ta.pars[:] = parameter_values(run.vehicle, run.wheels, run.backward)
     ta.state[:] = run.y
     ta.time = run.t
@@ -248,6 +257,23 @@ def _change_modes(run: _Run, ta) -> None:
                 _release_backward(run, i)
     if run.wheels:
         ta.reset_cooldowns()
+        _watch_slipping_wheels(run)
+
+
+def _watch_slipping_wheels(run: _Run) -> None:
+    """Begin to watch wheels that have gathered speed since they began to slip; one that has not is still stuck."""
+    _refresh(run)
+    omega = float(np.linalg.norm(_observe(run.vehicle, run.wheels, run.y[None])[0]))
+    for i, state in enumerate(run.wheels):
+        if state.turning is not m.Turning.FREE or state.limit == 0:
+            continue
+        if state.watch_from == run.t:
+            gathered = state.sign * state.speed > 0
+            turning = state if gathered else replace(state, turning=m.Turning.STUCK, speed=0.0, sign=0.0)
+            _set_wheel(run, i, replace(turning, watch_from=None))
+        elif state.watch_from is None and abs(state.speed) < ROUNDING_SPEED:
+            delay = TAKE_OFF_ANGLE / max(omega, 1e-6)
+            _set_wheel(run, i, replace(state, watch_from=run.t + (-delay if run.backward else delay)))
 
 
 def _set_wheel(run: _Run, i: int, state: m.WheelState) -> None:

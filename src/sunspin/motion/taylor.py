@@ -16,19 +16,19 @@ from sunspin.motion.modes import Turning, WheelState, parameters
 from sunspin.vehicle import Vehicle
 
 _COMMON = 9  # parameters of the body: 6 elements of A^-1, 3 of K
-_PER_WHEEL = 10  # axis 3, 1/J, free, coulomb, viscous, J, stop watch, 1/limit^2
+_PER_WHEEL = 11  # axis 3, 1/J, free, coulomb, viscous, J, stop watch, 1/limit^2, direction of time
 _local = threading.local()
 
 
 def _symbols(n_wheels: int) -> tuple[g.Parameters, list]:
-    """`Parameters` over heyoka's run-time parameters, and per wheel (J, stop watch, 1/limit^2)."""
+    """`Parameters` over heyoka's run-time parameters, and per wheel (J, stop watch, 1/limit^2, direction of time)."""
     par = hk.par
     wheels, extras = [], []
     for i in range(n_wheels):
         at = _COMMON + _PER_WHEEL * i
         axis = (par[at], par[at + 1], par[at + 2])
         wheels.append(g.WheelParameters(axis, par[at + 3], par[at + 4], par[at + 5], par[at + 6]))
-        extras.append((par[at + 7], par[at + 8], par[at + 9]))
+        extras.append((par[at + 7], par[at + 8], par[at + 9], par[at + 10]))
     body = tuple(par[k] for k in range(6))
     return g.Parameters(body, (par[6], par[7], par[8]), tuple(wheels)), extras
 
@@ -38,7 +38,7 @@ def _compiled(n_wheels: int, tol: float):
     """The integrator: state H (3), h (n_wheels), r (3), B_from_N (4); events stop_i and breakaway_i per wheel.
 
     Stop of wheel i: watch * W falls through zero, watch = sign of W (times the direction of time), 0 where not watched.
-    Breakaway: (holding torque / limit)^2 reaches 1.
+    Breakaway: (holding torque / limit)^2 rises through 1.
     """
     names = ["Hx", "Hy", "Hz", *(f"h{i}" for i in range(n_wheels)), "rx", "ry", "rz", "qx", "qy", "qz", "qw"]
     variables = hk.make_vars(*names)
@@ -49,13 +49,14 @@ def _compiled(n_wheels: int, tol: float):
     omega = g.body_rate(H, h, p)
     rates = [*dH, *dh, *dr, *g.quaternion_rate(q, omega)]
     events = []
-    for i, (inertia, watch, inverse_limit2) in enumerate(extras):
+    for i, (inertia, watch, inverse_limit2, sense) in enumerate(extras):
         speed = g.wheel_speed(h[i], omega, p.wheels[i])
         torque = g.holding_torque(H, h, p, p.wheels[i], inertia)
         # the constant keeps an unwatched event away from zero
         stop = watch * speed + (1.0 - watch * watch)
         events.append(hk.t_event(stop, direction=hk.event_direction.negative))
-        events.append(hk.t_event(torque * torque * inverse_limit2 - 1.0, direction=hk.event_direction.any))
+        overload = sense * (torque * torque * inverse_limit2 - 1.0)
+        events.append(hk.t_event(overload, direction=hk.event_direction.positive))
     rates = [rate + 0.0 * variables[0] if not isinstance(rate, hk.expression) else rate for rate in rates]
     pars = [0.0] * (_COMMON + _PER_WHEEL * n_wheels)
     system = list(zip(variables, rates, strict=True))
@@ -77,8 +78,10 @@ def parameter_values(vehicle: Vehicle, states: tuple[WheelState, ...], backward:
     p = parameters(vehicle, states)
     values = [*p.inverse, *p.held_momentum]
     for wheel, state, w in zip(vehicle.wheels, states, p.wheels, strict=True):
-        watched = state.turning is Turning.FREE and state.limit > 0
-        watch = state.sign * (-1.0 if backward else 1.0) if watched else 0.0
+        watched = state.turning is Turning.FREE and state.limit > 0 and state.watch_from is None
+        sense = -1.0 if backward else 1.0
+        watch = state.sign * sense if watched else 0.0
         inverse_limit2 = 1.0 / state.limit**2 if state.turning is Turning.STUCK else 0.0
-        values += [*w.axis, w.inverse_inertia, w.free, w.coulomb, w.viscous, wheel.inertia_kg_m2, watch, inverse_limit2]
+        values += [*w.axis, w.inverse_inertia, w.free, w.coulomb, w.viscous]
+        values += [wheel.inertia_kg_m2, watch, inverse_limit2, sense]
     return np.array(values)
