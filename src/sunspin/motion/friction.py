@@ -63,8 +63,9 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     covariance = covariance * np.outer(scale, scale)
     rms = float(np.sqrt(np.mean((_curve(t - t[0], c1, c2, c3) - speed) ** 2)))
     c1, covariance = _moved_to_time_zero(c1, c2, covariance, t[0])
+    c1, c2, c3 = float(c1), float(c2), float(c3)
     friction = Friction.from_spin_down(c1, c2, c3, inertia_kg_m2)
-    return SpinDownFit(float(c1), float(c2), float(c3), frozen_array(covariance), rms, friction)
+    return SpinDownFit(c1, c2, c3, frozen_array(covariance), rms, friction)
 
 
 def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float) -> float:

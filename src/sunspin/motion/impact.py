@@ -104,7 +104,7 @@ def _speeds(vehicle: Vehicle, value: npt.ArrayLike | None) -> np.ndarray:
     """Wheel speeds (..., n_wheel); with one wheel its axis may be left out."""
     n = len(vehicle.wheels)
     speeds = np.zeros(0) if value is None else np.asarray(value, dtype=np.float64)
-    if n == 1 and (speeds.ndim == 0 or speeds.shape[-1] != 1):
+    if n == 1 and value is not None and (speeds.ndim == 0 or speeds.shape[-1] != 1):
         speeds = speeds[..., None]
     if speeds.ndim == 0 or speeds.shape[-1] != n or not np.all(np.isfinite(speeds)):
         raise InputError(
