@@ -1,67 +1,112 @@
-"""Built-in cases: vehicle, timeline, telemetry and published figures, as data."""
+"""Built-in cases: vehicle, timeline, telemetry and published figures, as data.
+
+A case is a folder with a ``vehicle.toml``; ``timeline.toml``, ``telemetry.csv`` and ``published.toml`` stand beside it where
+there are any.
+"""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import xarray as xr
 
-from sunspin.errors import InputError, sentence
+from sunspin.errors import InputError, TelemetryError, sentence
 from sunspin.measure.telemetry import read_telemetry
 from sunspin.timeline import Timeline, parse_timeline
 from sunspin.vehicle import Vehicle, load_vehicle
 
+PUBLISHED_KEYS = {"value", "unit", "what", "place"}
+
 
 @dataclass(frozen=True)
 class Published:
-    """A figure of the paper: value, unit and its place there."""
+    """A figure that a publication states: its value (nested tuples where it is not one number), unit and place there."""
 
-    id: str
-    what: str
     value: Any
     unit: str
+    what: str
     place: str
 
 
 @dataclass(frozen=True)
 class Case:
-    """A landing or a flight that comes with the package. `telemetry` says in its attrs whether it is synthetic."""
+    """A landing, flight or test: the vehicle, what happened when, its telemetry and what was published about it."""
 
     name: str
+    folder: Path
     vehicle: Vehicle
-    timeline: Timeline
-    telemetry: xr.Dataset
+    timeline: Timeline | None
     published: Mapping[str, Published]
 
+    @cached_property
+    def telemetry(self) -> xr.Dataset:
+        """The case's own telemetry, read when first asked for."""
+        path = self.folder / "telemetry.csv"
+        if not path.is_file():
+            raise TelemetryError(
+                sentence(f"case {self.name!r} comes without telemetry", do="read yours with read_telemetry(path, vehicle)")
+            )
+        return read_telemetry(path, self.vehicle)
 
-def case_file(name: str, file: str) -> Any:
-    """A file of a built-in case, as a resource of the package."""
-    return resources.files("sunspin").joinpath("cases", name, file)
+
+def case_names() -> list[str]:
+    """Names of the built-in cases."""
+    return sorted(path.parent.name for path in _root().glob("*/vehicle.toml"))
 
 
 def load_case(name: str) -> Case:
-    """Load a built-in case by name; ``"philae"`` is complete (its telemetry is synthetic, the real one is not public)."""
-    if name != "philae":
-        raise InputError(
-            sentence(f"no complete case is called {name!r}", do='known: philae; vehicles alone: load_vehicle("skcube")')
-        )
-    vehicle = load_vehicle(name)
-    with resources.as_file(case_file(name, "telemetry.csv")) as path:
-        telemetry = read_telemetry(path, vehicle)
-    return Case(name, vehicle, load_timeline(name), telemetry, load_published(name))
+    """Load a built-in case by its name, for example ``"philae"``.
+
+    Raises
+    ------
+    InputError
+        With the names there are, or with what is wrong in one of the case's files.
+    """
+    if name not in case_names():
+        raise InputError(sentence("there is no built-in case of this name", got=name, do=f"known: {', '.join(case_names())}"))
+    folder = _root() / name
+    timeline, published = folder / "timeline.toml", folder / "published.toml"
+    return Case(
+        name=name,
+        folder=folder,
+        vehicle=load_vehicle(name),
+        timeline=parse_timeline(timeline.read_text("utf-8"), str(timeline)) if timeline.is_file() else None,
+        published=parse_published(published.read_text("utf-8"), str(published)) if published.is_file() else _frozen({}),
+    )
 
 
-def load_timeline(name: str) -> Timeline:
-    """The timeline of a built-in case."""
-    return parse_timeline(case_file(name, "timeline.toml").read_text(encoding="utf-8"))
+def parse_published(text: str, where: str) -> Mapping[str, Published]:
+    """Read the text of a ``published.toml``; `where` names the file in messages."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+    figures = {}
+    for key, entry in table.items():
+        if not isinstance(entry, dict) or set(entry) != PUBLISHED_KEYS:
+            raise InputError(
+                sentence(f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}", where=f"{where}, {key}")
+            )
+        if not all(entry[text].strip() for text in ("unit", "what", "place")):
+            raise InputError(sentence("unit, what and place must not be empty", where=f"{where}, {key}"))
+        figures[key] = Published(**{**entry, "value": _tuples(entry["value"])})
+    return _frozen(figures)
 
 
-def load_published(name: str) -> Mapping[str, Published]:
-    """The published figures of a built-in case by id."""
-    table = tomllib.loads(case_file(name, "published.toml").read_text(encoding="utf-8"))
-    return MappingProxyType({entry["id"]: Published(**entry) for entry in table["figure"]})
+def _root() -> Path:
+    return Path(str(resources.files("sunspin").joinpath("cases")))
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def _frozen(figures: dict[str, Published]) -> Mapping[str, Published]:
+    return MappingProxyType(figures)

@@ -1,9 +1,17 @@
-"""A sticking, inelastic impact at one point of the body: a pure map of the state (paper, eqs. 8-11)."""
+"""A sticking impact of one point of the vehicle with the ground: a pure map from the state before to the state after.
+
+The blow is short, so only the impulse F at the contact point l counts. A wheel that its bearing lets go keeps its inertial
+spin (friction has no time to act), one whose motor holds its speed turns with the body (paper, eqs. 8-11):
+
+    B d_omega = l x F      d_v = F / m      (omega + d_omega) x l + v + d_v = 0      d_W = -u.d_omega
+
+with B the inertia less the axial inertia of the wheels that are not held. Elimination leaves K F = -(v + omega x l) with
+the symmetric positive definite K = 1/m - [l] B^-1 [l], [l] the matrix of l x.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +19,7 @@ import xarray as xr
 
 from sunspin.errors import InputError, sentence
 from sunspin.motion.gyrostat import free_inertia
-from sunspin.motion.modes import schedules
+from sunspin.motion.modes import COMMANDS
 from sunspin.vehicle import Vehicle
 
 
@@ -23,88 +31,128 @@ def impact(
     leg: str | int | npt.ArrayLike,
     wheel_mode: str | Sequence[str] = "coast",
 ) -> xr.Dataset:
-    """The state after the end of a leg has hit the ground and stuck to it for an instant.
-
-    The impulse F at the contact point l satisfies d_omega = A^-1 (l x F), d_v = F / m and (omega + d_omega) x l + v + d_v = 0.
-    A wheel keeps its inertial spin through the blow (d_W = -u.d_omega, also when it was stuck), unless a motor holds its
-    speed rigidly (``wheel_mode="hold"``), in which case the motor may do work.
+    """State after the end of a leg hits the ground and sticks for an instant (paper, eqs. 8-11).
 
     Parameters
     ----------
+    vehicle : Vehicle
+        With mass and inertia.
     omega_B : (..., 3) rad/s
-    wheel_speed_rad_s : (..., n_wheel) rad/s, or None without wheels
+        Body rate before, body axes.
+    wheel_speed_rad_s : number, (n_wheel,), (..., n_wheel) or None
+        Wheel speeds relative to the body before.
     velocity_B : (..., 3) m/s
-        Of the centre of mass relative to the ground, body axes.
-    leg : name or index of a leg, or the contact point (..., 3) in m from the centre of mass
+        Velocity of the centre of mass relative to the ground before, body axes.
+    leg : str, int, integer array (...), or (..., 3) m
+        Name of a leg, its position among `vehicle.legs` (one, or a NumPy array of integers for one per run), or any contact
+        point of the vehicle, from the centre of mass in body axes.
+    wheel_mode : "coast", "brake" or "hold", or one per wheel
+        "hold": the motor keeps the wheel's speed through the blow, and may do work. Else the wheel keeps its inertial spin.
 
     Returns
     -------
     xarray.Dataset
-        `omega_B`, `wheel_speed_rad_s`, `velocity_B` after the impact and `impulse_B` (N s), leading axes as given.
+        After the impact: `omega_B` (rad/s), `wheel_speed_rad_s`, `velocity_B` (m/s), and `impulse_B` (N s) on the vehicle;
+        the leading dimensions are called ``run`` (or ``run_0``, ``run_1`` ... where there are several).
+
+    Raises
+    ------
+    InputError, VehicleError
+        Shapes that do not fit, an unknown leg or mode, a vehicle without mass or inertia.
     """
-    n_wheel = len(vehicle.wheels)
-    omega, velocity = np.asarray(omega_B, dtype=np.float64), np.asarray(velocity_B, dtype=np.float64)
-    point = _contact(vehicle, leg)
-    speeds = np.zeros((*omega.shape[:-1], 0)) if wheel_speed_rad_s is None else np.asarray(wheel_speed_rad_s, np.float64)
-    if n_wheel == 1 and (speeds.ndim == 0 or speeds.shape[-1:] != (1,)):
+    tip = _tips(vehicle, leg)
+    omega, velocity = _vectors(omega_B, "omega_B"), _vectors(velocity_B, "velocity_B")
+    speeds = _speeds(vehicle, wheel_speed_rad_s)
+    held = _held(vehicle, wheel_mode)
+    shapes = (omega.shape[:-1], velocity.shape[:-1], tip.shape[:-1], speeds.shape[:-1])
+    try:
+        batch = np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise InputError(sentence("the leading shapes of rate, velocity, leg and wheel speed differ", got=shapes)) from None
+    inverse = np.linalg.inv(free_inertia(vehicle, [not h for h in held]))
+    impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip)
+    kick = np.cross(tip, impulse) @ inverse
+    turned = [np.zeros(kick.shape[:-1]) if h else -kick @ w.axis_B for w, h in zip(vehicle.wheels, held, strict=True)]
+    speeds_after = speeds + (np.stack(turned, axis=-1) if turned else 0.0)
+    return _dataset(vehicle, batch, omega + kick, velocity + impulse / vehicle.require_mass(), impulse, speeds_after)
+
+
+def _impulse(inverse: np.ndarray, mass: float, omega: np.ndarray, velocity: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    """F (..., 3) in N s from K F = -(v + omega x l)."""
+    lever = _cross_matrix(tip)
+    mobility = np.eye(3) / mass - lever @ inverse @ lever
+    contact_velocity = velocity + np.cross(omega, tip)
+    return -np.linalg.solve(mobility, contact_velocity[..., None])[..., 0]
+
+
+def _cross_matrix(vector: np.ndarray) -> np.ndarray:
+    """The matrix [v] (..., 3, 3) with [v] b = v x b."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _vectors(value: npt.ArrayLike, name: str) -> np.ndarray:
+    vectors = np.asarray(value, dtype=np.float64)
+    if vectors.ndim == 0 or vectors.shape[-1] != 3 or not np.all(np.isfinite(vectors)):
+        raise InputError(sentence(f"{name} must be finite with three components last", got=f"shape {vectors.shape}"))
+    return vectors
+
+
+def _speeds(vehicle: Vehicle, value: npt.ArrayLike | None) -> np.ndarray:
+    """Wheel speeds (..., n_wheel); with one wheel its axis may be left out."""
+    n = len(vehicle.wheels)
+    speeds = np.zeros(0) if value is None else np.asarray(value, dtype=np.float64)
+    if n == 1 and value is not None and (speeds.ndim == 0 or speeds.shape[-1] != 1):
         speeds = speeds[..., None]
-    if omega.shape[-1:] != (3,) or velocity.shape[-1:] != (3,) or speeds.shape[-1:] != (n_wheel,):
+    if speeds.ndim == 0 or speeds.shape[-1] != n or not np.all(np.isfinite(speeds)):
         raise InputError(
             sentence(
-                f"omega_B and velocity_B must end in 3 components and wheel_speed_rad_s in {n_wheel}",
-                got=f"{omega.shape}, {velocity.shape}, {speeds.shape}",
+                f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",
+                got=f"shape {np.shape(value)}",
             )
         )
-    if not all(np.all(np.isfinite(array)) for array in (omega, velocity, speeds, point)):
-        raise InputError(sentence("an impact needs finite rates, speeds, velocity and contact point"))
-    held = [schedule[0][1] == "hold" for schedule in schedules(vehicle, wheel_mode)]
-    inverse = np.linalg.inv(free_inertia(vehicle, [not is_held for is_held in held]))
-    lever = _skew(point)
-    # contact velocity after: v + omega x l + (1/m - [l]x A^-1 [l]x) F = 0
-    mobility = np.eye(3) / vehicle.require_mass() - lever @ inverse @ lever
-    impulse = -np.linalg.solve(mobility, (velocity + np.cross(omega, point))[..., None])[..., 0]
-    jump = np.cross(point, impulse) @ inverse
-    axes = np.array([wheel.axis_B for wheel in vehicle.wheels]).reshape(n_wheel, 3)
-    speed_jump = np.where(held, 0.0, -(jump @ axes.T))
-    return _dataset(omega + jump, speeds + speed_jump, velocity + impulse / vehicle.require_mass(), impulse)
+    return speeds
 
 
-def _contact(vehicle: Vehicle, leg: Any) -> np.ndarray:
+def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
     names = [item.name for item in vehicle.legs]
-    if isinstance(leg, str) and leg in names:
+    if isinstance(leg, str):
+        if leg not in names:
+            raise InputError(
+                sentence(f"vehicle {vehicle.name!r} has no leg of this name", got=leg, do=f"known: {names or 'none'}")
+            )
         return vehicle.legs[names.index(leg)].tip_B_m
-    if isinstance(leg, int | np.integer) and not isinstance(leg, bool) and 0 <= leg < len(names):
-        return vehicle.legs[int(leg)].tip_B_m
-    if not isinstance(leg, str | int | np.integer):
-        point = np.asarray(leg, dtype=np.float64)
-        if point.shape[-1:] == (3,):
-            return point
-    raise InputError(
-        sentence("leg must be the name or index of a leg, or a contact point in m", got=leg, do=f"legs: {', '.join(names)}")
-    )
+    index = np.asarray(leg)
+    # a list of three whole numbers is a point; only an array of integers can mean positions in the list of legs
+    is_index = np.issubdtype(index.dtype, np.integer) and (index.ndim == 0 or isinstance(leg, np.ndarray))
+    if not is_index:
+        return _vectors(leg, "leg")
+    if index.size and not (0 <= index.min() and index.max() < len(names)):
+        raise InputError(
+            sentence(f"vehicle {vehicle.name!r} has {len(names)} leg(s)", got=leg, do="count them from 0, or give a point")
+        )
+    return np.array([item.tip_B_m for item in vehicle.legs])[index]
 
 
-def _skew(v: np.ndarray) -> np.ndarray:
-    """Matrix [v]x with [v]x a = v x a, (..., 3, 3)."""
-    matrix = np.zeros((*v.shape, 3))
-    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return matrix - np.swapaxes(matrix, -1, -2)
+def _held(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> list[bool]:
+    modes = [wheel_mode] * len(vehicle.wheels) if isinstance(wheel_mode, str) else list(wheel_mode)
+    if len(modes) != len(vehicle.wheels) or any(mode not in COMMANDS for mode in modes):
+        raise InputError(sentence(f"wheel_mode must be one of {', '.join(COMMANDS)}, or one per wheel", got=wheel_mode))
+    return [mode == "hold" for mode in modes]
 
 
-def _dataset(omega: np.ndarray, speeds: np.ndarray, velocity: np.ndarray, impulse: np.ndarray) -> xr.Dataset:
-    shape = np.broadcast_shapes(omega.shape[:-1], velocity.shape[:-1])
-    lead = tuple(f"row{k}" if len(shape) > 1 else "row" for k in range(len(shape)))
-
-    def variable(values: np.ndarray, last: str, units: str):
-        return ((*lead, last), np.broadcast_to(values, (*shape, values.shape[-1])), {"units": units})
-
+def _dataset(vehicle, batch, omega, velocity, impulse, speeds) -> xr.Dataset:
+    runs = ("run",) if len(batch) == 1 else tuple(f"run_{i}" for i in range(len(batch)))
+    n = len(vehicle.wheels)
     return xr.Dataset(
         {
-            "omega_B": variable(omega, "axis", "rad/s"),
-            "wheel_speed_rad_s": variable(speeds, "wheel", "rad/s"),
-            "velocity_B": variable(velocity, "axis", "m/s"),
-            "impulse_B": variable(impulse, "axis", "N s"),
+            "omega_B": ((*runs, "axis"), np.broadcast_to(omega, (*batch, 3)).copy(), {"units": "rad/s"}),
+            "wheel_speed_rad_s": ((*runs, "wheel"), np.broadcast_to(speeds, (*batch, n)).copy(), {"units": "rad/s"}),
+            "velocity_B": ((*runs, "axis"), np.broadcast_to(velocity, (*batch, 3)).copy(), {"units": "m/s"}),
+            "impulse_B": ((*runs, "axis"), np.broadcast_to(impulse, (*batch, 3)).copy(), {"units": "N s"}),
         },
-        coords={"axis": ["x", "y", "z"]},
-        attrs={"source": "paper, eqs. 8-11"},
+        coords={"axis": ["x", "y", "z"], "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_)},
+        attrs={"vehicle": vehicle.name, "source": "paper, eqs. 8-11: inelastic sticking impact at one point"},
     )
