@@ -28,8 +28,8 @@ BINS = 256
 EMD_DIRECTION_ERROR = 0.03
 """Direction error (rad) at the end of the window that an EMD can bear: a late phase error hardly moves a distribution."""
 
-SAMPLES_PER_TURN = 4.0
-"""Samples of r_z per turn of the fastest motion that the window could hold, at least; the incommensurate motion fills in."""
+MAX_TARGET = 4096
+"""Target samples beyond this are replaced by as many quantiles: measured tracks have tens, simulated ones 10^5."""
 
 MAX_ROWS = 50_000_000
 """Grids beyond this are refused: at 40 microseconds a row it would run for more than half an hour on one core."""
@@ -149,6 +149,8 @@ def target_segments(target_z: npt.ArrayLike, weights: npt.ArrayLike | None = Non
         raise InputError(sentence("target_z must be one or more values in [-1, 1], with as many weights if any"))
     if not (np.all(w >= 0) and w.sum() > 0):
         raise InputError(sentence("weights must not be negative and not all zero"))
+    if z.size > MAX_TARGET:
+        z, w = _thinned(z, w)
     order = np.argsort(z, kind="stable")
     place = np.clip((z[order] + 1) * BINS / 2, 0, BINS)
     knots = np.concatenate([np.arange(BINS + 1, dtype=float), place])
@@ -157,6 +159,14 @@ def target_segments(target_z: npt.ArrayLike, weights: npt.ArrayLike | None = Non
     bin_of = np.minimum(np.floor(knots[:-1]).astype(np.int64), BINS - 1)
     level = cdf[np.searchsorted(place, knots[:-1], side="right")]
     return bin_of, knots[:-1] - bin_of, knots[1:] - bin_of, level
+
+
+def _thinned(z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """MAX_TARGET quantiles in the place of a larger sample: the distribution moves by less than 1 / MAX_TARGET."""
+    order = np.argsort(z, kind="stable")
+    cdf = np.cumsum(w[order]) / w.sum()
+    levels = (np.arange(MAX_TARGET) + 0.5) / MAX_TARGET
+    return z[order][np.searchsorted(cdf, levels)], np.ones(MAX_TARGET)
 
 
 def _emd_function(vehicle, target_z, weights, make_rows, duration_s, mask, wheel_mode):

@@ -1,0 +1,183 @@
+"""Philae between the first touchdown and the collision: targets of the scan, candidate lines, the way back to touchdown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.cases import Case
+from sunspin.errors import InputError, TelemetryError, sentence
+from sunspin.infer.lines import fit_lines, line_deviation, match_lines, point_at
+from sunspin.infer.mask import allows, reconstructible_mask
+from sunspin.infer.metrics import emd
+from sunspin.infer.scan import near_minimum, scan
+from sunspin.measure.sun import is_reconstructed
+from sunspin.motion.propagate import propagate
+from sunspin.vehicle import Vehicle
+
+LINE_RANGE = (-0.2, 0.3)
+"""omega_z (rad/s) over which fitted and published lines are compared."""
+
+POOL_RANGE = (-0.15, 0.3)
+"""omega_z (rad/s) of the points of the published lines whose r_z make up their common distribution."""
+
+POOL_POINTS = 16
+POOL_STEP_S = 0.5
+
+TWIN_FACTOR = 1.1
+"""Near-minimum factor of the paper."""
+
+LINES_FACTOR = 4.0
+"""Near-minimum factor against the lines' common distribution: so clean a target has so small a minimum that 1.1 times it
+leaves a handful of points. EMD at points of the lines themselves is up to several times the minimum."""
+
+
+def published_lines(case: Case) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The paper's L1..L4 as (point, unit direction)."""
+    lines = []
+    for name in ("line_L1", "line_L2", "line_L3", "line_L4"):
+        point, direction = (np.array(part) for part in case.published[name].value)
+        lines.append((point, direction / np.linalg.norm(direction)))
+    return lines
+
+
+def window_s(case: Case) -> float:
+    """Length of the scan's window in s."""
+    return 60.0 * float(case.published["scan_duration"].value)
+
+
+def first_sun(case: Case) -> np.ndarray:
+    return np.array(case.published["first_sun"].value)
+
+
+def grid(case: Case, coarser: int = 1) -> dict[str, np.ndarray]:
+    """The paper's grid of initial rates, or every `coarser`-th point of it."""
+    step, axes = case.published["scan_step"].value, {}
+    for name in ("omega_x", "omega_y", "omega_z"):
+        low, high = case.published[f"scan_{name}"].value
+        axes[name] = np.linspace(low, high, round((high - low) / step) + 1)[::coarser]
+    return axes
+
+
+def pooled_z(case: Case) -> list[np.ndarray]:
+    """For each published line, the reconstructible r_z of motions begun at points along it."""
+    mask = reconstructible_mask(case.vehicle)
+    t = np.arange(0.0, window_s(case) + POOL_STEP_S / 2, POOL_STEP_S)
+    pooled = []
+    for point, direction in published_lines(case):
+        starts = point_at(point, direction, 2, np.linspace(*POOL_RANGE, POOL_POINTS))
+        tracks = [
+            propagate(case.vehicle, omega, first_sun(case), nominal_speed(case.vehicle), t, rtol=1e-9)["sun_B"].values
+            for omega in starts
+        ]
+        pooled.append(np.concatenate([track[allows(mask, track), 2] for track in tracks]))
+    return pooled
+
+
+def nominal_speed(vehicle: Vehicle) -> list[float]:
+    return [wheel.speed_rad_s for wheel in vehicle.wheels]
+
+
+def pooled_spread(pooled: list[np.ndarray]) -> list[float]:
+    """EMD of each line's distribution to the common one."""
+    everything = np.concatenate(pooled)
+    return [emd(z, everything) for z in pooled]
+
+
+def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
+    """The Sun samples between first touchdown and collision, time counted from the first of them."""
+    start, end = (case_seconds(case, sun, name) for name in ("first_touchdown", "collision"))
+    time = sun["time"].values
+    part = sun.isel(time=np.flatnonzero((time >= start) & (time < end)))
+    told = is_reconstructed(part["status"])
+    if part.sizes["time"] == 0 or not told.any():
+        raise TelemetryError(
+            sentence(
+                "no sample between first touchdown and collision gives a direction of the Sun",
+                got=f"{part.sizes['time']} samples there",
+                do="check the times and the columns of the telemetry",
+            )
+        )
+    return part.assign_coords(time=part["time"] - part["time"].values[0])
+
+
+def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
+    """An event's time in s from the epoch of a Dataset."""
+    from sunspin.timeline import utc_seconds
+
+    moment = case.timeline.event(event)
+    return utc_seconds(moment.refined_utc or moment.utc, data.attrs["epoch_utc"])
+
+
+@dataclass(frozen=True)
+class Families:
+    """A scan's near-minimum set and the lines through it, `partner[k]` being the line for published line k."""
+
+    emd: xr.DataArray
+    factor: float
+    points: np.ndarray
+    lines: xr.Dataset | None
+    partner: list[int]
+    deviation: list[dict[str, float]]
+
+
+def families(case: Case, volume: xr.DataArray, factor: float, seed: int) -> Families:
+    """Near-minimum set of a scan, four lines through it, and their distance from the published ones."""
+    points = near_minimum(volume, factor)
+    reference = published_lines(case)
+    try:
+        lines = fit_lines(points, len(reference), seed=seed)
+    except InputError:  # a ragged level set may have fewer points than four lines need
+        return Families(volume, factor, points, None, [], [])
+    options: dict[str, Any] = {"low": LINE_RANGE[0], "high": LINE_RANGE[1]}
+    partner = match_lines(lines, reference, **options)
+    fitted = list(zip(lines["point"].values, lines["direction"].values, strict=True))
+    deviation = [line_deviation(fitted[i], other, **options) for i, other in zip(partner, reference, strict=True)]
+    return Families(volume, factor, points, lines, partner, deviation)
+
+
+def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool) -> xr.DataArray:
+    """The paper's scan against one set of z values."""
+    return scan(
+        case.vehicle,
+        target_z,
+        first_sun(case),
+        **grid(case, coarser),
+        wheel_speed_rad_s=nominal_speed(case.vehicle),
+        duration_s=window_s(case),
+        workers=workers,
+        progress=progress,
+    )
+
+
+def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float) -> np.ndarray:
+    """Body rates (n, 3) at the first touchdown of motions with rates `starts` (n, 3) at the first sample after it."""
+    back = -case.timeline.seconds("first_touchdown", "first_sample_after_touchdown")
+    runs = [
+        propagate(case.vehicle, omega, first_sun(case), wheel_speed_rad_s, [0.0, back], rtol=1e-10) for omega in starts
+    ]
+    return np.array([run["omega_B"].values[-1] for run in runs]).reshape(-1, 3)
+
+
+def speed_at_first_sample(case: Case) -> float:
+    """Wheel speed at the first sample if it was nominal at touchdown and coasted since, the body nearly at rest."""
+    after = case.timeline.seconds("first_touchdown", "first_sample_after_touchdown")
+    run = propagate(case.vehicle, [0, 0, 0], first_sun(case), nominal_speed(case.vehicle), [0.0, after])
+    return float(run["wheel_speed_rad_s"].values[-1, 0])
+
+
+def smallest_on_lines(case: Case, lines: list[tuple], wheel_speed_rad_s: float) -> float:
+    """Smallest angular speed (rad/s) at touchdown over the lines, omega_z at the first sample in the compared range."""
+    omega_z = np.linspace(LINE_RANGE[0], LINE_RANGE[1], 101)
+    starts = np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in lines])
+    return float(np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s), axis=1).min())
+
+
+def with_telemetry(case: Case, telemetry: xr.Dataset) -> Case:
+    """The case with other telemetry in the place of its own."""
+    copy = replace(case)
+    copy.__dict__["telemetry"] = telemetry
+    return copy
