@@ -1,0 +1,149 @@
+"""The built-in Philae case: its constants against numbers typed here from the paper, timeline and published figures."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.cases import parse_published
+from sunspin.timeline import parse_timeline, utc_seconds
+
+case = ss.load_case("philae")
+vehicle = case.vehicle
+
+
+def test_mass_and_inertia_are_those_of_table_2():
+    inertia = [[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]]
+    np.testing.assert_array_equal(vehicle.inertia_kg_m2, inertia)
+    assert vehicle.mass_kg == 97.63
+    (wheel,) = vehicle.wheels
+    assert (wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.axis_B.tolist()) == (0.0058, 865.0, [0.0, 0.0, 1.0])
+
+
+def test_panels_are_those_of_section_2_1():
+    s = 2**-0.5
+    normals = [[0, 1, 0], [s, s, 0], [1, 0, 0], [s, -s, 0], [0, -1, 0], [0, 0, 1]]
+    np.testing.assert_allclose(vehicle.panel_normals_B, normals, atol=2e-16)
+    assert vehicle.panel_gains.tolist() == [254, 162, 162, 162, 254, 230]
+    assert vehicle.panel_names == ("1", "2", "3", "4", "5", "6")
+    assert vehicle.sun_rules[0].all_dark == ("3", "5")
+
+
+def test_legs_are_those_of_table_3():
+    tips = [[1.4780, 0.0118, -0.4078], [-0.7784, 1.3775, -0.4078], [-0.7784, -1.3539, -0.4078]]
+    np.testing.assert_array_equal([leg.tip_B_m for leg in vehicle.legs], tips)
+
+
+def test_friction_is_the_fit_and_the_printed_pair_an_option():
+    assert vehicle.wheels[0].friction.coulomb_N_m == pytest.approx(4.643e-4 * 388.9 * 0.0058, rel=1e-12)
+    assert vehicle.wheels[0].friction.viscous_N_m_s == pytest.approx(4.643e-4 * 0.0058, rel=1e-12)
+    printed = vehicle.with_friction("printed").wheels[0].friction
+    assert (printed.coulomb_N_m, printed.viscous_N_m_s) == (1.0e-3, 2.6811e-6)
+
+
+def test_every_number_of_the_vehicle_has_a_source():
+    assert len(vehicle.facts) > 25
+    assert [key for key, fact in vehicle.facts.items() if not (fact.source or "").strip()] == []
+
+
+def test_times_of_table_1():
+    seconds = case.timeline.seconds
+    assert seconds("separation", "first_touchdown") == pytest.approx(6 * 3600 + 59 * 60 + 3.98)
+    assert seconds("first_touchdown", "first_sample_after_touchdown") == pytest.approx(56.02)
+    assert seconds("first_sample_after_touchdown", "collision") == 45 * 60
+    assert seconds("collision", "second_touchdown") == 65 * 60 + 26
+    assert seconds("second_touchdown", "rest") == 5 * 60 + 51
+    assert case.timeline.event("first_touchdown").utc == "2014-11-12T15:34:04"
+    assert all(event.source.strip() for event in case.timeline.events)
+
+
+def test_phases_follow_each_other_without_gap():
+    phases = case.timeline.phases
+    assert [phase.name for phase in phases] == [
+        "deployment", "descent", "first_rebound", "second_rebound", "settling", "rest",
+    ]  # fmt: skip
+    assert all(a.end_s == b.begin_s for a, b in zip(phases, phases[1:], strict=False))
+    assert phases[-1].end_s == np.inf
+    at = case.timeline.event("collision").t_s
+    assert case.timeline.phase_at(at) == "second_rebound" and case.timeline.phase_at(at - 0.001) == "first_rebound"
+    assert case.timeline.phase_at(-1.0) is None
+
+
+def test_telemetry_and_timeline_count_from_the_same_instant():
+    assert case.telemetry.attrs["epoch_utc"] == case.timeline.epoch_utc + "Z"
+    assert case.telemetry.attrs["synthetic"] == 1
+
+
+def test_published_lines_have_unit_directions_and_the_first_sun_is_a_unit_vector():
+    for name in ("L1", "L2", "L3", "L4"):
+        _, along = case.published[f"line_{name}"].value
+        assert np.linalg.norm(along) == pytest.approx(1.0, abs=1e-4)
+    assert np.linalg.norm(case.published["first_sun"].value) == pytest.approx(1.0, abs=1e-4)
+    # the paper's second quotation of the same direction is not one
+    assert np.linalg.norm(case.published["first_sun_E_study"].value) == pytest.approx(0.9646, abs=1e-4)
+
+
+def test_published_figures_agree_with_the_case_where_both_state_them():
+    published = case.published
+    assert published["wheel_speed"].value == vehicle.wheels[0].speed_rad_s
+    assert published["scan_duration"].value * 60 == case.timeline.seconds("first_sample_after_touchdown", "collision")
+    printed = vehicle.wheels[0].alternative_frictions["printed"]
+    assert published["friction_coulomb"].value == printed.coulomb_N_m
+    assert published["friction_viscous"].value == printed.viscous_N_m_s
+    reach = max(np.linalg.norm(leg.tip_B_m) for leg in vehicle.legs)
+    speed = published["landing_speed"].value + reach * published["rate_at_collision"].value
+    assert speed == pytest.approx(published["leg_tip_speed"].value, abs=0.02)
+
+
+def test_a_case_cannot_be_changed():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        case.name = "other"
+    with pytest.raises(TypeError):
+        case.published["emd_min"] = None
+
+
+def test_an_unknown_case_is_refused_with_the_names_there_are():
+    with pytest.raises(ss.InputError, match="no built-in case.*rosetta.*philae"):
+        ss.load_case("rosetta")
+
+
+def test_names_that_a_timeline_does_not_have():
+    with pytest.raises(ss.InputError, match="no event of this name .*landing.*collision"):
+        case.timeline.event("landing")
+    with pytest.raises(ss.InputError, match="no phase"):
+        case.timeline.phase("landing")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("epoch_utc = ", "not valid TOML"),
+        ("[[event]]\nname = 'a'", "'epoch_utc' is missing"),
+        ("epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nutc = 'noon'\nsource = 's'", "ISO-8601.*noon"),
+        ("epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nutc = '2014-11-12'\nsource = ' '", "empty source"),
+        ("epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nwhen = 1\nsource = 's'", "unknown key 'when'"),
+    ],
+)
+def test_mistakes_in_a_timeline_are_named(text, message):
+    with pytest.raises(ss.InputError, match=f"here.toml: .*{message}"):
+        parse_timeline(text, "here.toml")
+
+
+def test_a_phase_must_end_after_it_begins():
+    event = "[[event]]\nname = '{}'\nutc = '2014-11-12T0{}:00:00'\nsource = 's'\n"
+    text = "epoch_utc = '2014-11-12T00:00:00'\n" + event.format("a", 1) + event.format("b", 2)
+    with pytest.raises(ss.InputError, match="ends before it begins"):
+        parse_timeline(text + "[[phase]]\nname = 'p'\nbegin = 'b'\nend = 'a'", "here.toml")
+
+
+def test_utc_with_and_without_zone():
+    assert utc_seconds("2014-11-12T16:20:00+01:00", "2014-11-12T15:20:00Z") == 0.0
+    assert utc_seconds("2014-11-12T15:34:03.98", "2014-11-12T15:34:00") == pytest.approx(3.98)
+
+
+def test_a_published_figure_without_place_is_refused():
+    with pytest.raises(ss.InputError, match="here.toml, x"):
+        parse_published("[x]\nvalue = 1\nunit = '1'\nwhat = 'w'", "here.toml")
+    with pytest.raises(ss.InputError, match="must not be empty"):
+        parse_published("[x]\nvalue = 1\nunit = '1'\nwhat = 'w'\nplace = ' '", "here.toml")
