@@ -14,7 +14,7 @@ PHASE_KEYS = {"name", "begin", "end", "note"}
 
 @dataclass(frozen=True)
 class Event:
-    """A named instant: its UTC as published, a more precise one where known, and `t_s` (s from the epoch) of the better."""
+    """A named instant: its UTC as published, a refined one where known, and `t_s` (s from the epoch) of the better."""
 
     name: str
     utc: str
@@ -27,7 +27,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Phase:
-    """The stretch ``begin_s <= t < end_s`` (s from the epoch) between two events; `end_s` is inf where it stays open."""
+    """The stretch ``begin_s <= t < end_s`` (s from the epoch) between two events; `end_s` is inf where open."""
 
     name: str
     begin_s: float
@@ -112,7 +112,9 @@ def _phase(entry: dict, timeline: Timeline) -> Phase:
 def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
     for key in entry:
         if key not in known:
-            raise InputError(sentence(f"unknown key {key!r} in an {kind}", do=f"known keys: {', '.join(sorted(known))}"))
+            raise InputError(
+                sentence(f"unknown key {key!r} in a table of kind {kind!r}", do=f"known keys: {', '.join(sorted(known))}")
+            )
 
 
 def _named(items: tuple, name: str, kind: str):

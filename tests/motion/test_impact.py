@@ -1,15 +1,15 @@
-"""The sticking impact: what must vanish, what must be conserved, what may only fall, and one blow worked out by hand."""
+"""The sticking impact: what must vanish, what must be conserved, what may only fall, and a blow worked out by hand."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from vehicles import philae_body, random_vehicle
 
 import sunspin as ss
 from sunspin.motion import gyrostat as g
 from sunspin.vehicle import Leg, Vehicle, Wheel
+from vehicles import philae_body, random_vehicle
 
 
 def energy(vehicle, omega, speeds, velocity):
@@ -58,7 +58,10 @@ def test_free_wheels_keep_their_inertial_spin_and_energy_never_rises(seed, n_whe
     vehicle, (omega, speeds, velocity), _, after = blow(seed, n_wheels)
     omega_after, speeds_after = after["omega_B"].values, after["wheel_speed_rad_s"].values
     np.testing.assert_allclose(
-        g.axial_momenta(vehicle, omega_after, speeds_after), g.axial_momenta(vehicle, omega, speeds), rtol=1e-12, atol=1e-12
+        g.axial_momenta(vehicle, omega_after, speeds_after),
+        g.axial_momenta(vehicle, omega, speeds),
+        rtol=1e-12,
+        atol=1e-12,
     )
     before = energy(vehicle, omega, speeds, velocity)
     lost = before - energy(vehicle, omega_after, speeds_after, after["velocity_B"].values)
@@ -101,8 +104,9 @@ def test_turning_vehicle_and_blow_together_turns_the_result(seed, n_wheels):
 def test_a_rod_that_lands_on_one_end():
     """A body with unit mass and inertia falls at speed 1 along -z on its end at distance 2 along x.
 
-    The upward impulse is F = v / (1/m + l^2/I) = 1/5, its moment l x F = (2, 0, 0) x (0, 0, 1/5) = (0, -2/5, 0), and the
-    centre goes on falling at 1 - 1/5. Check: omega x l = (0, -2/5, 0) x (2, 0, 0) = (0, 0, 4/5) cancels it at the end.
+    The upward impulse is F = v / (1/m + l^2/I) = 1/5, its moment l x F = (2, 0, 0) x (0, 0, 1/5) = (0, -2/5, 0), and
+    the centre goes on falling at 1 - 1/5. Check: omega x l = (0, -2/5, 0) x (2, 0, 0) = (0, 0, 4/5) cancels it at the
+    end.
     """
     body = Vehicle("unit", np.eye(3), 1.0, legs=[Leg("end", [2.0, 0.0, 0.0])])
     after = ss.impact(body, [0, 0, 0], None, [0, 0, -1.0], "end")

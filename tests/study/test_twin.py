@@ -146,7 +146,9 @@ def test_the_sun_is_continuous_through_the_collision_and_below_the_panels_after_
     last, first = np.flatnonzero(phase == "first_rebound")[-1], np.flatnonzero(phase == "second_rebound")[0]
     end, sun_B = truth["collision_t_s"], truth["collision_sun_B"]
     # the wheel has stopped before the last sample, so the way back to it knows no wheel
-    back = ss.propagate(vehicle, truth["collision_omega_before_B"], sun_B, 0.0, [end, t[last]], stopped_at_s=t[last] - 1)
+    back = ss.propagate(
+        vehicle, truth["collision_omega_before_B"], sun_B, 0.0, [end, t[last]], stopped_at_s=t[last] - 1
+    )
     speed = truth["collision_wheel_speed_after_rad_s"]
     onward = ss.propagate(vehicle, truth["collision_omega_after_B"], sun_B, speed, [end, t[first]])
     np.testing.assert_allclose(back["sun_B"].values[-1], made["true_sun_B"].values[last], atol=1e-8)

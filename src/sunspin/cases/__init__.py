@@ -1,7 +1,7 @@
 """Built-in cases: vehicle, timeline, telemetry and published figures, as data.
 
-A case is a folder with a ``vehicle.toml``; ``timeline.toml``, ``telemetry.csv`` and ``published.toml`` stand beside it where
-there are any.
+A case is a folder with a ``vehicle.toml``; ``timeline.toml``, ``telemetry.csv`` and ``published.toml`` stand beside it
+where there are any.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PUBLISHED_KEYS = {"value", "unit", "what", "place"}
 
 @dataclass(frozen=True)
 class Published:
-    """A figure that a publication states: its value (nested tuples where it is not one number), unit and place there."""
+    """A figure that a publication states: its value (nested tuples where not one number), unit and place there."""
 
     value: Any
     unit: str
@@ -51,7 +51,9 @@ class Case:
         path = self.folder / "telemetry.csv"
         if not path.is_file():
             raise TelemetryError(
-                sentence(f"case {self.name!r} comes without telemetry", do="read yours with read_telemetry(path, vehicle)")
+                sentence(
+                    f"case {self.name!r} comes without telemetry", do="read yours with read_telemetry(path, vehicle)"
+                )
             )
         return read_telemetry(path, self.vehicle)
 
@@ -70,7 +72,9 @@ def load_case(name: str) -> Case:
         With the names there are, or with what is wrong in one of the case's files.
     """
     if name not in case_names():
-        raise InputError(sentence("there is no built-in case of this name", got=name, do=f"known: {', '.join(case_names())}"))
+        raise InputError(
+            sentence("there is no built-in case of this name", got=name, do=f"known: {', '.join(case_names())}")
+        )
     folder = _root() / name
     timeline, published = folder / "timeline.toml", folder / "published.toml"
     return Case(
@@ -92,7 +96,9 @@ def parse_published(text: str, where: str) -> Mapping[str, Published]:
     for key, entry in table.items():
         if not isinstance(entry, dict) or set(entry) != PUBLISHED_KEYS:
             raise InputError(
-                sentence(f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}", where=f"{where}, {key}")
+                sentence(
+                    f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}", where=f"{where}, {key}"
+                )
             )
         if not all(entry[text].strip() for text in ("unit", "what", "place")):
             raise InputError(sentence("unit, what and place must not be empty", where=f"{where}, {key}"))

@@ -17,7 +17,7 @@ MIN_SAMPLES = 4
 
 @dataclass(frozen=True)
 class SpinDownFit:
-    """``c1 exp(c2 t) + c3`` fitted to a spin-down; `covariance` (3, 3) of (c1, c2, c3), `rms_rad_s` of the residuals."""
+    """``c1 exp(c2 t) + c3`` fitted to a spin-down; `covariance` (3, 3) of (c1, c2, c3), `rms_rad_s` of the residual."""
 
     c1_rad_s: float
     c2_per_s: float
@@ -58,7 +58,9 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     def scaled(x, a, b, c):
         return _curve(x, *(np.array([a, b, c]) * scale))
 
-    best, covariance = curve_fit(scaled, t - t[0], speed, p0=start / scale, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    best, covariance = curve_fit(
+        scaled, t - t[0], speed, p0=start / scale, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14
+    )
     c1, c2, c3 = best * scale
     covariance = covariance * np.outer(scale, scale)
     rms = float(np.sqrt(np.mean((_curve(t - t[0], c1, c2, c3) - speed) ** 2)))
@@ -69,7 +71,7 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
 
 
 def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float) -> float:
-    """Seconds until a free-running wheel on a fixed body stops: J/mu1 ln(1 + mu1 |W| / mu0), from eq. (5); inf without mu0.
+    """Seconds until a free-running wheel on a fixed body stops: J/mu1 ln(1 + mu1 |W| / mu0) by eq. (5), inf without mu0.
 
     On a free body the wheel stops sooner by a part J u.inverse(Theta) u, for Philae 0.04 %.
     """
@@ -91,7 +93,9 @@ def _record(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike) -> tuple[Float
     t, speed = np.asarray(t_s, dtype=np.float64), np.asarray(wheel_speed_rad_s, dtype=np.float64)
     if t.ndim != 1 or t.shape != speed.shape or t.size < MIN_SAMPLES:
         raise MotionError(
-            sentence(f"a spin-down needs {MIN_SAMPLES} or more times and as many speeds", got=f"{t.shape} and {speed.shape}")
+            sentence(
+                f"a spin-down needs {MIN_SAMPLES} or more times and as many speeds", got=f"{t.shape} and {speed.shape}"
+            )
         )
     if not (np.all(np.isfinite(t)) and np.all(np.isfinite(speed)) and np.all(np.diff(t) > 0)):
         raise MotionError(sentence("the times of a spin-down must increase, and times and speeds be finite"))
@@ -102,7 +106,11 @@ def _record(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike) -> tuple[Float
     speed = np.abs(speed)
     if not speed[-1] < speed[0]:
         raise MotionError(
-            sentence("the wheel does not slow down", got=f"{speed[0]:g} to {speed[-1]:g} rad/s", do="cut to the decaying part")
+            sentence(
+                "the wheel does not slow down",
+                got=f"{speed[0]:g} to {speed[-1]:g} rad/s",
+                do="cut to the decaying part",
+            )
         )
     return t, speed
 

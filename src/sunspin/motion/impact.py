@@ -1,12 +1,12 @@
 """A sticking impact of one point of the vehicle with the ground: a pure map from the state before to the state after.
 
-The blow is short, so only the impulse F at the contact point l counts. A wheel that its bearing lets go keeps its inertial
-spin (friction has no time to act), one whose motor holds its speed turns with the body (paper, eqs. 8-11):
+The blow is short, so only the impulse F at the contact point l counts. A wheel that its bearing lets go keeps its
+inertial spin (friction has no time to act), one whose motor holds its speed turns with the body (paper, eqs. 8-11):
 
     B d_omega = l x F      d_v = F / m      (omega + d_omega) x l + v + d_v = 0      d_W = -u.d_omega
 
-with B the inertia less the axial inertia of the wheels that are not held. Elimination leaves K F = -(v + omega x l) with
-the symmetric positive definite K = 1/m - [l] B^-1 [l], [l] the matrix of l x.
+with B the inertia less the axial inertia of the wheels that are not held. Elimination leaves K F = -(v + omega x l)
+with the symmetric positive definite K = 1/m - [l] B^-1 [l], [l] the matrix of l x.
 """
 
 from __future__ import annotations
@@ -44,16 +44,17 @@ def impact(
     velocity_B : (..., 3) m/s
         Velocity of the centre of mass relative to the ground before, body axes.
     leg : str, int, integer array (...), or (..., 3) m
-        Name of a leg, its position among `vehicle.legs` (one, or a NumPy array of integers for one per run), or any contact
-        point of the vehicle, from the centre of mass in body axes.
+        Name of a leg, its position among `vehicle.legs` (one, or a NumPy array of integers for one per run), or any
+        contact point of the vehicle, from the centre of mass in body axes.
     wheel_mode : "coast", "brake" or "hold", or one per wheel
-        "hold": the motor keeps the wheel's speed through the blow, and may do work. Else the wheel keeps its inertial spin.
+        "hold": the motor keeps the wheel's speed through the blow, and may do work. Else the wheel keeps its inertial
+        spin.
 
     Returns
     -------
     xarray.Dataset
-        After the impact: `omega_B` (rad/s), `wheel_speed_rad_s`, `velocity_B` (m/s), and `impulse_B` (N s) on the vehicle;
-        the leading dimensions are called ``run`` (or ``run_0``, ``run_1`` ... where there are several).
+        After the impact: `omega_B` (rad/s), `wheel_speed_rad_s`, `velocity_B` (m/s), and `impulse_B` (N s) on the
+        vehicle; the leading dimensions are called ``run`` (or ``run_0``, ``run_1`` ... where there are several).
 
     Raises
     ------
@@ -68,7 +69,9 @@ def impact(
     try:
         batch = np.broadcast_shapes(*shapes)
     except ValueError:
-        raise InputError(sentence("the leading shapes of rate, velocity, leg and wheel speed differ", got=shapes)) from None
+        raise InputError(
+            sentence("the leading shapes of rate, velocity, leg and wheel speed differ", got=shapes)
+        ) from None
     inverse = np.linalg.inv(free_inertia(vehicle, [not h for h in held]))
     impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip)
     kick = np.cross(tip, impulse) @ inverse
@@ -131,7 +134,9 @@ def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
         return _vectors(leg, "leg")
     if index.size and not (0 <= index.min() and index.max() < len(names)):
         raise InputError(
-            sentence(f"vehicle {vehicle.name!r} has {len(names)} leg(s)", got=leg, do="count them from 0, or give a point")
+            sentence(
+                f"vehicle {vehicle.name!r} has {len(names)} leg(s)", got=leg, do="count them from 0, or give a point"
+            )
         )
     return np.array([item.tip_B_m for item in vehicle.legs])[index]
 

@@ -37,7 +37,7 @@ EPOCH_UTC = "2000-01-01T12:00:00Z"
 """Epoch of a twin whose vehicle names none: a twin need not happen on any day."""
 
 NOISE_OF_LARGEST = 0.02
-"""Where gains are relative, the scale is such that the vehicle's noise is this part of the largest panel's full signal."""
+"""Where gains are relative, the scale makes the vehicle's noise this part of the largest panel's full signal."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Truth:
     """The motion behind a twin: the state at ``t_s[0]``, the sample times, and how the panels see it.
 
     `omega_B` (3) rad/s and `sun_B` (3) in body axes; `t_s` (n) s from the epoch; `wheel_speed_rad_s` as in `propagate`
-    (default: the vehicle's nominal speeds); `scale` the signal of a panel of gain one at normal incidence (default: 1, or
-    with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma in the unit of the signal
-    (default: the vehicle's, zero where it states none).
+    (default: the vehicle's nominal speeds); `scale` the signal of a panel of gain one at normal incidence (default: 1,
+    or with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma in the unit of the
+    signal (default: the vehicle's, zero where it states none).
     """
 
     omega_B: npt.ArrayLike
@@ -74,7 +74,8 @@ def twin(source: Case | Vehicle | str, truth: Truth | Mapping[str, Any] | None =
     -------
     xarray.Dataset
         As from `read_telemetry`, with the true direction `true_sun_B (time, axis)` and the truth in attributes
-        ``truth_omega_B``, ``truth_sun_B``, ``truth_wheel_speed_rad_s``, ``truth_noise``, ``truth_scale``, ``truth_seed`` ...
+        ``truth_omega_B``, ``truth_sun_B``, ``truth_wheel_speed_rad_s``, ``truth_noise``, ``truth_scale``,
+        ``truth_seed`` ...
 
     Raises
     ------

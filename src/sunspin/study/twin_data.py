@@ -27,7 +27,7 @@ def generator(seed: int, key: int) -> np.random.Generator:
 
 
 def noisy_power(vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
-    """`power` (..., n_panel) with Gaussian noise of `sigma` (same unit) on the lit panels; dark panels read exactly zero.
+    """`power` (..., n_panel) with Gaussian noise of `sigma` (same unit) on the lit panels; dark panels read zero.
 
     A lit panel's reading never falls to zero or below: see `LEAST_LIT`.
     """
@@ -50,7 +50,7 @@ def telemetry_dataset(
     truth: Mapping[str, Any],
     phase: np.ndarray | None = None,
 ) -> xr.Dataset:
-    """Synthetic telemetry in the form of `read_telemetry`, with the true track `true_sun_B` and ``truth_...`` attributes."""
+    """Synthetic telemetry in the form of `read_telemetry`, with the track `true_sun_B` and attributes ``truth_...``."""
     quantity = vehicle.telemetry.quantity
     coords: dict[str, Any] = {
         "time": ("time", t_s, {"units": "s", "long_name": "time since the epoch"}),
@@ -121,5 +121,7 @@ def write_new(path: Path, text: str, force: bool) -> None:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise OutputError(
-            sentence(f"the file cannot be written ({error.strerror or error})", do="choose another place", where=str(path))
+            sentence(
+                f"the file cannot be written ({error.strerror or error})", do="choose another place", where=str(path)
+            )
         ) from None

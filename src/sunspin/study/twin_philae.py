@@ -1,21 +1,24 @@
 """A synthetic landing of Philae: telemetry of every phase, made from published facts, with its truth.
 
-The measured panel powers are not public, so this stands in for them. What the facts leave open is drawn from the seed or
-chosen here, and said where it is:
+The measured panel powers are not public, so this stands in for them. What the facts leave open is drawn from the seed
+or chosen here, and said where it is:
 
 - scale: `CELL_W` watts per cell, so that the lander makes some 8 W, about right at 2.99 AU; no result depends on it;
 - noise: the vehicle file's, the same for each lit panel; dark panels read zero, lit ones never;
 - deployment: rotation as after it (the paper sees a slight variation only); the folded legs take a fixed part of the
   light of each side panel, until sample 10;
-- first rebound: the state at the first sample is the published direction, the published wheel speed, and the rate on the
-  published line L3 that has |omega| = 2 pi / 13 s at the collision (the magnetometer's "13 s" read as the angular speed);
+- first rebound: the state at the first sample is the published direction, the published wheel speed, and the rate on
+  the published line L3 that has |omega| = 2 pi / 13 s at the collision (the magnetometer's "13 s" read as the angular
+  speed);
 - collision: a sticking impact on a leg, in a direction and at the speed of the paper's section 3.3;
 - settling: the direction turns from where it was at the second touchdown to where it is at rest, evenly;
-- rest: the comet turns the Sun along a great circle in body axes; rocks shadow panel 1 wholly and panels 2 and 3 in part,
-  then hide the Sun until it stands below the panel plane. The orientation is chosen for the published lit patterns.
+- rest: the comet turns the Sun along a great circle in body axes; rocks shadow panel 1 wholly and panels 2 and 3 in
+  part, then hide the Sun until it stands below the panel plane. The orientation is chosen for the published lit
+  patterns.
 
-The seed of the committed file is 16: of the first forty, the one whose angular speed after the collision (0.215 rad/s on
-average) is nearest to the turn in 24 s that the magnetometer saw, and which also matches the published Delta statistics.
+The seed of the committed file is 16: of the first forty, the one whose angular speed after the collision (0.215 rad/s
+on average) is nearest to the turn in 24 s that the magnetometer saw, and which also matches the published Delta
+statistics.
 """
 
 from __future__ import annotations
@@ -62,7 +65,7 @@ MASK_ANGLES_DEG = (-40.0, 3.0)
 
 
 class Part(NamedTuple):
-    """The samples of one phase: times, true directions (n, 3), the part of the light that reaches each panel (n, panel)."""
+    """The samples of one phase: times, true directions (n, 3), part of the light reaching each panel (n, n_panel)."""
 
     phase: str
     t_s: np.ndarray
@@ -93,8 +96,8 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        As from `read_telemetry`, with coordinate `phase (time)`, `true_sun_B (time, axis)` and the truth in ``truth_...``
-        attributes.
+        As from `read_telemetry`, with coordinate `phase (time)`, `true_sun_B (time, axis)` and the truth in
+        ``truth_...`` attributes.
     """
     case = load_case("philae")
     vehicle = case.vehicle
@@ -185,13 +188,18 @@ def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
     unfolded = np.concatenate([[begin], later])
     azimuth = rng.uniform(0, 2 * np.pi)
     return (
-        Part("deployment", folded, _descent_sun(case, folded - begin, azimuth), _constant(FOLDED_LEG_TRANSMISSION, folded)),
+        Part(
+            "deployment",
+            folded,
+            _descent_sun(case, folded - begin, azimuth),
+            _constant(FOLDED_LEG_TRANSMISSION, folded),
+        ),
         Part("descent", unfolded, _descent_sun(case, unfolded - begin, azimuth), _constant((1.0,) * 6, unfolded)),
     )
 
 
 def _descent_sun(case: Case, t: np.ndarray, azimuth: float) -> np.ndarray:
-    """Directions (n, 3) at t (s from sample 10): the Sun goes round backward; before t = 0 the rate is the first one."""
+    """Directions (n, 3) at t (s from sample 10): the Sun goes round backward; before t = 0 at the first rate."""
     rate = case.published["descent_rate_cubic"].value
     angle = sum(c * np.maximum(t, 0.0) ** (k + 1) / (k + 1) for k, c in enumerate(rate)) + rate[0] * np.minimum(t, 0.0)
     z = case.published["nz_descent"].value
@@ -245,7 +253,7 @@ def _rest_angle(t: np.ndarray) -> np.ndarray:
 
 
 def _rest_sun(t: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) at t (s from coming to rest): a great circle at 80 degrees to the xy plane, which it meets at 86."""
+    """Directions (n, 3) at t (s from coming to rest): a great circle, 80 degrees to xy, which it meets at 86."""
     azimuth, tilt, angle = np.radians(86.0), np.radians(80.0), _rest_angle(t)[:, None]
     node = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -258,14 +266,17 @@ def _constant(transmission: tuple[float, ...], t: np.ndarray) -> np.ndarray:
 
 def _joined(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     phase = np.concatenate([np.full(part.t_s.size, part.phase) for part in parts])
-    return (*(np.concatenate([getattr(part, key) for part in parts]) for key in ("t_s", "sun_B", "transmission")), phase)
+    return (
+        *(np.concatenate([getattr(part, key) for part in parts]) for key in ("t_s", "sun_B", "transmission")),
+        phase,
+    )
 
 
 def _keep_direction(vehicle, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
     """Confine the noise of one sample to what its redundancy shows, so that the measured direction is the true one.
 
-    The first direction after the touchdown is published as measured, and is the truth here: so this sample's noise may raise
-    Delta but not turn the direction.
+    The first direction after the touchdown is published as measured, and is the truth here: so this sample's noise may
+    raise Delta but not turn the direction.
     """
     rows = np.where((exact > 0)[:, None], vehicle.panel_gains[:, None] * vehicle.panel_normals_B, 0.0)
     noise = noisy - exact
