@@ -113,7 +113,7 @@ def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
     for key in entry:
         if key not in known:
             raise InputError(
-                sentence(f"unknown key {key!r} in a table of kind {kind!r}", do=f"known keys: {', '.join(sorted(known))}")
+                sentence(f"unknown key {key!r} in [[{kind}]]", do=f"known keys: {', '.join(sorted(known))}")
             )
 
 

@@ -71,7 +71,7 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
 
 
 def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float) -> float:
-    """Seconds until a free-running wheel on a fixed body stops: J/mu1 ln(1 + mu1 |W| / mu0) by eq. (5), inf without mu0.
+    """Seconds until a free wheel on a fixed body stops: J/mu1 ln(1 + mu1 |W| / mu0) by eq. (5), inf without mu0.
 
     On a free body the wheel stops sooner by a part J u.inverse(Theta) u, for Philae 0.04 %.
     """
