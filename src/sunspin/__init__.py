@@ -29,7 +29,7 @@ _HOME = {
     "scan": "sunspin.infer.scan",
     "fit_lines": "sunspin.infer.lines",
     "twin": "sunspin.study.twin",
-    "reproduce": "sunspin.study.reproduce",
+    "reproduce": "sunspin.tell.reproduction",
     "SunspinError": "sunspin.errors",
     "VehicleError": "sunspin.errors",
     "TelemetryError": "sunspin.errors",

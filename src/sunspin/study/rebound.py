@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import tomllib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -174,6 +176,16 @@ def smallest_on_lines(case: Case, lines: list[tuple], wheel_speed_rad_s: float) 
     omega_z = np.linspace(LINE_RANGE[0], LINE_RANGE[1], 101)
     starts = np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in lines])
     return float(np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s), axis=1).min())
+
+
+def twin_truth(case: Case) -> np.ndarray | None:
+    """The true rate (3) in rad/s at the first sample after touchdown, where the telemetry is the case's own twin."""
+    own, truth = case.folder / "telemetry.csv", case.folder / "twin_truth.toml"
+    if not (own.is_file() and truth.is_file()):
+        return None
+    if hashlib.sha256(own.read_bytes()).hexdigest() != case.telemetry.attrs.get("sha256"):
+        return None
+    return np.array(tomllib.loads(truth.read_text("utf-8"))["omega_B"])
 
 
 def with_telemetry(case: Case, telemetry: xr.Dataset) -> Case:

@@ -1,0 +1,82 @@
+"""Results folders: who may write where, and files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunspin.errors import OutputError, sentence
+
+MARKER = ".sunspin-results"
+"""A file that says that sunspin made the folder, and with which command."""
+
+
+def results_folder(path: Any, command: str) -> Path:
+    """Create (or take again) a results folder of this command; a folder with anything else in it is refused."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        marker = folder / MARKER
+        if marker.is_file():
+            maker = marker.read_text("utf-8").strip()
+            if maker != command:
+                raise OutputError(
+                    sentence(f"the folder holds results of `sunspin {maker}`", do="choose another --out", where=str(folder))
+                )
+        elif any(folder.iterdir()):
+            raise OutputError(
+                sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
+            )
+        write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
+    except OSError as error:
+        raise OutputError(
+            sentence(f"results cannot be written here ({error.strerror or error})", do="choose another --out", where=str(folder))
+        ) from None
+    return folder
+
+
+def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
+    """Let `write` fill a temporary file beside the target, then rename it: the target is never half written."""
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        write(part)
+        os.replace(part, target)
+    except OSError as error:
+        raise OutputError(
+            sentence(f"the file cannot be written ({error.strerror or error})", do="free space or choose another --out",
+                     where=str(target))
+        ) from None  # fmt: skip
+    finally:
+        part.unlink(missing_ok=True)
+    return target
+
+
+def write_json(target: Path, data: Any) -> Path:
+    """Write plain data as JSON; numbers that are not finite become null."""
+    text = json.dumps(plain(data), indent=1, ensure_ascii=False, allow_nan=False)
+    return write_whole(target, lambda part: part.write_text(text + "\n", "utf-8"))
+
+
+def plain(value: Any) -> Any:
+    """Data as JSON knows it: lists, dicts, text, numbers, null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def write_netcdf(target: Path, data: Any) -> Path:
+    """Write an xarray object as NetCDF-4."""
+    return write_whole(target, lambda part: data.to_netcdf(part, engine="h5netcdf"))
