@@ -1,0 +1,45 @@
+# Needs Python 3.11 (or later, PYTHON=...), gcc, make and git. Everything else is installed into .venv, in locked versions.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+OUT ?= results
+
+.PHONY: help reproduce test test-slow lint lock clean
+
+help:
+	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
+	@echo "make test        import contracts, lint and tests"
+	@echo "make test-slow   the long tests"
+	@echo "make lock        write requirements.lock anew from pyproject.toml"
+	@echo "make clean       remove the environment and built files"
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "sunspin needs Python 3.11 or later; run make PYTHON=/path/to/python3.11")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $(READY)
+
+reproduce: $(READY)
+	$(BIN)/sunspin reproduce --out $(OUT)
+
+lint: $(READY)
+	$(BIN)/lint-imports --no-cache
+	$(BIN)/ruff check --no-cache src tests
+
+test: lint
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: $(READY)
+	$(BIN)/python -m pytest -m slow
+
+lock:
+	rm -rf .lock-env && $(PYTHON) -m venv .lock-env
+	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,parquet,spice]"
+	{ echo "# Exact versions for the make targets; written by make lock from the ranges in pyproject.toml."; \
+	  .lock-env/bin/python -m pip freeze --exclude sunspin; } > requirements.lock
+	rm -rf .lock-env
+
+clean:
+	rm -rf $(VENV) .lock-env build dist .pytest_cache .ruff_cache .import_linter_cache
