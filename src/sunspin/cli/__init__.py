@@ -1,0 +1,51 @@
+"""The command line: arguments to calls. Heavy modules are imported by the commands that use them."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+from sunspin.cli.common import Group
+from sunspin.errors import SunspinError
+
+
+@click.group(
+    cls=Group,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog="Start with `sunspin init my-satellite`. Every command has --help with an example.",
+)
+@click.version_option(package_name="sunspin")
+def cli() -> None:
+    """sunspin tells how a spacecraft tumbles from nothing but the power of its solar panels."""
+
+
+def main() -> None:
+    """Entry point: errors become one sentence on stderr and an exit code (2 bad input, 130 interrupted)."""
+    try:
+        code = cli.main(standalone_mode=False)
+        sys.stdout.flush()
+    except SunspinError as error:
+        code = _say(f"error: {error}", 2)
+    except click.ClickException as error:
+        code = _say(f"error: {' '.join(error.format_message().split())}{_hint(error)}", 2)
+    except (click.Abort, KeyboardInterrupt):
+        code = _say("interrupted; nothing half-written was left behind, run the same command again", 130)
+    except BrokenPipeError:
+        # the reader of our output has gone; keep Python from complaining about it at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except MemoryError:
+        code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _say(text: str, code: int) -> int:
+    print(f"sunspin: {text}", file=sys.stderr)
+    return code
+
+
+def _hint(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    return f"; see `{context.command_path} --help`" if context is not None else ""

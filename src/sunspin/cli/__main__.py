@@ -1,0 +1,5 @@
+"""``python -m sunspin.cli``."""
+
+from sunspin.cli import main
+
+main()

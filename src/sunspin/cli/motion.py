@@ -1,0 +1,181 @@
+"""`sunspin simulate` and `sunspin scan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options
+from sunspin.errors import InputError, sentence
+
+MAX_SAMPLES = 10_000_000
+
+
+@click.command()
+@click.argument("vehicle")
+@click.option("--omega", required=True, help="Body rate at the start, rad/s: x,y,z.")
+@click.option("--sun", "sun_B", required=True, help="Unit vector to the Sun at the start, body axes: x,y,z.")
+@click.option("--wheel-speed", help="Wheel speeds, rad/s, separated by commas; default: the vehicle's.")
+@click.option("--duration", type=float, required=True, help="Length in s; negative runs backward.")
+@click.option("--step", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Output step in s.")
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
+@click.option("--stopped-at", type=float, help="When a wheel at rest had stopped, s (to run backward).")
+@output_options()
+def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, out, as_json, quiet) -> None:
+    """One trajectory: body rates, the Sun in body axes, wheel speeds, attitude, wheel events.
+
+    With --out, writes trajectory.nc.
+
+    \b
+    Example:
+      sunspin simulate philae --omega 0.1,0,0 --sun 0.1959,0.5690,0.7986 --duration 2760 --out run
+    """
+    from sunspin.motion.propagate import propagate
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
+    if not np.isfinite(duration) or abs(duration) / step > MAX_SAMPLES:
+        raise InputError(sentence(f"more than {MAX_SAMPLES:g} output times", got=f"{duration} s in steps of {step} s"))
+    count = max(int(np.floor(abs(duration) / step + 1e-9)), 0)
+    t = np.copysign(np.arange(count + 1) * step, duration)
+    if abs(duration) > abs(t[-1]):
+        t = np.append(t, duration)
+    start = numbers(omega, "--omega", 3), numbers(sun_B, "--sun", 3)
+    run = propagate(craft, *start, speeds or None, t, wheel_mode=wheel_mode, stopped_at_s=stopped_at)
+    end = run.isel(time=-1)
+    events = [
+        {"t_s": float(at), "wheel": str(name), "what": str(what)}
+        for at, name, what in zip(
+            run["event_time_s"].values, run["event_wheel"].values, run["event_what"].values, strict=True
+        )
+    ]
+    summary: dict[str, Any] = {
+        "t_s": float(t[-1]),
+        "omega_B": end["omega_B"].values.tolist(),
+        "sun_B": end["sun_B"].values.tolist(),
+        "wheel_speed_rad_s": end["wheel_speed_rad_s"].values.tolist(),
+        "events": events,
+    }
+    lines = [
+        f"at t = {t[-1]:g} s: rate {_vector(summary['omega_B'])} rad/s, Sun {_vector(summary['sun_B'])}, "
+        f"wheels {_vector(summary['wheel_speed_rad_s'])} rad/s",
+        *(f"  {event['wheel']} {event['what']} at {event['t_s']:.3f} s" for event in events[:20]),
+    ]
+    if len(events) > 20:
+        lines.append(f"  and {len(events) - 20} more wheel events")
+    if out is not None:
+        from sunspin.tell.results import results_folder, write_netcdf
+
+        lines.append(f"Results: {write_netcdf(results_folder(out, 'simulate') / 'trajectory.nc', run)}")
+    report(summary, lines, as_json, quiet)
+
+
+def _vector(values: list[float]) -> str:
+    return "[" + ", ".join(f"{value:.5g}" for value in values) + "]"
+
+
+@click.command()
+@click.argument("vehicle")
+@click.argument("telemetry")
+@click.option("--from", "begin", type=float, default=None, help="First time to use, s of the file's clock.")
+@click.option("--to", "end", type=float, default=None, help="Last time to use.")
+@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s: low:high:step.")
+@click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y.")
+@click.option("--omega-z", default="-0.3:0.3:0.015", show_default=True, help="Grid of omega_z.")
+@click.option("--wheel-speed", help="Wheel speeds at the first sample used, rad/s; default: the vehicle's.")
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
+@click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True)
+@click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
+@click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
+@output_options()
+@run_options
+@data_option
+def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, n_lines, out,
+         as_json, quiet, seed, workers, data) -> None:  # fmt: skip
+    """Scan initial rates: which motions show the Sun at the heights that the panels saw?
+
+    The run begins at the first sample that gives a direction. With --out, writes scan.nc.
+
+    \b
+    Example:
+      sunspin scan vehicle.toml telemetry.csv --from 0 --to 2700 --omega-z -0.1:0.1:0.01 --out scan-results
+    """
+    from sunspin.infer.lines import fit_lines
+    from sunspin.infer.scan import near_minimum
+    from sunspin.infer.scan import scan as run_scan
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    track = _track(craft, find_telemetry(telemetry, data), begin, end)
+    speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
+    target = track if metric == "E" else track["sun_B"].values[:, 2]
+    volume = run_scan(
+        craft, target, track["sun_B"].values[0], _grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"),
+        _grid(omega_z, "--omega-z"), speeds or None, float(track["time"].values[-1]), wheel_mode=wheel_mode,
+        workers=workers, progress=on_terminal(quiet),
+    )  # fmt: skip
+    points = near_minimum(volume, factor)
+    summary: dict[str, Any] = {
+        "metric": metric,
+        "rows": int(volume.size),
+        "minimum": float(volume.min()),
+        "best_omega_B": points[np.argmin([volume.sel(**_at(p), method="nearest").item() for p in points])].tolist(),
+        "near_minimum_points": len(points),
+    }
+    lines = [
+        f"{volume.size} motions against {track.sizes['time']} directions: smallest {metric} {summary['minimum']:.4f} at "
+        f"{_vector(summary['best_omega_B'])} rad/s; {len(points)} points within {factor:g} times it"
+    ]
+    if n_lines and len(points) >= 2 * n_lines:
+        fitted = fit_lines(points, n_lines, seed=seed)
+        summary["lines"] = [
+            {"point": p.tolist(), "direction": d.tolist(), "points": int(c)}
+            for p, d, c in zip(fitted["point"].values, fitted["direction"].values, fitted["count"].values, strict=True)
+        ]
+        lines += [f"  line through {_vector(x['point'])} along {_vector(x['direction'])}" for x in summary["lines"]]
+    if out is not None:
+        from sunspin.tell.results import results_folder, write_netcdf
+
+        lines.append(f"Results: {write_netcdf(results_folder(out, 'scan') / 'scan.nc', volume.to_dataset())}")
+    report(summary, lines, as_json, quiet)
+
+
+def _at(point: np.ndarray) -> dict[str, float]:
+    return dict(zip(("omega_x", "omega_y", "omega_z"), point.tolist(), strict=True))
+
+
+def _grid(text: str, name: str) -> np.ndarray:
+    """low:high:step, or values separated by commas."""
+    if ":" not in text:
+        return np.array(numbers(text, name))
+    parts = text.split(":")
+    low, high, step = numbers(",".join(parts), name, 3)
+    if not (step > 0 and high >= low) or (high - low) / step > 100_000:
+        raise InputError(sentence(f"{name} must be low:high:step with a positive step and no more than 100000 values", got=text))
+    return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
+
+
+def _track(craft, path: Path, begin: float | None, end: float | None):
+    """The directions in the window, time counted from the first."""
+    from sunspin.measure.sun import is_reconstructed, sun_directions
+    from sunspin.measure.telemetry import read_telemetry
+
+    sun = sun_directions(craft, read_telemetry(path, craft))
+    time = sun["time"].values
+    low, high = -np.inf if begin is None else begin, np.inf if end is None else end
+    use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
+    if use.sum() < 2:
+        raise InputError(
+            sentence(
+                "fewer than two samples in this window give a direction of the Sun",
+                got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
+                do="widen --from and --to; `sunspin sun` says why samples give none",
+                where=str(path),
+            )
+        )
+    track = sun[["sun_B"]].isel(time=np.flatnonzero(use))
+    return track.assign_coords(time=track["time"] - track["time"].values[0])
