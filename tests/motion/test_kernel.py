@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 import sunspin as ss
 from sunspin.motion import kernel as k
+from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 
 def rows_of(omega, speeds) -> k.Rows:

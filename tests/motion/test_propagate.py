@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 import sunspin as ss
 from sunspin.motion import gyrostat as g
 from sunspin.vehicle import Friction, Vehicle, Wheel
+from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 
 def paper_equations(vehicle: Vehicle):

@@ -1,0 +1,109 @@
+"""The scan against the reference: tracks by heyoka, distances by SciPy; its target, its mask, its bits."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.stats import wasserstein_distance
+from vehicles import FIRST_SUN
+
+import sunspin as ss
+from sunspin.infer.mask import allows, reconstructible_mask
+from sunspin.infer.scan import near_minimum
+from sunspin.measure.sun import reconstructible_patterns
+
+PHILAE = ss.load_vehicle("philae")
+N_ROWS = 40
+
+
+def grid_rows(n: int, seed: int):
+    rng = np.random.default_rng(seed)
+    xy, z = np.linspace(-0.5, 1, 101), np.linspace(-0.3, 0.3, 41)
+    return np.column_stack([rng.choice(xy, n), rng.choice(xy, n), rng.choice(z, n)])
+
+
+def reference_emd(omega, target):
+    track = ss.propagate(PHILAE, omega, FIRST_SUN, 865.0, np.linspace(0, 2700, 27001), rtol=1e-9)["sun_B"].values
+    seen = track[allows(reconstructible_mask(PHILAE), track), 2]
+    return wasserstein_distance(seen, target) / 2
+
+
+def compare(n: int, seed: int) -> np.ndarray:
+    target = np.random.default_rng(seed).uniform(0.05, 0.98, 15)
+    error = []
+    for omega in grid_rows(n, seed):
+        ours = ss.scan(PHILAE, target, FIRST_SUN, *omega[:, None], 865.0, 2700.0)
+        error.append(abs(ours.item() - reference_emd(omega, target)))
+    return np.array(error)
+
+
+def test_emd_agrees_with_the_reference():
+    assert compare(N_ROWS, 1).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_emd_agrees_with_the_reference_on_500_rows():
+    assert compare(500, 2).max() < 1e-3
+
+
+def test_mask_allows_what_the_panels_allow():
+    n = np.random.default_rng(0).normal(size=(20_000, 3))
+    for vehicle in (PHILAE, ss.load_vehicle("skcube")):
+        names = np.array(vehicle.panel_names)
+        good = reconstructible_patterns(vehicle)
+        lit = ss.panel_power(vehicle, n) > 0
+        expected = [frozenset(names[row].tolist()) in good for row in lit]
+        assert np.array_equal(allows(reconstructible_mask(vehicle), n), expected)
+
+
+def test_workers_do_not_change_a_bit():
+    axes = [np.linspace(-0.4, 0.9, 30), np.linspace(-0.4, 0.9, 30), np.linspace(-0.2, 0.2, 11)]
+    runs = [ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 300.0, workers=w) for w in (1, 3)]
+    assert np.array_equal(runs[0].values, runs[1].values)
+    alone = ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, axes[0][7], axes[1][3], axes[2][5], 865.0, 300.0)
+    assert alone.item() == runs[0].values[7, 3, 5]
+
+
+def test_the_track_metric_finds_the_truth():
+    truth = np.array([0.1, -0.05, 0.02])
+    t = np.array([0.0, 31.0, 64.0, 90.0, 131.0, 160.0])
+    run = ss.propagate(PHILAE, truth, FIRST_SUN, 865.0, t)
+    track = xr.Dataset({"sun_B": run["sun_B"]})
+    axes = [np.linspace(v - 0.02, v + 0.02, 5) for v in truth]
+    volume = ss.scan(PHILAE, track, FIRST_SUN, *axes, 865.0)
+    best = np.unravel_index(volume.values.argmin(), volume.shape)
+    assert best == (2, 2, 2)
+    assert volume.values.min() < 1e-4
+
+
+def test_a_motion_that_never_shows_its_sun_is_farthest_away():
+    below = np.array([0.1, 0.1, -0.99]) / np.linalg.norm([0.1, 0.1, -0.99])
+    assert ss.scan(PHILAE, [0.5], below, 0.0, 0.0, 0.0, 865.0, 60.0).item() == 1.0
+
+
+def test_the_near_minimum_set_by_hand():
+    volume = xr.DataArray(
+        [[[1.0, 1.05], [2.0, 1.11]]], dims=("omega_x", "omega_y", "omega_z"),
+        coords={"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]},
+    )  # fmt: skip
+    np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"target_z": []}, "target_z"),
+        ({"target_z": [1.2]}, "target_z"),
+        ({"omega_x": np.linspace(0, 1, 10**6), "omega_y": np.linspace(0, 1, 10**6)}, "larger step"),
+        ({"omega_z": [np.nan]}, "omega_z"),
+        ({"sun_B": [1, 1, 1]}, "unit vector"),
+        ({"duration_s": 0.0}, "duration_s"),
+        ({"workers": 0}, "workers"),
+    ],
+)
+def test_bad_arguments_are_named(change, message):
+    arguments = {
+        "target_z": [0.5], "sun_B": FIRST_SUN, "omega_x": [0.1], "omega_y": [0.1], "omega_z": [0.1],
+        "wheel_speed_rad_s": 865.0, "duration_s": 60.0,
+    } | change  # fmt: skip
+    with pytest.raises(ss.InputError, match=message):
+        ss.scan(PHILAE, **arguments)
