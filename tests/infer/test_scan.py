@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy.stats import wasserstein_distance
-from vehicles import FIRST_SUN
 
 import sunspin as ss
 from sunspin.infer.mask import allows, reconstructible_mask
 from sunspin.infer.scan import near_minimum
 from sunspin.measure.sun import reconstructible_patterns
+from vehicles import FIRST_SUN
 
 PHILAE = ss.load_vehicle("philae")
 N_ROWS = 40

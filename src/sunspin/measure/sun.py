@@ -117,7 +117,8 @@ def sun_directions(
     Returns
     -------
     xarray.Dataset
-        On `time`: `sun_B` (unit, body axes; NaN where `status` says that no direction follows), `delta` (paper, eq. 2),
+        On `time`: `sun_B` (unit, body axes; NaN where `status` says that no direction follows), `best_B` (a minimiser of
+        Delta, whatever the status), `delta` (paper, eq. 2),
         `sigma_rad` (rms angle of the error), `sun_cov_B` (tangent covariance), `status` (`SunStatus`) with `status_text`,
         `lit` and `n_lit`, and for status ARC the two ends of the arc, `sun_arc_B`.
     """
@@ -136,9 +137,8 @@ def sun_directions(
     if noise is None:
         noise = _pooled_noise(clean, delta, lit, status)
     covariance = _covariances(vehicle, clean, lit, told, noise)
-    direction = np.where(told[:, None], direction, np.nan)
     arcs = _arcs(vehicle, clean, lit, status)
-    return _dataset(vehicle, base, direction, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
+    return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
 
 
 def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
@@ -266,7 +266,7 @@ def _arcs(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, status: np.ndarr
     return ends
 
 
-def _dataset(vehicle, base, direction, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold):
+def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold):
     coords: dict[str, Any] = {"axis": ["x", "y", "z"], "panel": list(vehicle.panel_names)}
     if base is not None:
         coords |= {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
@@ -282,7 +282,12 @@ def _dataset(vehicle, base, direction, delta, covariance, status, texts, lit, ar
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     return xr.Dataset(
         {
-            "sun_B": (("time", "axis"), direction, {"units": "1", "long_name": "direction to the Sun, body axes"}),
+            "sun_B": (
+                ("time", "axis"),
+                np.where(told[:, None], direction, np.nan),
+                {"units": "1", "long_name": "direction to the Sun, body axes"},
+            ),
+            "best_B": (("time", "axis"), direction, {"units": "1", "long_name": "a minimiser of Delta, whatever the status"}),
             "delta": ("time", delta, {"units": "1", "long_name": "misfit Delta, paper eq. 2"}),
             "sigma_rad": ("time", sigma, {"units": "rad", "long_name": "rms angle of the error from panel noise"}),
             "sun_cov_B": (("time", "axis", "axis2"), covariance, {"units": "1", "long_name": "tangent covariance"}),

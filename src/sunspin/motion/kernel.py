@@ -28,11 +28,11 @@ LADDER = 2.0**0.25
 ERROR_CONSTANT = 3e-6
 """Direction error per radian turned of a step h at rate s is at most this times (s h)^8; measured, see `steps_for`."""
 
-MAX_STEP_ANGLE = 1.1
+MAX_STEP_ANGLE = 1.0
 """rad turned per step at most: beyond it the error law no longer holds."""
 
 
-SAMPLES_PER_STEP = 8
+SAMPLES_PER_STEP = 12
 """Samples of r_z in the histogram per step, by interpolation inside the step."""
 
 

@@ -108,7 +108,7 @@ def propagate(
     omega = np.empty((t.size, 3))
     speeds = np.empty((t.size, len(vehicle.wheels)))
     y[0] = run.y
-    omega[0], speeds[0] = _observe(run.vehicle, run.wheels, run.y[None])[0][0], [w.speed for w in run.wheels]
+    omega[0], speeds[0] = _vector(omega_B, "omega_B"), [w.speed for w in run.wheels]
     filled = 1
     stops = [*m.switch_times(plan, t[0], t[-1]), t[-1]] if t.size > 1 else []
     for t_stop in stops:

@@ -47,7 +47,8 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset) -> Figure:
     for k, panel in enumerate(values["panel"].values):
         top.plot(hours, values.sel(panel=panel), ".:", ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {panel}")
     top.set_ylabel("power (W)" if name == "power_W" else "current (A)")
-    top.legend(ncols=6, fontsize=8, loc="upper right")
+    top.legend(ncols=8, fontsize=8, loc="upper right")
+    top.set_ylim(top=1.18 * float(np.nanmax(values)))
     top.set_title(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
     told = np.isfinite(sun["sun_B"].values[:, 0])
     error = sun["sigma_rad"].values
@@ -57,7 +58,7 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset) -> Figure:
             label=f"$n_{axis}$",
         )  # fmt: skip
     _mark_reasons(middle, hours, sun)
-    middle.set_ylim(-1.45, 1.15)
+    middle.set_ylim(-1.5, 1.75)
     middle.set_ylabel("Sun direction, body axes (1)")
     middle.legend(ncols=3, fontsize=8, loc="upper right")
     low.semilogy(hours[told], np.maximum(sun["delta"].values[told], 1e-4), ".", color=COLOURS[6], ms=4)
@@ -79,7 +80,7 @@ def _mark_reasons(axes: Any, hours: np.ndarray, sun: xr.Dataset) -> None:
 
 def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) -> Figure:
     """Reconstructed directions on the sphere for each phase of the motion (paper, Fig. 4)."""
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    figure = Figure(figsize=(11, 3.4), layout="constrained")
     for k, (name, part) in enumerate(parts.items()):
         axes = figure.add_subplot(1, len(parts), k + 1, projection="3d")
         _sphere(axes)
@@ -87,7 +88,10 @@ def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) ->
         n = n[np.isfinite(n[:, 0])]
         axes.plot(*n.T, ":", lw=0.6, color=COLOURS[7])
         axes.scatter(*n.T, s=9, color=COLOURS[0], depthshade=False)
-        axes.set_title(f"{name}\n{len(n)} of {part.sizes['time']} samples", fontsize=9)
+        doubtful = part["best_B"].values[(part["status"].values == SunStatus.IMPOSSIBLE) & (part["n_lit"].values >= 3)]
+        axes.scatter(*doubtful.T, s=9, color=COLOURS[1], depthshade=False)
+        more = f", {len(doubtful)} doubtful" if len(doubtful) else ""
+        axes.set_title(f"{name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9)
     figure.suptitle(_title("Directions to the Sun in body axes", synthetic), fontsize=10)
     return figure
 
@@ -95,7 +99,7 @@ def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) ->
 def _sphere(axes: Any) -> None:
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc")
-    axes.set_box_aspect((1, 1, 1))
+    axes.set_box_aspect((1, 1, 1), zoom=1.15)
     for name in "xyz":
         getattr(axes, f"set_{name}label")(name, labelpad=-12, fontsize=8)
         getattr(axes, f"set_{name}ticks")([-1, 0, 1])
@@ -127,7 +131,7 @@ def examples_figure(runs: list[xr.Dataset]) -> Figure:
         axes = rows[0].add_subplot(1, len(runs), k + 1, projection="3d")
         _sphere(axes)
         axes.plot(*r.T, lw=0.4, color=COLOURS[0])
-        omega = ", ".join(f"{x:g}" for x in run["omega_B"].values[0])
+        omega = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
         axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
         for i, name in enumerate("xyz"):
             lower[i, k].plot(minutes, r[:, i], lw=0.5, color=COLOURS[i])
@@ -142,7 +146,7 @@ def histograms_figure(runs: list[xr.Dataset]) -> Figure:
     for axes, run in zip(figure.subplots(1, len(runs)), runs, strict=True):
         axes.hist(run["sun_B"].values[:, 2], bins=60, range=(-1, 1), density=True, color=COLOURS[0])
         axes.set_xlabel("$r_z$ (1)")
-        omega = ", ".join(f"{x:g}" for x in run["omega_B"].values[0])
+        omega = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
         axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
         axes.set_ylabel("density (1)")
     return figure

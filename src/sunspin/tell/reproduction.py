@@ -128,7 +128,8 @@ def draw(result: Reproduction, folder: Path) -> list[Picture]:
          "Panel powers and reconstructed directions (paper, Fig. 3). Grey marks below: samples that give no direction, by "
          "reason." + note),
         ("fig04_phases", lambda: fig.descent_and_rebound_figure(_phases(result.sun), result.synthetic),
-         "Sun directions on the unit sphere in four phases", "Directions in each phase (paper, Fig. 4)." + note),
+         "Sun directions on the unit sphere in four phases", "Directions in each phase (paper, Fig. 4). Orange: "
+         "best fits to sets of lit panels that the Sun alone cannot light." + note),
         ("fig05_spin_down", lambda: fig.spin_down_figure(fall["t_s"], curves), "Wheel speed falling to zero",
          "Spin-down of the wheel (paper, Fig. 5), drawn from the published coefficients."),
         ("fig06_examples", lambda: fig.examples_figure(result.examples),
@@ -171,8 +172,13 @@ def _phases(sun: xr.Dataset) -> dict[str, xr.Dataset]:
     """The Sun samples by phase, in order of time."""
     if "phase" not in sun.coords:
         return {"all samples": sun}
-    names = list(dict.fromkeys(sun["phase"].values.tolist()))
-    return {name.replace("_", " "): sun.isel(time=np.flatnonzero(sun["phase"].values == name)) for name in names}
+    groups = {
+        "descent": ["descent"],
+        "first touchdown to collision": ["first_rebound"],
+        "collision to second touchdown": ["second_rebound"],
+        "after the second touchdown": ["settling", "rest"],
+    }
+    return {name: sun.isel(time=np.flatnonzero(np.isin(sun["phase"].values, parts))) for name, parts in groups.items()}
 
 
 def _write_data(result: Reproduction, folder: Path) -> None:

@@ -1,0 +1,127 @@
+"""The command line as a user meets it: output, exit codes, one sentence on errors, nothing overwritten."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+COMMANDS = ["reproduce", "init", "check", "sun", "simulate", "scan"]
+
+
+def sunspin(*arguments, cwd=None, code=0):
+    environment = os.environ | {"COLUMNS": "110"}
+    done = subprocess.run(
+        [sys.executable, "-m", "sunspin.cli", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, env=environment
+    )
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    return done
+
+
+@pytest.fixture
+def start(tmp_path) -> Path:
+    sunspin("init", tmp_path / "mine")
+    return tmp_path / "mine"
+
+
+def test_help_lists_every_command_and_each_has_an_example():
+    text = sunspin("--help").stdout
+    for command in COMMANDS:
+        assert command in text
+        assert f"sunspin {command}" in sunspin(command, "--help").stdout
+
+
+def test_help_does_not_import_the_heavy_libraries():
+    code = "import sys, sunspin.cli; print([m for m in ('numba', 'heyoka', 'xarray', 'scipy', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_what_init_writes_works_at_once(start):
+    text = sunspin("check", start / "vehicle.toml", start / "telemetry.csv").stdout
+    assert "40 synthetic samples" in text
+    done = sunspin("sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out", "--json")
+    summary = json.loads(done.stdout)
+    assert summary["reconstructed"] == 40 and summary["synthetic_telemetry"] is True
+    assert {"sun.csv", "sun.nc", "sun.png", "sun.svg"} <= {path.name for path in (start / "out").iterdir()}
+    assert (start / "out" / "sun.csv").read_text().startswith("# synthetic")
+    with xr.open_dataset(start / "out" / "sun.nc", engine="h5netcdf") as data:
+        assert data["sun_B"].sizes == {"time": 40, "axis": 3}
+
+
+def test_init_never_overwrites(start):
+    before = (start / "vehicle.toml").read_bytes()
+    assert "already" in sunspin("init", start, code=2).stderr
+    assert (start / "vehicle.toml").read_bytes() == before
+
+
+def test_results_of_something_else_are_not_overwritten(start, tmp_path):
+    keep = tmp_path / "precious"
+    keep.mkdir()
+    (keep / "thesis.txt").write_text("mine")
+    done = sunspin("sun", start / "vehicle.toml", start / "telemetry.csv", "--out", keep, code=2)
+    assert "not empty" in done.stderr
+    assert [path.name for path in keep.iterdir()] == ["thesis.txt"]
+    sunspin("sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out")
+    assert "results of" in sunspin(
+        "simulate", "philae", "--omega=0,0,0", "--sun=0,0,1", "--duration=1", "--out", start / "out", code=2
+    ).stderr  # fmt: skip
+
+
+def test_simulate_and_its_events(tmp_path):
+    done = sunspin(
+        "simulate", "philae", "--omega", "0,0,0", "--sun", "0.1959,0.5690,0.7986", "--duration", 2700, "--step", 60,
+        "--json", "--out", tmp_path / "run",
+    )  # fmt: skip
+    events = json.loads(done.stdout)["events"]
+    assert events[0]["what"] == "stops" and abs(events[0]["t_s"] / 60 - 42.0) < 0.05
+    with xr.open_dataset(tmp_path / "run" / "trajectory.nc", engine="h5netcdf") as data:
+        assert data.sizes["time"] == 46
+
+
+def test_scan_of_the_start_files(start):
+    done = sunspin(
+        "scan", start / "vehicle.toml", start / "telemetry.csv", "--metric", "E", "--to", 160, "--omega-x", "0:0.04:0.01",
+        "--omega-y", "-0.05:-0.01:0.01", "--omega-z", "0.03:0.07:0.01", "--lines", 0, "--json", "--quiet",
+    )  # fmt: skip
+    best = json.loads(done.stdout)["best_omega_B"]
+    assert best == pytest.approx([0.02, -0.03, 0.05], abs=1e-9)  # the rate with which the samples were made
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["sun", "skcube", "no-such-file.csv"],
+        ["sun", "no-such-vehicle", "x.csv"],
+        ["nonsense"],
+        ["sun", "philae"],
+        ["simulate", "philae", "--omega", "1,2", "--sun", "0,0,1", "--duration", "1"],
+        ["simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,2", "--duration", "1"],
+        ["simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1e30"],
+        ["scan", "philae", "missing.csv", "--omega-x", "0:1:1e-12"],
+        ["reproduce", "--workers", "0"],
+        ["reproduce", "--telemetry", "missing.csv", "--out", "never"],
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(arguments, tmp_path):
+    done = sunspin(*arguments, cwd=tmp_path, code=2)
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("sunspin: error: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_labels_from_outside_stay_text_in_the_report(tmp_path):
+    from sunspin.study.reproduce import Row
+    from sunspin.tell.report import write_report
+
+    row = Row("x", "<script>alert(1)</script>", 1.0, 2.0, "<b>", None, None, "<img src=x>", "s")
+    page = write_report(
+        tmp_path / "r.html", title="<i>t</i>", synthetic=True, conclusions=["<u>"], pictures=[], rows=[row],
+        provenance={"<k>": "<v>"},
+    ).read_text()  # fmt: skip
+    assert not any(tag in page for tag in ("<script>", "<img src=x>", "<i>", "<u>", "<k>", "<v>"))
+    assert "Synthetic telemetry." in page
