@@ -53,7 +53,7 @@ def test_backward_run():
 
 
 def test_backward_through_reversals_of_the_wheel():
-    vehicle = random_vehicle(np.random.default_rng(7), 1, dry=0.004)
+    vehicle = random_vehicle(np.random.default_rng(1), 1, dry=0.001)
     rows = rows_of([[0.8, 0.5, -0.6], [-0.9, 0.7, 0.8]], 0.1)
     back = ss.propagate(vehicle, rows.omega_B[0], FIRST_SUN, 0.1, [0.0, -30.0])
     assert "reverses" in back["event_what"].values

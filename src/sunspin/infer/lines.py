@@ -2,26 +2,35 @@
 
 The fit minimises the sum of (not squared) distances of the points to their nearest line, as the paper fits its four lines
 to the near-minimum set (section 2.3). Candidate lines through pairs of points, a facility-location search for the best few
-of them, then alternating assignment and refinement of each line to the smallest sum of distances.
+of them from many starts, then alternating assignment and refinement of each line to the smallest sum of distances.
 """
 
 from __future__ import annotations
 
-from itertools import permutations
-
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.optimize import linear_sum_assignment
 
 from sunspin.errors import InputError, sentence
 
-N_CANDIDATES = 600
-N_SEARCH_POINTS = 1500
-"""Points and candidate lines that the search looks at; all points are used in the refinement."""
+N_CANDIDATES = 400
+N_SEARCH_POINTS = 800
+"""Candidate lines and points that the search looks at; all points are used in the refinement."""
 
-N_RESTARTS = 8
-MIN_DISTANCE = 1e-9
-"""Floor of the distances in the reweighting, so that points on the line do not take all the weight."""
+SEARCH_WORK = 6_000_000
+MIN_STARTS, MAX_STARTS = 12, 100
+"""The search begins as often as this many point-line distances allow: small clouds are cheap and need it most."""
+
+N_REFINED = 4
+"""So many of the best sets of candidates are refined: the search ranks sets of lines through two points each."""
+
+MAX_ROUNDS = 60
+TOLERANCE = 1e-12
+"""Relative decrease of the sum of distances below which a refinement has arrived."""
+
+SMOOTHING_STEPS = 40
+"""Halvings of the length below which distances are smoothed: from the cloud's own width down to rounding."""
 
 
 def distances(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -59,55 +68,82 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
                 do="take a larger near-minimum set or fewer lines",
             )
         )
-    rng = np.random.default_rng(seed)
     cloud = cloud[np.lexsort(cloud.T)]  # so that the order of the points does not matter
     best_cost, best = np.inf, None
-    for _ in range(N_RESTARTS):
-        lines = _refine(cloud, *_search(cloud, n_lines, rng))
-        cost = distances(cloud, *lines).min(axis=0).sum()
-        if cost < best_cost - 1e-12:
+    for start in _search(cloud, n_lines, np.random.default_rng(seed)):
+        lines = _refine(cloud, *start)
+        cost = _total(cloud, *lines)
+        if cost < best_cost * (1 - TOLERANCE):
             best_cost, best = cost, lines
     return _dataset(np.asarray(points, dtype=np.float64), *best)
 
 
-def _search(cloud: np.ndarray, n_lines: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The best few of many candidate lines: greedy choice, then swaps while they help."""
+def _total(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> float:
+    return float(distances(cloud, origin, direction).min(axis=0).sum())
+
+
+def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Lines (origin, direction) through pairs of different points: all pairs of a small cloud, random ones of a large."""
+    distinct = np.unique(cloud, axis=0)
+    first, second = np.triu_indices(len(distinct), 1) if len(distinct) <= 60 else rng.integers(len(distinct), size=(2, 4096))
+    use = np.flatnonzero(first != second)
+    if len(use) > N_CANDIDATES:
+        use = rng.choice(use, N_CANDIDATES, replace=False)
+    step = distinct[second[use]] - distinct[first[use]]
+    return distinct[first[use]], step / np.linalg.norm(step, axis=1, keepdims=True)
+
+
+def _search(cloud: np.ndarray, n_lines: int, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The best few sets of candidate lines: a greedy start and random ones, each improved by swaps while they help."""
     sample = cloud if len(cloud) <= N_SEARCH_POINTS else cloud[rng.choice(len(cloud), N_SEARCH_POINTS, replace=False)]
-    pairs = rng.integers(len(sample), size=(N_CANDIDATES, 2))
-    step = sample[pairs[:, 1]] - sample[pairs[:, 0]]
-    length = np.linalg.norm(step, axis=1)
-    usable = length > 0
-    origin, direction = sample[pairs[usable, 0]], step[usable] / length[usable, None]
+    origin, direction = _candidates(cloud, rng)
     cost = distances(sample, origin, direction)
+    n_starts = int(np.clip(SEARCH_WORK // cost.size, MIN_STARTS, MAX_STARTS))
+    starts = [_greedy(cost, n_lines)] + [rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)]
+    found: dict[tuple[int, ...], float] = {}
+    for start in starts:
+        chosen = tuple(sorted(_swapped(cost, start)))
+        found[chosen] = float(cost[list(chosen)].min(axis=0).sum())
+    ranked = sorted(found, key=lambda chosen: (found[chosen], chosen))[:N_REFINED]
+    return [(origin[list(chosen)], direction[list(chosen)]) for chosen in ranked]
+
+
+def _greedy(cost: np.ndarray, n_lines: int) -> list[int]:
+    """One candidate (row of `cost`) after the other, each the one that helps most."""
     chosen: list[int] = []
-    nearest = np.full(len(sample), np.inf)
+    nearest = np.full(cost.shape[1], np.inf)
     for _ in range(n_lines):
-        totals = np.minimum(cost, nearest).sum(axis=1)
-        chosen.append(int(np.argmin(totals)))
+        chosen.append(int(np.argmin(np.minimum(cost, nearest).sum(axis=1))))
         nearest = np.minimum(nearest, cost[chosen[-1]])
-    improved = True
-    while improved:
-        improved = False
-        for slot in range(n_lines):
-            others = [c for k, c in enumerate(chosen) if k != slot]
-            rest = cost[others].min(axis=0) if others else np.full(len(sample), np.inf)
-            totals = np.minimum(cost, rest).sum(axis=1)
-            candidate = int(np.argmin(totals))
-            if totals[candidate] < totals[chosen[slot]] - 1e-12:
-                chosen[slot], improved = candidate, True
-    return origin[chosen], direction[chosen]
+    return chosen
+
+
+def _swapped(cost: np.ndarray, chosen: list[int]) -> list[int]:
+    """Exchange one chosen candidate for any other as long as the sum of distances falls."""
+    chosen, unchanged, slot = list(chosen), 0, 0
+    while unchanged < len(chosen):
+        others = [candidate for k, candidate in enumerate(chosen) if k != slot]
+        rest = cost[others].min(axis=0) if others else np.full(cost.shape[1], np.inf)
+        totals = np.minimum(cost, rest).sum(axis=1)
+        best = int(np.argmin(totals))
+        better = totals[best] < totals[chosen[slot]] * (1 - TOLERANCE)
+        if better:
+            chosen[slot] = best
+        unchanged = 0 if better else unchanged + 1
+        slot = (slot + 1) % len(chosen)
+    return chosen
 
 
 def _refine(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Alternate between assigning points and fitting each line to its points, until the assignment settles."""
     origin, direction = origin.copy(), direction.copy()
-    member = None
-    for _ in range(50):
-        assigned = distances(cloud, origin, direction).argmin(axis=0)
-        if member is not None and np.array_equal(assigned, member):
+    member = np.full(len(cloud), -1)
+    for _ in range(MAX_ROUNDS):
+        before, member = member, distances(cloud, origin, direction).argmin(axis=0)
+        changed = np.unique(np.concatenate([before[before != member], member[before != member]]))
+        if changed.size == 0:
             break
-        member = assigned
-        for k in range(len(origin)):
+        for k in changed[changed >= 0]:  # a line whose points stayed the same stays as it is
             mine = cloud[member == k]
             if len(mine) >= 2:
                 origin[k], direction[k] = line_through(mine, origin[k], direction[k])
@@ -115,21 +151,31 @@ def _refine(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tup
 
 
 def line_through(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The line with the smallest sum of distances to points (n, 3), from a first guess: iteratively reweighted least squares."""
-    cost = np.inf
-    for _ in range(200):
-        distance = distances(points, origin[None], direction[None])[0]
-        if cost - distance.sum() < 1e-12 * max(distance.sum(), MIN_DISTANCE):
-            break
-        cost = distance.sum()
-        weight = 1.0 / np.maximum(distance, MIN_DISTANCE)
+    """The line with the smallest sum of distances d to points (n, 3), near a first guess; never worse than the guess.
+
+    Iteratively reweighted least squares on the sum of sqrt(d^2 + s^2), the smoothing s falling by halves from the width of
+    the cloud about the guess. Without smoothing, a guess through two of the points would hold on to them for ever: their
+    weights 1/d are infinite.
+    """
+    distance = distances(points, origin[None], direction[None])[0]
+    best = distance.sum(), origin, direction
+    smoothing = float(distance.max())
+    if smoothing <= 0:
+        return origin, direction
+    floor, previous = smoothing * 0.5**SMOOTHING_STEPS, np.inf
+    for _ in range(4 * SMOOTHING_STEPS):
+        weight = 1.0 / np.hypot(distance, smoothing)
         centre = weight @ points / weight.sum()
         spread = points - centre
-        new_direction = np.linalg.eigh((weight[:, None] * spread).T @ spread)[1][:, -1]
-        if distances(points, centre[None], new_direction[None])[0].sum() > cost:
+        axis = np.linalg.eigh((weight[:, None] * spread).T @ spread)[1][:, -1]
+        distance = distances(points, centre[None], axis[None])[0]
+        cost = distance.sum()
+        if cost < best[0]:
+            best = cost, centre, axis
+        if smoothing <= floor and previous - cost < TOLERANCE * cost:
             break
-        origin, direction = centre, new_direction
-    return origin, direction
+        previous, smoothing = cost, max(smoothing / 2, floor)
+    return best[1], best[2]
 
 
 def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> xr.Dataset:
@@ -160,6 +206,10 @@ def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> x
     )
 
 
+MIN_SLOPE = 1e-9
+"""A line whose unit direction has a smaller component than this does not reach other values of that component."""
+
+
 def point_at(origin: np.ndarray, direction: np.ndarray, axis: int, value: npt.ArrayLike) -> np.ndarray:
     """Points (..., 3) of a line at which component `axis` has the given values."""
     step = (np.asarray(value, dtype=np.float64) - origin[axis]) / direction[axis]
@@ -173,14 +223,28 @@ def line_deviation(line_a: tuple, line_b: tuple, axis: int = 2, low: float = -0.
     """
     (point_a, dir_a), (point_b, dir_b) = [(np.asarray(p, float), np.asarray(d, float)) for p, d in (line_a, line_b)]
     dir_a, dir_b = dir_a / np.linalg.norm(dir_a), dir_b / np.linalg.norm(dir_b)
+    if abs(dir_b[axis]) < MIN_SLOPE:
+        raise InputError(
+            sentence(
+                f"component {axis} hardly changes along the second line, so a range of it is no stretch of the line",
+                got=dir_b.tolist(),
+                do="choose another axis",
+            )
+        )
     angle = np.arctan2(np.linalg.norm(np.cross(dir_a, dir_b)), abs(dir_a @ dir_b))
     apart = distances(point_at(point_b, dir_b, axis, np.linspace(low, high, 101)), point_a[None], dir_a[None])[0]
     return {"angle_rad": float(angle), "mean": float(apart.mean()), "max": float(apart.max())}
 
 
 def match_lines(fitted: xr.Dataset, reference: list[tuple], **options: float) -> list[int]:
-    """For each reference line (point, direction) the index of the fitted line that is its partner: smallest total distance."""
+    """For each reference line (point, direction) the index of the fitted line that is its partner: smallest total distance.
+
+    `options` are those of :func:`line_deviation`, whose mean distance is the cost of a pair.
+    """
     lines = list(zip(fitted["point"].values, fitted["direction"].values, strict=True))
+    if len(lines) < len(reference):
+        raise InputError(
+            sentence("there are fewer fitted lines than reference lines", got=f"{len(lines)} and {len(reference)}")
+        )
     cost = np.array([[line_deviation(line, other, **options)["mean"] for line in lines] for other in reference])
-    choices = permutations(range(len(lines)), len(reference))
-    return list(min(choices, key=lambda choice: sum(cost[i, j] for i, j in enumerate(choice))))
+    return [int(index) for index in linear_sum_assignment(cost)[1]]

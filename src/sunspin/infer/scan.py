@@ -49,6 +49,7 @@ def scan(
     mask: str | None = "reconstructible",
     wheel_mode: str | Sequence[str] = "coast",
     workers: int | None = None,
+    store: str | None = None,
     progress: bool = False,
 ) -> xr.DataArray:
     """Distance between simulation and measurement over a grid of initial body rates.
@@ -73,6 +74,8 @@ def scan(
     wheel_mode : "coast", "hold", "brake", or one per wheel.
     workers : int, optional
         Threads; default one per core.
+    store : path, optional
+        Reserved for resumable runs, which this version does not have: anything but None is refused.
     progress : bool
         Show a progress bar on a terminal.
 
@@ -93,6 +96,8 @@ def scan(
                 do="use a larger step or a smaller range",
             )
         )
+    if store is not None:
+        raise InputError(sentence("this version cannot resume a scan from a store", do="leave store out; save the result"))
     make_rows = _row_maker(vehicle, axes, sun_B, wheel_speed_rad_s)
     if isinstance(target_z, xr.Dataset):
         name, function = "E", _track_function(vehicle, target_z, make_rows, wheel_mode)

@@ -44,8 +44,10 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset) -> Figure:
     values, hours = telemetry[name], telemetry["time"].values / 3600
     figure = Figure(figsize=(10, 8.5), layout="constrained")
     top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.6))
+    gaps = _long_gaps(hours)
     for k, panel in enumerate(values["panel"].values):
-        top.plot(hours, values.sel(panel=panel), ".:", ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {panel}")
+        broken = np.insert(values.sel(panel=panel).values, gaps, np.nan)
+        top.plot(np.insert(hours, gaps, np.nan), broken, ".:", ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {panel}")
     top.set_ylabel("power (W)" if name == "power_W" else "current (A)")
     top.legend(ncols=8, fontsize=8, loc="upper right")
     top.set_ylim(top=1.18 * float(np.nanmax(values)))
@@ -61,10 +63,24 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset) -> Figure:
     middle.set_ylim(-1.5, 1.75)
     middle.set_ylabel("Sun direction, body axes (1)")
     middle.legend(ncols=3, fontsize=8, loc="upper right")
-    low.semilogy(hours[told], np.maximum(sun["delta"].values[told], 1e-4), ".", color=COLOURS[6], ms=4)
+    checked, unchecked = (sun["status"].values == status for status in (SunStatus.OK, SunStatus.UNCHECKED))
+    low.semilogy(hours[checked], np.maximum(sun["delta"].values[checked], 1e-4), ".", color=COLOURS[6], ms=4)
+    low.plot(
+        hours[unchecked], np.full(unchecked.sum(), 1e-4), "x", color=COLOURS[7], ms=4,
+        label="exactly three panels lit: 0 whatever the powers",
+    )  # fmt: skip
+    low.set_ylim(5e-5, 1)
+    if unchecked.any():
+        low.legend(fontsize=8, loc="upper right")
     low.set_ylabel(r"$\Delta$ (1)")
     low.set_xlabel(f"time (h) since {sun.attrs.get('epoch_utc', 'the first sample')}")
     return figure
+
+
+def _long_gaps(hours: np.ndarray) -> np.ndarray:
+    """Where the line between samples is broken: pauses of more than ten times the usual step."""
+    steps = np.diff(hours)
+    return np.flatnonzero(steps > 10 * np.median(steps)) + 1 if steps.size else np.zeros(0, int)
 
 
 def _mark_reasons(axes: Any, hours: np.ndarray, sun: xr.Dataset) -> None:
@@ -216,6 +232,6 @@ def backward_figure(rates: np.ndarray, published: np.ndarray, smallest: float) -
     axes.set_xlabel(r"$\omega_x$ (rad/s)")
     axes.set_ylabel(r"$\omega_y$ (rad/s)")
     axes.set_zlabel(r"$\omega_z$ (rad/s)")
-    axes.set_title(rf"Rates at the first touchdown; smallest $|\omega|$ {smallest:.4f} rad/s", fontsize=10)
+    axes.set_title(rf"Rates at the first touchdown; smallest $|\omega|$ on the paper's lines {smallest:.4f} rad/s", fontsize=10)
     axes.legend(fontsize=8)
     return figure
