@@ -36,8 +36,8 @@ SMOOTHING_STEPS = 40
 def distances(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Distances of points (n, 3) to lines given by points (m, 3) and unit directions (m, 3): (m, n)."""
     offset = points[None] - origin[:, None]
-    along = np.einsum("mni,mi->mn", offset, direction)
-    return np.sqrt(np.maximum(np.einsum("mni,mni->mn", offset, offset) - along**2, 0.0))
+    offset -= np.einsum("mni,mi->mn", offset, direction)[..., None] * direction[:, None]
+    return np.sqrt(np.einsum("mni,mni->mn", offset, offset))
 
 
 def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Dataset:
