@@ -2,6 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 READY := $(VENV)/.ready
 OUT ?= results
 
@@ -14,11 +15,15 @@ help:
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
 
+# Built once, and anew when the locked versions or pyproject.toml change. Nothing is resolved or fetched beyond the lock: the
+# build backend is in it too.
 $(READY): requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "sunspin needs Python 3.11 or later; run make PYTHON=/path/to/python3.11")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@test -n "$(PYTHON)" || { echo "sunspin needs Python 3.11 or later and found none; run make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "sunspin needs Python 3.11 or later, this is " + sys.version.split()[0] + "; run make PYTHON=/path/to/python3.11")'
+	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { echo "$(PYTHON) cannot make environments; install its venv package (python3.11-venv)" >&2; exit 1; }
+	"$(PYTHON)" -m venv --clear $(VENV)
+	$(PIP) -r requirements.lock
+	$(PIP) --no-deps --no-build-isolation --editable .
 	@touch $(READY)
 
 reproduce: $(READY)
@@ -35,11 +40,12 @@ test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
 
 lock:
-	rm -rf .lock-env && $(PYTHON) -m venv .lock-env
-	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,parquet,spice]"
+	rm -rf .lock-env && "$(PYTHON)" -m venv .lock-env
+	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,parquet,spice]" hatchling editables
 	{ echo "# Exact versions for the make targets; written by make lock from the ranges in pyproject.toml."; \
-	  .lock-env/bin/python -m pip freeze --exclude sunspin; } > requirements.lock
+	  .lock-env/bin/python -m pip freeze --exclude sunspin; } > requirements.lock.part
+	mv requirements.lock.part requirements.lock
 	rm -rf .lock-env
 
 clean:
-	rm -rf $(VENV) .lock-env build dist .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) .lock-env build dist .pytest_cache .ruff_cache .import_linter_cache requirements.lock.part

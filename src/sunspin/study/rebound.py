@@ -26,6 +26,9 @@ LINE_RANGE = (-0.2, 0.3)
 POOL_RANGE = (-0.15, 0.3)
 """omega_z (rad/s) of the points of the published lines whose r_z make up their common distribution."""
 
+THRESHOLDS = (1.1, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+"""Near-minimum factors of the table that shows what the choice does."""
+
 POOL_POINTS = 16
 POOL_STEP_S = 0.5
 
@@ -139,6 +142,17 @@ def families(case: Case, volume: xr.DataArray, factor: float, seed: int) -> Fami
     fitted = list(zip(lines["point"].values, lines["direction"].values, strict=True))
     deviation = [line_deviation(fitted[i], other, **options) for i, other in zip(partner, reference, strict=True)]
     return Families(volume, factor, points, lines, partner, deviation)
+
+
+def by_threshold(case: Case, volume: xr.DataArray, seed: int) -> list[dict[str, Any]]:
+    """How the near-minimum set and its lines change with the factor: points, mean distance of each line (rad/s)."""
+    table = []
+    for factor in THRESHOLDS:
+        family = families(case, volume, factor, seed)
+        table.append(
+            {"factor": factor, "points": len(family.points), "mean_distance": [d["mean"] for d in family.deviation]}
+        )
+    return table
 
 
 def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool) -> xr.DataArray:

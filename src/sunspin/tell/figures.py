@@ -207,6 +207,25 @@ def _clipped(point: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return point + np.linspace(begin, max(begin, end), 2)[:, None] * direction
 
 
+def thresholds_figure(table: list[dict[str, Any]], chosen: float) -> Figure:
+    """Points of the near-minimum set, and distance of its lines from the published ones, against the factor."""
+    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    factors = [row["factor"] for row in table]
+    left.semilogy(factors, [max(row["points"], 1) for row in table], "o-", color=COLOURS[0])
+    left.set_ylabel("points in the set (1)")
+    for k in range(4):
+        fitted = [(row["factor"], row["mean_distance"][k]) for row in table if row["mean_distance"]]
+        right.plot(*zip(*fitted, strict=True), "o-", ms=4, color=COLOURS[k], label=f"L{k + 1}")
+    right.set_yscale("log")
+    right.set_ylabel("mean distance from the paper's line (rad/s)", fontsize=9)
+    right.legend(fontsize=8)
+    for axes in (left, right):
+        axes.axvline(chosen, lw=0.8, ls="--", color=COLOURS[7])
+        axes.set_xlabel("factor on the smallest EMD (1)")
+    return figure
+
+
 def distributions_figure(z: np.ndarray, weights_label: str, others: dict[str, np.ndarray], title: str) -> Figure:
     """Cumulative distributions of r_z that the EMD compares."""
     figure = Figure(figsize=(7, 4.2), layout="constrained")

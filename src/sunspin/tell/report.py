@@ -69,6 +69,8 @@ def number_text(value: Any) -> str:
     value = plain(value)
     if isinstance(value, list):
         return "[" + ", ".join(number_text(item) for item in value) + "]"
+    if isinstance(value, dict):
+        return "; ".join(f"{key.replace('_', ' ')} {number_text(item)}" for key, item in value.items())
     if isinstance(value, float):
         return f"{value:.5g}" if np.isfinite(value) else "none"
     return "none" if value is None else str(value)

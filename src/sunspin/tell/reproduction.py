@@ -144,6 +144,10 @@ def draw(result: Reproduction, folder: Path) -> list[Picture]:
          f"Near-minimum set against the published lines' own distribution (paper, Fig. 9): {len(result.clean.points)} points. "
          "The paper's factor of 1.1 would leave a handful of points, the minimum against so clean a target being "
          f"{float(result.clean.emd.min()):.4f}."),
+        ("thresholds", lambda: fig.thresholds_figure(result.thresholds, result.clean.factor),
+         "Size of the near-minimum set and distance of its lines against the factor",
+         "What the factor does: points in the set, and how far its four lines are from the published ones. Dashed: the factor "
+         "used above. Fewer points than four lines need have no line."),
         ("fig09_telemetry", lambda: fig.level_set_figure(
             result.twin.points, result.twin.lines, lines,
             f"EMD < {result.twin.factor:g} EMD_min, target: this telemetry" + (" (synthetic)" if result.synthetic else ""),
