@@ -7,24 +7,28 @@ import sys
 
 import click
 
-from sunspin.cli.common import Group
+from sunspin.cli.common import Group, ReaderGone
 from sunspin.errors import SunspinError
 
 
 @click.group(
     cls=Group,
+    invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Start with `sunspin init my-satellite`. Every command has --help with an example.",
 )
 @click.version_option(package_name="sunspin")
-def cli() -> None:
+@click.pass_context
+def cli(ctx: click.Context) -> None:
     """sunspin tells how a spacecraft tumbles from nothing but the power of its solar panels."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
 
 
 def main() -> None:
     """Entry point: errors become one sentence on stderr and an exit code (2 bad input, 130 interrupted)."""
     try:
-        code = cli.main(standalone_mode=False)
+        code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
@@ -32,7 +36,7 @@ def main() -> None:
         code = _say(f"error: {' '.join(error.format_message().split())}{_hint(error)}", 2)
     except (click.Abort, KeyboardInterrupt):
         code = _say("interrupted; nothing half-written was left behind, run the same command again", 130)
-    except BrokenPipeError:
+    except (ReaderGone, BrokenPipeError):
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0

@@ -33,8 +33,21 @@ SUMMARIES = {
 }
 
 
+class ReaderGone(Exception):
+    """Whoever read our output has stopped."""
+
+
 class Group(click.Group):
     """A group whose commands are imported on demand, so that --help stays fast."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """As click does, but an interruption and a closed pipe reach :func:`sunspin.cli.main` without click's own ending."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise click.Abort from None
+        except BrokenPipeError:
+            raise ReaderGone from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -50,12 +63,14 @@ class Group(click.Group):
             formatter.write_dl([(name, SUMMARIES[name]) for name in COMMANDS])
 
 
-def output_options(default: str | None = None) -> Callable:
-    """--out, --json, --quiet."""
+def output_options(default: str | None = None, out: bool = True) -> Callable:
+    """--json, --quiet and, where a command writes results, --out."""
 
     def decorate(command: Callable) -> Callable:
         command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
         command = click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")(command)
+        if not out:
+            return command
         return click.option(
             "--out", type=click.Path(path_type=Path), default=default, show_default=default is not None,
             help="Results folder; made if needed.",
@@ -106,7 +121,9 @@ def numbers(text: str | None, name: str, count: int | None = None) -> list[float
 def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool) -> None:
     """Print the summary as JSON, or the lines for a person."""
     if as_json:
-        click.echo(json.dumps(summary, indent=1, ensure_ascii=False))
+        from sunspin.tell.results import plain
+
+        click.echo(json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False))
     elif not quiet:
         for line in lines:
             click.echo(line)

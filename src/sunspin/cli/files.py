@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import click
 
-from sunspin.cli.common import data_option, find_telemetry
+from sunspin.cli.common import data_option, find_telemetry, output_options, report
 from sunspin.errors import OutputError, sentence
 
 TEMPLATES = ("vehicle.toml", "telemetry.csv")
@@ -15,7 +17,8 @@ TEMPLATES = ("vehicle.toml", "telemetry.csv")
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-def init(folder: Path) -> None:
+@output_options(out=False)
+def init(folder: Path, as_json: bool, quiet: bool) -> None:
     """Write a commented vehicle.toml and a telemetry.csv to start from. Existing files are never overwritten.
 
     \b
@@ -23,29 +26,41 @@ def init(folder: Path) -> None:
       sunspin init my-satellite
       sunspin check my-satellite/vehicle.toml my-satellite/telemetry.csv
     """
+    vehicle, telemetry = _write_templates(folder)
+    lines = [f"Wrote {vehicle} and {telemetry} (synthetic samples).", f"Next: sunspin check {vehicle} {telemetry}"]
+    report({"vehicle": str(vehicle), "telemetry": str(telemetry)}, lines, as_json, quiet)
+
+
+def _write_templates(folder: Path) -> list[Path]:
+    """Both files or none: what was written is taken back when the second cannot be."""
     source = resources.files("sunspin").joinpath("template")
+    targets = [folder / name for name in TEMPLATES]
+    for target in targets:
+        if os.path.lexists(target):
+            raise OutputError(sentence("this file is there already", do="choose another folder", where=str(target)))
+    written: list[Path] = []
     try:
-        for name in TEMPLATES:
-            if (folder / name).exists():
-                raise OutputError(sentence("this file is there already", do="choose another folder", where=str(folder / name)))
         folder.mkdir(parents=True, exist_ok=True)
-        for name in TEMPLATES:
-            with open(folder / name, "x", encoding="utf-8") as target:
-                target.write(source.joinpath(name).read_text(encoding="utf-8"))
+        for target in targets:
+            with open(target, "x", encoding="utf-8") as file:
+                written.append(target)
+                file.write(source.joinpath(target.name).read_text(encoding="utf-8"))
     except OSError as error:
+        for target in written:
+            target.unlink(missing_ok=True)
         raise OutputError(
             sentence(f"files cannot be written here ({error.strerror or error})", do="choose another folder", where=str(folder))
         ) from None
-    click.echo(f"Wrote {folder / 'vehicle.toml'} and {folder / 'telemetry.csv'} (synthetic samples).")
-    click.echo(f"Next: sunspin check {folder / 'vehicle.toml'} {folder / 'telemetry.csv'}")
+    return targets
 
 
 @click.command()
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
+@output_options(out=False)
 @data_option
-def check(vehicle: str, telemetry: str | None, data: Path | None) -> None:
-    """Say what is wrong with a vehicle file and telemetry, or what they hold.
+def check(vehicle: str, telemetry: str | None, as_json: bool, quiet: bool, data: Path | None) -> None:
+    """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
 
     \b
     Example:
@@ -55,28 +70,82 @@ def check(vehicle: str, telemetry: str | None, data: Path | None) -> None:
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
-    known = "known" if craft.inertia_kg_m2 is not None else "not given (the motion cannot be computed)"
-    click.echo(f"Vehicle {craft.name}: {len(craft.panels)} panels, {len(craft.wheels)} wheels, {len(craft.legs)} legs")
-    click.echo(f"  inertia {known}")
+    summary, lines = _about_vehicle(craft)
+    if telemetry is not None:
+        about, more = _about_telemetry(craft, find_telemetry(telemetry, data))
+        summary, lines = summary | {"telemetry": about}, lines + more
+    report(summary, lines, as_json, quiet)
+
+
+def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
+    summary: dict[str, Any] = {
+        "vehicle": craft.name,
+        "panels": list(craft.panel_names),
+        "wheels": [wheel.name for wheel in craft.wheels],
+        "legs": [leg.name for leg in craft.legs],
+        "inertia_given": craft.inertia_kg_m2 is not None,
+        "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
+    }
+    parts = ", ".join(_counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
+    known = "given" if summary["inertia_given"] else "not given (the motion cannot be computed)"
+    lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
         from sunspin.measure.panels import lit_patterns
         from sunspin.measure.sun import reconstructible_patterns
 
-        patterns, good = lit_patterns(craft), reconstructible_patterns(craft)
-        click.echo(f"  the Sun can light {len(patterns)} sets of panels; {len(good)} of them give a direction")
-    if telemetry is not None:
-        _check_telemetry(craft, find_telemetry(telemetry, data))
+        summary |= {"lit_patterns": len(lit_patterns(craft)), "reconstructible": len(reconstructible_patterns(craft))}
+        lines.append(
+            f"  the Sun can light {summary['lit_patterns']} sets of panels; {summary['reconstructible']} of them give a direction"
+        )
+    bare = summary["without_source"]
+    if bare:
+        shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
+        lines.append(f"  {_counted(len(bare), 'value')} without a source: {shown}")
+    return summary, lines
 
 
-def _check_telemetry(craft, path: Path) -> None:
-    from sunspin.cli.measured import status_lines
+def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
+    import numpy as np
+
+    from sunspin.cli.measured import counts, status_lines
+    from sunspin.measure.health import panel_health
     from sunspin.measure.sun import sun_directions
-    from sunspin.measure.telemetry import read_telemetry
+    from sunspin.measure.telemetry import FLAGS, read_telemetry
 
     samples = read_telemetry(path, craft)
     sun = sun_directions(craft, samples)
-    time = samples["time"].values
-    kind = "synthetic " if samples.attrs["synthetic"] else ""
-    click.echo(f"Telemetry {samples.attrs['file']}: {time.size} {kind}samples over {time[-1] - time[0]:.0f} s")
-    for line in status_lines(sun):
-        click.echo(line)
+    time, flag = samples["time"].values, samples["flag"].values
+    gaps = np.diff(time)
+    health = panel_health(craft, sun)
+    summary: dict[str, Any] = {
+        "file": str(path),
+        "samples": int(time.size),
+        "synthetic": bool(samples.attrs["synthetic"]),
+        "epoch_utc": str(samples.attrs["epoch_utc"]),
+        "span_s": float(time[-1] - time[0]),
+        "interval_s": [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None,
+        "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
+        "status": counts(sun),
+        "noise_from": str(sun.attrs["noise_from"]),
+        "impossible": {"-".join(pattern): n for pattern, n in health["impossible"].items()},
+        "explanations": [list(lost) for lost in health["explanations"]],
+    }
+    kind = "synthetic sample" if summary["synthetic"] else "sample"
+    lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {summary['epoch_utc']}"]
+    if gaps.size:
+        lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
+    lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
+    return summary, lines + status_lines(sun) + _health_lines(summary)
+
+
+def _health_lines(summary: dict[str, Any]) -> list[str]:
+    if not summary["impossible"]:
+        return []
+    seen = ", ".join(f"{pattern} ({n})" for pattern, n in summary["impossible"].items())
+    lost = " or ".join(" and ".join(panels) for panels in summary["explanations"][:3])
+    why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
+    return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}"]
+
+
+def _counted(n: int, noun: str) -> str:
+    return f"{n} {noun}" + ("" if n == 1 else "s")

@@ -38,12 +38,7 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
 
     craft = load_vehicle(vehicle)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
-    if not np.isfinite(duration) or abs(duration) / step > MAX_SAMPLES:
-        raise InputError(sentence(f"more than {MAX_SAMPLES:g} output times", got=f"{duration} s in steps of {step} s"))
-    count = max(int(np.floor(abs(duration) / step + 1e-9)), 0)
-    t = np.copysign(np.arange(count + 1) * step, duration)
-    if abs(duration) > abs(t[-1]):
-        t = np.append(t, duration)
+    t = _times(duration, step)
     start = numbers(omega, "--omega", 3), numbers(sun_B, "--sun", 3)
     run = propagate(craft, *start, speeds or None, t, wheel_mode=wheel_mode, stopped_at_s=stopped_at)
     end = run.isel(time=-1)
@@ -72,6 +67,19 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
 
         lines.append(f"Results: {write_netcdf(results_folder(out, 'simulate') / 'trajectory.nc', run)}")
     report(summary, lines, as_json, quiet)
+
+
+def _times(duration: float, step: float) -> np.ndarray:
+    """Output times from 0 in steps to the duration, which is the last one whether or not it is a multiple of the step."""
+    if not (np.isfinite(duration) and np.isfinite(step)):
+        raise InputError(sentence("--duration and --step must be finite", got=f"{duration} s in steps of {step} s"))
+    if abs(duration) / step > MAX_SAMPLES:
+        raise InputError(
+            sentence(f"more than {MAX_SAMPLES:g} output times", got=f"{duration} s in steps of {step} s", do="use a larger --step")
+        )
+    count = int(np.floor(abs(duration) / step + 1e-9))
+    t = np.copysign(np.arange(count + 1) * step, duration)
+    return np.append(t, duration) if abs(duration) > abs(t[-1]) * (1 + 1e-12) else t
 
 
 def _vector(values: list[float]) -> str:
@@ -107,16 +115,20 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     from sunspin.infer.lines import fit_lines
     from sunspin.infer.scan import near_minimum
     from sunspin.infer.scan import scan as run_scan
+    from sunspin.tell.results import results_folder, write_netcdf
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
     track = _track(craft, find_telemetry(telemetry, data), begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     target = track if metric == "E" else track["sun_B"].values[:, 2]
+    axes = [_grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")]
+    if not factor > 1:  # nan passes the range of the option
+        raise InputError(sentence("--factor must exceed 1", got=factor))
+    folder = None if out is None else results_folder(out, "scan")  # refuse before the work, not after it
     volume = run_scan(
-        craft, target, track["sun_B"].values[0], _grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"),
-        _grid(omega_z, "--omega-z"), speeds or None, float(track["time"].values[-1]), wheel_mode=wheel_mode,
-        workers=workers, progress=on_terminal(quiet),
+        craft, target, track["sun_B"].values[0], *axes, speeds or None, float(track["time"].values[-1]),
+        wheel_mode=wheel_mode, workers=workers, progress=on_terminal(quiet),
     )  # fmt: skip
     points = near_minimum(volume, factor)
     summary: dict[str, Any] = {
@@ -137,10 +149,8 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
             for p, d, c in zip(fitted["point"].values, fitted["direction"].values, fitted["count"].values, strict=True)
         ]
         lines += [f"  line through {_vector(x['point'])} along {_vector(x['direction'])}" for x in summary["lines"]]
-    if out is not None:
-        from sunspin.tell.results import results_folder, write_netcdf
-
-        lines.append(f"Results: {write_netcdf(results_folder(out, 'scan') / 'scan.nc', volume.to_dataset())}")
+    if folder is not None:
+        lines.append(f"Results: {write_netcdf(folder / 'scan.nc', volume.to_dataset())}")
     report(summary, lines, as_json, quiet)
 
 

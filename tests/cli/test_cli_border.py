@@ -1,0 +1,155 @@
+"""Where the command line meets the world: no arguments, interruption, a reader that goes away, folders, JSON."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sunspin import cli
+
+START = ["--omega=0.1,0,0", "--sun=0.1959,0.5690,0.7986"]
+
+
+@pytest.fixture
+def sunspin(monkeypatch, capsys):
+    """Run the entry point in this process: (exit code, stdout, stderr)."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["sunspin", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            cli.main()
+        printed = capsys.readouterr()
+        return stopped.value.code, printed.out, printed.err
+
+    return run
+
+
+def refused(outcome, *words):
+    code, out, err = outcome
+    assert (code, out) == (2, "")
+    assert err.startswith("sunspin: error: ") and err.count("\n") == 1
+    for word in words:
+        assert word in err
+
+
+def test_no_arguments_show_the_help(sunspin):
+    code, out, err = sunspin()
+    assert (code, err) == (0, "")
+    assert out.startswith("Usage: sunspin") and "reproduce" in out
+
+
+def test_check_tells_which_panel_would_explain_impossible_patterns(sunspin):
+    """The paper's own conclusion: after the second touchdown panel 1 was shaded."""
+    telemetry = Path(cli.__file__).parents[1] / "cases" / "philae" / "telemetry.csv"
+    code, out, _ = sunspin("check", "philae", telemetry, "--json")
+    about = json.loads(out)["telemetry"]
+    assert code == 0 and about["synthetic"] is True
+    assert set(about["impossible"]) == {"2-3-6", "2-3", "2"}
+    assert about["explanations"] == [["1"]]
+    assert sum(about["status"].values()) == about["samples"]
+
+
+def test_check_counts_what_was_flagged(sunspin, tmp_path):
+    sunspin("init", tmp_path / "mine")
+    vehicle, telemetry = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
+    rows = telemetry.read_text().splitlines()
+    rows[3] = rows[3].split(",", 1)[0] + ",-3,0,0,0,1"
+    telemetry.write_text("\n".join(rows) + "\n")
+    refused(sunspin("check", vehicle, telemetry), "telemetry.csv", "-3")
+    vehicle.write_text(vehicle.read_text().replace('bad_rows = "refuse"', 'bad_rows = "flag"'))
+    assert "1  flagged: negative" in sunspin("check", vehicle, telemetry)[1]
+
+
+def test_quiet_says_nothing(sunspin, tmp_path):
+    assert sunspin("init", tmp_path / "mine", "--quiet") == (0, "", "")
+    assert sunspin("check", "philae", "--quiet") == (0, "", "")
+
+
+def test_telemetry_is_looked_for_in_the_data_folder(sunspin, tmp_path, monkeypatch):
+    monkeypatch.delenv("SUNSPIN_DATA", raising=False)
+    sunspin("init", tmp_path / "data" / "mine")
+    vehicle, name = tmp_path / "data" / "mine" / "vehicle.toml", "mine/telemetry.csv"
+    refused(sunspin("check", vehicle, name), "mine/telemetry.csv")
+    assert sunspin("check", vehicle, name, "--data", tmp_path / "data")[0] == 0
+    monkeypatch.setenv("SUNSPIN_DATA", str(tmp_path / "data"))
+    assert sunspin("check", vehicle, name)[0] == 0
+
+
+def test_init_writes_both_files_or_none(sunspin, tmp_path):
+    (tmp_path / "telemetry.csv").symlink_to(tmp_path / "nowhere")  # exists, though it leads nowhere
+    refused(sunspin("init", tmp_path), "telemetry.csv", "already")
+    assert not (tmp_path / "vehicle.toml").exists()
+    (tmp_path / "file").write_text("not a folder")
+    refused(sunspin("init", tmp_path / "file" / "mine"), "choose another folder")
+
+
+def test_a_folder_of_other_results_is_refused_before_the_work(sunspin, tmp_path, monkeypatch):
+    import sunspin.infer.scan as scan
+
+    def never(*_, **__):
+        raise AssertionError("the scan ran although its results could not be written")
+
+    monkeypatch.setattr(scan, "scan", never)
+    sunspin("init", tmp_path / "mine")
+    files = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
+    refused(sunspin("scan", *files, "--out", tmp_path / "mine"), "not empty", "--out")
+
+
+def test_results_of_the_same_command_are_replaced(sunspin, tmp_path):
+    for duration in (10, 20):
+        assert sunspin("simulate", "philae", *START, f"--duration={duration}", "--out", tmp_path / "run")[0] == 0
+    import xarray as xr
+
+    with xr.open_dataset(tmp_path / "run" / "trajectory.nc", engine="h5netcdf") as data:
+        assert data.sizes["time"] == 21
+    assert not [path.name for path in (tmp_path / "run").iterdir() if path.name.endswith(".part")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--duration=nan"], ["finite"]),
+        (["--duration=1e9"], ["larger --step"]),
+        (["--duration=10", "--step=0"], ["--step"]),
+        (["--duration=10", "--wheel-speed=1,2"], ["wheel"]),
+        (["--duration=10", "--wheel-mode=fly"], ["--wheel-mode", "coast"]),
+    ],
+)
+def test_simulate_refuses(sunspin, arguments, words):
+    refused(sunspin("simulate", "philae", *START, *arguments), *words)
+
+
+def test_the_last_time_is_the_duration(sunspin):
+    for duration, step in ((10, 3), (-10, 3), (0.3, 0.1), (0, 1)):
+        code, out, _ = sunspin("simulate", "philae", *START, f"--duration={duration}", f"--step={step}", "--json")
+        assert code == 0 and json.loads(out)["t_s"] == pytest.approx(duration, abs=1e-12)
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    command = [sys.executable, "-m", "sunspin.cli", "check", "philae", "--json"]
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_interruption_is_one_sentence_and_130(tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "sunspin.cli", "reproduce", "--quiet", "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        while not out.exists() and process.poll() is None:  # the marker is written when the work begins
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        printed, complaint = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert complaint.count("\n") == 1 and "interrupted" in complaint and printed == ""
+    assert not [path.name for path in out.iterdir() if path.name.endswith((".part", ".html"))]
