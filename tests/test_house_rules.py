@@ -1,6 +1,11 @@
 """Rules of the house that a machine can check."""
 
 import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -9,6 +14,39 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
+
+
+def contracts(package: Path) -> subprocess.CompletedProcess:
+    """Run the import contracts of pyproject.toml on a copy of the package, in a process of its own."""
+    code = "import sys; from importlinter.cli import lint_imports as run; sys.exit(run(sys.argv[1], no_cache=True))"
+    return subprocess.run(
+        [sys.executable, "-c", code, str(ROOT / "pyproject.toml")],
+        cwd=package, env=os.environ | {"PYTHONPATH": str(package)}, capture_output=True, text=True,
+    )  # fmt: skip
+
+
+def test_the_import_contracts_hold():
+    done = contracts(ROOT / "src")
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "contract"),
+    [
+        ("measure/panels.py", "import sunspin.motion.gyrostat", "two rivers"),
+        ("motion/impact.py", "import sunspin.infer.metrics", "Water flows one way"),
+        ("study/rebound.py", "import matplotlib", "Physics does not draw"),
+    ],
+)
+def test_the_import_contracts_would_notice(module, line, contract, tmp_path):
+    """A negative control: the same contracts on a copy of the package with one forbidden import."""
+    shutil.copytree(ROOT / "src" / "sunspin", tmp_path / "sunspin", ignore=shutil.ignore_patterns("__pycache__"))
+    with open(tmp_path / "sunspin" / module, "a", encoding="utf-8") as file:
+        file.write(f"\n{line}\n")
+    done = contracts(tmp_path)
+    assert done.returncode == 1, done.stderr
+    broken = re.sub(r"\s+", " ", done.stdout.split("Broken contracts")[1])
+    assert contract in broken
 
 
 @pytest.mark.parametrize("path", SOURCES + TESTS, ids=lambda path: str(path.relative_to(ROOT)))
@@ -65,3 +103,34 @@ def test_public_names_resolve_and_are_documented():
 
     for name in sunspin.__all__:
         assert getattr(sunspin, name).__doc__, name
+
+
+def test_every_convention_is_pinned_by_tests_that_exist():
+    """Each numbered item of docs/conventions.md names a test that pins it, as tests/file.py::name."""
+    text = (ROOT / "docs" / "conventions.md").read_text("utf-8")
+    items = re.split(r"^(?=\d+\. )", text, flags=re.MULTILINE)[1:]
+    assert [int(item.split(".")[0]) for item in items] == list(range(1, len(items) + 1))
+    for item in items:
+        named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", item)
+        assert named, item
+        for path, name in named:
+            assert re.search(rf"^def {name}\(", (ROOT / path).read_text("utf-8"), re.MULTILINE), f"{path}::{name}"
+
+
+def test_the_documents_link_to_what_exists():
+    for path in sorted((ROOT / "docs").glob("*.md")):
+        for link in re.findall(r"\]\((?!https?:)([^)#]+)", path.read_text("utf-8")):
+            assert (path.parent / link).exists(), f"{path.name}: {link}"
+
+
+def test_the_lock_is_within_the_ranges_and_names_no_host():
+    from packaging.requirements import Requirement
+    from packaging.utils import canonicalize_name
+
+    lines = [x for x in (ROOT / "requirements.lock").read_text("utf-8").splitlines() if x and not x.startswith("#")]
+    assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)
+    locked = {canonicalize_name(name): version for name, version in (line.split("==") for line in lines)}
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    wanted = [*table["project"]["dependencies"], *sum(table["project"]["optional-dependencies"].values(), [])]
+    for requirement in map(Requirement, [*wanted, *table["build-system"]["requires"]]):
+        assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), requirement
