@@ -182,3 +182,18 @@ def test_bad_arguments_are_named(change, message):
     arguments = {"omega_B": [0.1, 0, 0], "sun_B": FIRST_SUN, "wheel_speed_rad_s": 865.0, "t_s": [0.0, 1.0]} | change
     with pytest.raises(ss.MotionError, match=message):
         ss.propagate(philae_body(), **arguments)
+
+
+@pytest.mark.parametrize("rate", [1e18, 1e200])
+def test_absurd_rates_are_refused(rate):
+    with pytest.raises(ss.MotionError, match="check the rates"):
+        ss.propagate(philae_body(), [rate, rate, 0], FIRST_SUN, 865.0, [1e6, 1e6 + 100.0])
+
+
+def test_long_runs_are_cut_into_pieces_without_a_trace():
+    vehicle = random_vehicle(np.random.default_rng(4), 0)
+    t = np.linspace(0, 20_000, 41)
+    run = ss.propagate(vehicle, [1.5, 1.0, 0.5], FIRST_SUN, None, t)
+    direct = ss.propagate(vehicle, run["omega_B"].values[20], run["sun_B"].values[20], None, t[20:])
+    np.testing.assert_allclose(run["sun_B"].values[20:], direct["sun_B"].values, atol=1e-8)
+    assert run.sizes["event"] == 0

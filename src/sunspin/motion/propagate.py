@@ -29,6 +29,12 @@ TAKE_OFF_ANGLE = 1e-3
 ROUNDING_SPEED = 1e-9
 """rad/s; a slipping wheel slower than this has just begun to."""
 
+MAX_RATE = 1e6
+"""rad/s; a body or wheel said to turn faster is a slip of units."""
+
+PIECE_ANGLE = 1e4
+"""rad turned by momentum over the smallest moment of inertia, at most, in one piece: bounds the memory of dense output."""
+
 MAX_EVENTS = 100_000
 """Wheel events in one run; more means that the wheel chatters and the run would not end."""
 
@@ -168,6 +174,9 @@ def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at
             sentence("sun_B must be a unit vector", got=f"length {np.linalg.norm(sun):.6g}", do="divide it by its length")
         )
     speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
+    fastest = max(np.abs(omega).max(), np.abs(speeds).max(initial=0.0))
+    if fastest > MAX_RATE:
+        raise MotionError(sentence(f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="check the rates' unit"))
     plan = m.schedules(vehicle, wheel_mode)
     stopped = stopped_at_s if isinstance(stopped_at_s, Sequence) else (stopped_at_s,) * len(vehicle.wheels)
     if len(stopped) != len(vehicle.wheels):
@@ -223,7 +232,10 @@ def _observe(vehicle: Vehicle, wheels: tuple[m.WheelState, ...], y: np.ndarray) 
 
 def _piece(run: _Run, ta, t_stop: float):
     """Integrate to `t_stop`, a wheel event, or the time a stuck wheel had stopped; return the dense output."""
-    target = t_stop
+    values = parameter_values(run.vehicle, run.wheels, run.backward)
+    fastest = np.linalg.norm(run.momentum) * np.linalg.norm(values[:6])
+    longest = PIECE_ANGLE / max(fastest, 1e-12)
+    target = max(t_stop, run.t - longest) if run.backward else min(t_stop, run.t + longest)
     if run.backward:
         for state, stopped in zip(run.wheels, run.stopped_at, strict=True):
             if state.turning is m.Turning.STUCK and stopped is not None and target < stopped < run.t:
@@ -231,7 +243,9 @@ def _piece(run: _Run, ta, t_stop: float):
     for state in run.wheels:
         if state.watch_from is not None:
             target = max(target, state.watch_from) if run.backward else min(target, state.watch_from)
-    ta.pars[:] = parameter_values(run.vehicle, run.wheels, run.backward)
+    if target == run.t:
+        raise MotionError(sentence(f"the body turns too fast to be followed at t = {run.t:g} s", do="check the rates' unit"))
+    ta.pars[:] = values
     ta.state[:] = run.y
     ta.time = run.t
     result = ta.propagate_until(target, c_output=True)
@@ -240,7 +254,7 @@ def _piece(run: _Run, ta, t_stop: float):
     run.pending = -outcome - 1 if -2 * len(run.wheels) <= outcome < 0 else None
     run.t = ta.time if run.pending is not None else target
     if not np.all(np.isfinite(run.y)):
-        raise MotionError(sentence("the motion left the range of numbers", got=f"at t = {run.t} s", do="check the rates"))
+        raise MotionError(sentence(f"the motion left the range of numbers at t = {run.t:g} s", do="check the rates' unit"))
     return dense
 
 
