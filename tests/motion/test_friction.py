@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.motion.friction import fit_spin_down, spin_down_time
+from sunspin.motion.friction import fit_spin_down, spin_down_speed, spin_down_time
 from sunspin.vehicle import Friction, Vehicle, Wheel
 
 PUBLISHED = (1271.0, -4.643e-4, -388.9)  # paper, section 2.2
@@ -85,3 +85,12 @@ def test_purely_viscous_friction_with_noise_is_not_given_a_driving_torque():
 def test_records_that_are_no_spin_down_are_refused(t, speed, text):
     with pytest.raises(ss.MotionError, match=text):
         fit_spin_down(t, speed, J)
+
+
+def test_the_speed_of_a_coasting_wheel_is_the_curve_it_was_fitted_to():
+    c1, c2, c3 = PUBLISHED
+    friction = Friction.from_spin_down(c1, c2, c3, J)
+    t = np.linspace(0, 3000, 301)
+    speed = spin_down_speed(friction, J, c1 + c3, t)
+    np.testing.assert_allclose(speed, np.maximum(published_curve(t), 0.0), atol=1e-9)
+    assert speed[t > spin_down_time(friction, J, c1 + c3)].max() == 0.0

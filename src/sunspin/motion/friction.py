@@ -28,7 +28,7 @@ class SpinDownFit:
 
     def __call__(self, t_s: npt.ArrayLike) -> FloatArray:
         """The fitted wheel speed (rad/s) at `t_s`."""
-        return _curve(np.asarray(t_s, dtype=np.float64), self.c1_rad_s, self.c2_per_s, self.c3_rad_s)
+        return spin_down_curve(np.asarray(t_s, dtype=np.float64), self.c1_rad_s, self.c2_per_s, self.c3_rad_s)
 
 
 def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_kg_m2: float) -> SpinDownFit:
@@ -56,14 +56,14 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     bounds = (np.array([0.0, -np.inf, -np.inf]), np.array([np.inf, 0.0, 0.0]))  # friction never drives the wheel
 
     def scaled(x, a, b, c):
-        return _curve(x, *(np.array([a, b, c]) * scale))
+        return spin_down_curve(x, *(np.array([a, b, c]) * scale))
 
     best, covariance = curve_fit(
         scaled, t - t[0], speed, p0=start / scale, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14
     )
     c1, c2, c3 = best * scale
     covariance = covariance * np.outer(scale, scale)
-    rms = float(np.sqrt(np.mean((_curve(t - t[0], c1, c2, c3) - speed) ** 2)))
+    rms = float(np.sqrt(np.mean((spin_down_curve(t - t[0], c1, c2, c3) - speed) ** 2)))
     c1, covariance = _moved_to_time_zero(c1, c2, covariance, t[0])
     c1, c2, c3 = float(c1), float(c2), float(c3)
     friction = Friction.from_spin_down(c1, c2, c3, inertia_kg_m2)
@@ -85,8 +85,19 @@ def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float)
     return inertia_kg_m2 / viscous * float(np.log1p(viscous * speed / coulomb))
 
 
-def _curve(t: FloatArray, c1: float, c2: float, c3: float) -> FloatArray:
+def spin_down_curve(t: FloatArray, c1: float, c2: float, c3: float) -> FloatArray:
+    """Speed c1 exp(c2 t) + c3 (rad/s) at times t (s) of a wheel that runs down (paper, section 2.2)."""
     return c1 * np.exp(c2 * t) + c3
+
+
+def spin_down_speed(friction: Friction, inertia_kg_m2: float, speed_rad_s: float, t: FloatArray) -> FloatArray:
+    """Speed (rad/s) at times t (s) of a wheel begun at `speed_rad_s` > 0 on a fixed body; zero once it has stopped.
+
+    `Friction.from_spin_down` turned round: c2 = -mu1 / J and c3 = -mu0 / mu1. Needs viscous friction.
+    """
+    rest = friction.coulomb_N_m / friction.viscous_N_m_s
+    speed = spin_down_curve(t, speed_rad_s + rest, -friction.viscous_N_m_s / inertia_kg_m2, -rest)
+    return np.maximum(speed, 0.0)
 
 
 def _record(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

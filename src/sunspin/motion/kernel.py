@@ -114,19 +114,11 @@ def structure_of(vehicle: Vehicle, mask: Mask | None, bins: int) -> c.Structure:
 
 def _states(vehicle: Vehicle, rows: Rows, commands: Sequence[str]) -> list[list[m.WheelState]]:
     """Wheel states before the first step, one list per row."""
-    result = []
-    for speeds in rows.wheel_speed_rad_s:
-        states = []
-        for wheel, command, speed in zip(vehicle.wheels, commands, speeds, strict=True):
-            limit = m.friction_limit(wheel, command)
-            if command == "hold":
-                states.append(m.WheelState(m.Turning.HELD, command, float(speed), 0.0, 0.0))
-            elif speed == 0.0 and limit > 0:
-                states.append(m.WheelState(m.Turning.STUCK, command, 0.0, 0.0, limit))
-            else:
-                states.append(m.WheelState(m.Turning.FREE, command, float(speed), float(np.sign(speed)), limit))
-        result.append(states)
-    return result
+    wheels = list(zip(vehicle.wheels, commands, strict=True))
+    return [
+        [m.state_under(wheel, command, float(speed)) for (wheel, command), speed in zip(wheels, speeds, strict=True)]
+        for speeds in rows.wheel_speed_rad_s
+    ]
 
 
 def _wheel_rows(vehicle: Vehicle, states: list[m.WheelState], p: g.Parameters, dry: Sequence[float]) -> list[float]:

@@ -104,6 +104,16 @@ def switch_times(all_schedules: Sequence[Schedule], t_from: float, t_to: float) 
     return sorted(times, reverse=bool(t_to < t_from))
 
 
+def state_under(wheel: Wheel, command: str, speed: float) -> WheelState:
+    """How a wheel of this speed turns under a command; one at rest counts as stuck until `settle` has judged it."""
+    limit = friction_limit(wheel, command)
+    if command == "hold":
+        return WheelState(Turning.HELD, command, speed, 0.0, 0.0)
+    if speed == 0.0 and limit > 0:
+        return WheelState(Turning.STUCK, command, 0.0, 0.0, limit)
+    return WheelState(Turning.FREE, command, speed, float(np.sign(speed)), limit)
+
+
 def friction_limit(wheel: Wheel, command: str) -> float:
     """Dry torque (N m) that opposes the wheel: Coulomb friction, and the brake where it is on."""
     return wheel.friction.coulomb_N_m + (wheel.brake_torque_N_m or 0.0 if command == "brake" else 0.0)

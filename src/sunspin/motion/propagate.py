@@ -192,19 +192,12 @@ def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at
 def _command(run: _Run, plan: tuple, t: float) -> None:
     """Give each wheel the command in force at `t`, the middle of the interval that begins now."""
     _refresh(run)
-    wheels = []
-    for i, (wheel, state) in enumerate(zip(run.vehicle.wheels, run.wheels, strict=True)):
-        command = m.command_at(plan[i], t)
-        limit = m.friction_limit(wheel, command)
-        if command == "hold":
-            wheels.append(m.WheelState(m.Turning.HELD, command, state.speed, 0.0, 0.0))
-        elif state.speed == 0.0 and limit > 0:
-            wheels.append(m.WheelState(m.Turning.STUCK, command, 0.0, 0.0, limit))
-        else:
-            wheels.append(m.WheelState(m.Turning.FREE, command, state.speed, float(np.sign(state.speed)), limit))
-    run.wheels = tuple(wheels)
+    run.wheels = tuple(
+        m.state_under(wheel, m.command_at(schedule, t), state.speed)
+        for wheel, schedule, state in zip(run.vehicle.wheels, plan, run.wheels, strict=True)
+    )
     if run.backward:
-        for i in range(len(wheels)):
+        for i in range(len(run.wheels)):
             _require_known_past(run, i)
     else:
         run.wheels = m.settle(run.vehicle, run.momentum, run.wheels, run.axial)

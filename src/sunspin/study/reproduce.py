@@ -17,7 +17,7 @@ from sunspin.infer.lines import point_at
 from sunspin.infer.metrics import emd
 from sunspin.measure.health import panel_health
 from sunspin.measure.sun import is_reconstructed, sun_directions
-from sunspin.motion.friction import fit_spin_down, spin_down_time
+from sunspin.motion.friction import fit_spin_down, spin_down_curve, spin_down_speed, spin_down_time
 from sunspin.motion.propagate import propagate
 from sunspin.study import rebound as rb
 
@@ -120,22 +120,16 @@ def spin_down(case: Case) -> dict[str, Any]:
     printed = case.vehicle.with_friction("printed").wheels[0].friction
     c1, c2, c3 = case.published["spin_down_coefficients"].value
     t = np.linspace(0.0, 0.999 * np.log(-c3 / c1) / c2, 200)  # up to just before the stop
-    record = c1 * np.exp(c2 * t) + c3
+    record = spin_down_curve(t, c1, c2, c3)
     fit = fit_spin_down(t, record, wheel.inertia_kg_m2)
     return {
         "t_s": t,
         "record": record,
         "fit": fit,
-        "printed": _coasting(printed, wheel.inertia_kg_m2, record[0], t),
+        "printed": spin_down_speed(printed, wheel.inertia_kg_m2, record[0], t),
         "stop_fit_s": spin_down_time(wheel.friction, wheel.inertia_kg_m2, wheel.speed_rad_s),
         "stop_printed_s": spin_down_time(printed, wheel.inertia_kg_m2, wheel.speed_rad_s),
     }
-
-
-def _coasting(friction: Any, inertia: float, start: float, t: np.ndarray) -> np.ndarray:
-    """Speed of a wheel that coasts from `start` on a body at rest, until it stops."""
-    rate, floor = friction.viscous_N_m_s / inertia, friction.coulomb_N_m / friction.viscous_N_m_s
-    return np.maximum((start + floor) * np.exp(-rate * t) - floor, 0.0)
 
 
 def truth_emd(case: Case, measured_z: np.ndarray) -> dict[str, Any]:
