@@ -88,6 +88,17 @@ def test_the_near_minimum_set_by_hand():
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
 
 
+def test_rows_that_could_not_be_computed_are_never_near_the_minimum():
+    volume = xr.DataArray(
+        [[[0.0, 1.0, 1.05]]], dims=("omega_x", "omega_y", "omega_z"),
+        coords={"omega_x": [0.5], "omega_y": [0.1], "omega_z": [-0.1, 0.0, 0.1],
+                "outcome": (("omega_x", "omega_y", "omega_z"), [[[3, 0, 0]]])},
+    )  # fmt: skip
+    np.testing.assert_array_equal(near_minimum(volume, 1.1)[:, 2], [0.0, 0.1])
+    with pytest.raises(ss.InputError, match="outcome"):
+        near_minimum(volume.assign_coords(outcome=volume["outcome"] * 0 + 3))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -18,8 +18,9 @@ from sunspin.infer.ensemble import run_chunks
 from sunspin.infer.mask import reconstructible_mask
 from sunspin.infer.metrics import direction_error
 from sunspin.motion import kernel as k
+from sunspin.motion.codegen import Rows as Layout
 from sunspin.motion.compiled import kernel
-from sunspin.motion.propagate import wheel_speeds
+from sunspin.motion.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
 from sunspin.vehicle import Vehicle
 
 BINS = 256
@@ -32,7 +33,7 @@ MAX_TARGET = 4096
 """Target samples beyond this are replaced by as many quantiles: measured tracks have tens, simulated ones 10^5."""
 
 MAX_ROWS = 50_000_000
-"""Grids beyond this are refused: at 40 microseconds a row it would run for more than half an hour on one core."""
+"""Grids beyond this are refused: at 115 microseconds a row this many run for an hour and a half on one core."""
 
 
 def scan(
@@ -132,7 +133,7 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
 def _row_maker(vehicle: Vehicle, axes: list[np.ndarray], sun_B: npt.ArrayLike, wheel_speed_rad_s: Any):
     """Function from row numbers (C order of the grid) to initial states, made chunk by chunk so that no grid is stored."""
     sun = np.asarray(sun_B, dtype=np.float64)
-    if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) < 1e-3:
+    if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) <= SUN_LENGTH_TOLERANCE:
         raise InputError(sentence("sun_B must be a unit vector of three components", got=sun_B))
     speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
     shape = tuple(len(axis) for axis in axes)
@@ -206,7 +207,7 @@ def _track_function(vehicle, track: xr.Dataset, make_rows, wheel_mode):
     if not known.any():
         raise InputError(sentence("the track holds no direction to compare with"))
     measured, times = measured[known], np.asarray(track["time"], dtype=np.float64)[known]
-    first = 6 - 3 + len(vehicle.wheels)
+    first = Layout(len(vehicle.wheels)).r
 
     def function(index: np.ndarray) -> dict[str, np.ndarray]:
         result = k.run_rows(vehicle, make_rows(index), times, wheel_mode=wheel_mode, direction_error=1e-3)
@@ -217,9 +218,16 @@ def _track_function(vehicle, track: xr.Dataset, make_rows, wheel_mode):
 
 
 def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
-    """Grid points (n, 3) in rad/s with EMD below `factor` times the smallest (paper, eq. 14 with factor 1.1)."""
+    """Grid points (n, 3) in rad/s with EMD below `factor` times the smallest (paper, eq. 14 with factor 1.1).
+
+    Rows whose `outcome` says that they could not be computed take no part.
+    """
     if not factor > 1:
         raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=factor))
+    if "outcome" in emd.coords:
+        emd = emd.where(emd["outcome"] == k.Outcome.FINE)
     values = emd.transpose("omega_x", "omega_y", "omega_z").values
+    if not np.isfinite(values).any():
+        raise InputError(sentence("no motion of the grid could be computed", do="see its coordinate `outcome`"))
     i, j, l = np.nonzero(values < factor * np.nanmin(values))
     return np.stack([emd["omega_x"].values[i], emd["omega_y"].values[j], emd["omega_z"].values[l]], axis=-1)

@@ -40,8 +40,6 @@ class Rows:
 
     n_wheels: int
 
-    H: int = 0
-
     @property
     def h(self) -> int:
         return 3
@@ -79,6 +77,10 @@ class Rows:
     def wheel(self, i: int) -> int:
         """First of the rows of wheel i, in the order of `WHEEL_ROWS`."""
         return self.held + 3 + len(WHEEL_ROWS) * i
+
+    def of(self, i: int, name: str) -> int:
+        """The row of one quantity of wheel i."""
+        return self.wheel(i) + WHEEL_ROWS.index(name)
 
     @property
     def count(self) -> int:
@@ -150,10 +152,9 @@ def _loads(structure: Structure, rows: Rows, lanes: int, at: str) -> list[str]:
     lines = [f"inv{k} = w[{(rows.inverse + k) * lanes} + {at}]" for k in range(6)]
     lines += [f"held{k} = w[{(rows.held + k) * lanes} + {at}]" for k in range(3)]
     for i, axis in enumerate(structure.axes):
-        base = rows.wheel(i)
-        lines += [f"u{i}_{k} = w[{(base + k) * lanes} + {at}]" for k, c in enumerate(axis) if c is None]
-        named = (("iJ", 3), ("free", 4), ("coul", 5), ("visc", 6))
-        lines += [f"{name}{i} = w[{(base + offset) * lanes} + {at}]" for name, offset in named]
+        lines += [f"u{i}_{k} = w[{(rows.wheel(i) + k) * lanes} + {at}]" for k, c in enumerate(axis) if c is None]
+        named = (("iJ", "inverse_inertia"), ("free", "free"), ("coul", "coulomb"), ("visc", "viscous"))
+        lines += [f"{symbol}{i} = w[{rows.of(i, name) * lanes} + {at}]" for symbol, name in named]
     return lines
 
 
@@ -201,15 +202,14 @@ def _wheel_checks(structure: Structure, rows: Rows, lanes: int) -> list[str]:
         outputs += [g.wheel_speed(h[i], omega, p.wheels[i])]
         outputs += [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"))]
         names += [f"speed{i}", f"torque{i}"]
-    lines = [f"J{i} = w[{(rows.wheel(i) + 7) * lanes} + j]" for i in range(n)]
+    lines = [f"J{i} = w[{rows.of(i, 'inertia') * lanes} + j]" for i in range(n)]
     lines += _assignments(names, outputs, "b")
     tests = []
     for i in range(n):
-        base = rows.wheel(i)
-        lines.append(f"w[{(base + 11) * lanes} + j] = speed{i}")
-        lines.append(f"w[{(base + 12) * lanes} + j] = torque{i}")
-        tests.append(f"(w[{(base + 8) * lanes} + j] * speed{i} < 0.0)")
-        tests.append(f"(torque{i} * torque{i} * w[{(base + 9) * lanes} + j] > 1.0)")
+        lines.append(f"w[{rows.of(i, 'speed') * lanes} + j] = speed{i}")
+        lines.append(f"w[{rows.of(i, 'torque') * lanes} + j] = torque{i}")
+        tests.append(f"(w[{rows.of(i, 'watch') * lanes} + j] * speed{i} < 0.0)")
+        tests.append(f"(torque{i} * torque{i} * w[{rows.of(i, 'inverse_limit2') * lanes} + j] > 1.0)")
     return [*lines, f"missed += 1 if {' | '.join(tests)} else 0"]
 
 

@@ -13,6 +13,7 @@ import os
 import sys
 import tempfile
 import threading
+from enum import IntEnum
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +25,23 @@ import numba
 from sunspin.motion import codegen as c
 
 _lock = threading.Lock()
+
+
+class Outcome(IntEnum):
+    """How a row ended; the text is in `OUTCOME_TEXT`."""
+
+    FINE = 0
+    CHATTERS = 1
+    PAST_UNKNOWN = 2
+    NOT_FINITE = 3
+
+
+OUTCOME_TEXT = {
+    Outcome.FINE: "computed as asked",
+    Outcome.CHATTERS: "a wheel stops and starts too often to be followed",
+    Outcome.PAST_UNKNOWN: "running backward, a wheel comes to rest: its past is not determined",
+    Outcome.NOT_FINITE: "the motion left the range of numbers",
+}
 
 
 def _use_full_vectors() -> None:
@@ -58,6 +76,8 @@ def source(structure: c.Structure) -> str:
         "PER_WHEEL": len(c.WHEEL_ROWS),
         "BINS": structure.bins,
         "SAMPLES": structure.samples,
+        **{name.upper(): offset for offset, name in enumerate(c.WHEEL_ROWS)},
+        **{outcome.name: int(outcome) for outcome in Outcome},
     }
     for name, value in constants.items():
         text = text.replace(f'{name} = "{name}"', f"{name} = {value}")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
@@ -17,8 +16,10 @@ from sunspin.errors import InputError, MotionError, sentence
 from sunspin.motion import codegen as c
 from sunspin.motion import gyrostat as g
 from sunspin.motion import modes as m
-from sunspin.motion.compiled import kernel
+from sunspin.motion.compiled import Outcome, kernel
 from sunspin.vehicle import Vehicle
+
+__all__ = ["BlockResult", "Mask", "Outcome", "Rows", "run_rows"]
 
 LANES = 32
 MAX_STEPS = 10**8
@@ -34,23 +35,6 @@ MAX_STEP_ANGLE = 1.0
 
 SAMPLES_PER_STEP = 12
 """Samples of r_z in the histogram per step, by interpolation inside the step."""
-
-
-class Outcome(IntEnum):
-    """How a row ended; the text is in `OUTCOME_TEXT`."""
-
-    FINE = 0
-    CHATTERS = 1
-    PAST_UNKNOWN = 2
-    NOT_FINITE = 3
-
-
-OUTCOME_TEXT = {
-    Outcome.FINE: "computed as asked",
-    Outcome.CHATTERS: "a wheel stops and starts too often to be followed",
-    Outcome.PAST_UNKNOWN: "running backward, a wheel comes to rest: its past is not determined",
-    Outcome.NOT_FINITE: "the motion left the range of numbers",
-}
 
 
 @dataclass(frozen=True)
@@ -83,8 +67,10 @@ def rate_scale(vehicle: Vehicle, rows: Rows) -> np.ndarray:
     return np.maximum(np.linalg.norm(rows.omega_B, axis=1), np.linalg.norm(later, axis=1))
 
 
-def steps_for(vehicle: Vehicle, rows: Rows, duration_s: float, direction_error: float) -> np.ndarray:
+def steps_for(vehicle: Vehicle, rows: Rows, duration_s: float, direction_error: float, min_steps: int = 1) -> np.ndarray:
     """Number of steps (n) for each row over `duration_s`, so that the Sun's direction errs by `direction_error` rad.
+
+    At least `min_steps`, rounded up to the ladder.
 
     The method is of eighth order: the error after turning through an angle s T in steps of angle s h is at most
     ERROR_CONSTANT (s h)^8 s T.
@@ -92,7 +78,7 @@ def steps_for(vehicle: Vehicle, rows: Rows, duration_s: float, direction_error: 
     rate = np.maximum(rate_scale(vehicle, rows), 1e-12)
     turned = rate * abs(duration_s)
     angle = np.minimum((direction_error / (ERROR_CONSTANT * turned)) ** 0.125, MAX_STEP_ANGLE)
-    wanted = np.maximum(turned / angle, 1.0)
+    wanted = np.maximum(turned / angle, max(min_steps, 1))
     steps = np.ceil(LADDER ** np.ceil(np.log(wanted) / np.log(LADDER) - 1e-9))
     if steps.max(initial=0) > MAX_STEPS:
         raise MotionError(
@@ -207,9 +193,7 @@ def run_rows(
     module = kernel(structure_of(vehicle, mask, bins))
     commands = check_commands(vehicle, wheel_mode)
     work = work_array(vehicle, rows, commands)
-    steps = steps_for(vehicle, rows, ends[-1], direction_error)
-    rung_floor = np.ceil(LADDER ** np.ceil(np.log(max(min_steps, 1)) / np.log(LADDER) - 1e-9))
-    steps = np.maximum(steps, int(rung_floor))
+    steps = steps_for(vehicle, rows, ends[-1], direction_error, min_steps)
     inverses = np.ascontiguousarray(np.broadcast_to(inverse_table(vehicle).ravel(), (LANES, 6 * 2**n_wheel)))
     normals = np.zeros(0) if mask is None else np.ascontiguousarray(mask.normals_B, dtype=np.float64).ravel()
     hist = np.zeros((n, bins + 1), dtype=np.int32)

@@ -19,9 +19,20 @@ WHEEL = "WHEEL"  # first wheel row
 PER_WHEEL = "PER_WHEEL"
 BINS = "BINS"
 SAMPLES = "SAMPLES"
-# rows of a wheel
-FREE, COULOMB, INERTIA, WATCH, INVERSE_LIMIT2, DRY, SPEED, TORQUE = 4, 5, 7, 8, 9, 10, 11, 12
-FINE, CHATTERS, PAST_UNKNOWN, NOT_FINITE = 0, 1, 2, 3
+# rows of a wheel, from its first
+FREE = "FREE"
+COULOMB = "COULOMB"
+INERTIA = "INERTIA"
+WATCH = "WATCH"
+INVERSE_LIMIT2 = "INVERSE_LIMIT2"
+DRY = "DRY"
+SPEED = "SPEED"
+TORQUE = "TORQUE"
+# outcomes
+FINE = "FINE"
+CHATTERS = "CHATTERS"
+PAST_UNKNOWN = "PAST_UNKNOWN"
+NOT_FINITE = "NOT_FINITE"
 MAX_EVENTS_PER_STEP = 64
 jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 

@@ -18,6 +18,7 @@ from sunspin.infer.metrics import emd
 from sunspin.infer.scan import near_minimum, scan
 from sunspin.measure.sun import is_reconstructed
 from sunspin.motion.propagate import propagate
+from sunspin.timeline import utc_seconds
 from sunspin.vehicle import Vehicle
 
 LINE_RANGE = (-0.2, 0.3)
@@ -31,9 +32,6 @@ THRESHOLDS = (1.1, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 
 POOL_POINTS = 16
 POOL_STEP_S = 0.5
-
-TWIN_FACTOR = 1.1
-"""Near-minimum factor of the paper."""
 
 LINES_FACTOR = 4.0
 """Near-minimum factor against the lines' common distribution: so clean a target has so small a minimum that 1.1 times it
@@ -67,19 +65,26 @@ def grid(case: Case, coarser: int = 1) -> dict[str, np.ndarray]:
     return axes
 
 
+def grid_size(case: Case) -> int:
+    """Number of motions that the paper scanned."""
+    return int(np.prod([len(axis) for axis in grid(case).values()]))
+
+
 def pooled_z(case: Case) -> list[np.ndarray]:
     """For each published line, the reconstructible r_z of motions begun at points along it."""
-    mask = reconstructible_mask(case.vehicle)
-    t = np.arange(0.0, window_s(case) + POOL_STEP_S / 2, POOL_STEP_S)
     pooled = []
     for point, direction in published_lines(case):
         starts = point_at(point, direction, 2, np.linspace(*POOL_RANGE, POOL_POINTS))
-        tracks = [
-            propagate(case.vehicle, omega, first_sun(case), nominal_speed(case.vehicle), t, rtol=1e-9)["sun_B"].values
-            for omega in starts
-        ]
-        pooled.append(np.concatenate([track[allows(mask, track), 2] for track in tracks]))
+        pooled.append(np.concatenate([seen_z(case, omega) for omega in starts]))
     return pooled
+
+
+def seen_z(case: Case, omega_B: np.ndarray) -> np.ndarray:
+    """The reconstructible r_z of one motion over the window, at equal steps of time."""
+    t = np.arange(0.0, window_s(case) + POOL_STEP_S / 2, POOL_STEP_S)
+    run = propagate(case.vehicle, omega_B, first_sun(case), nominal_speed(case.vehicle), t, rtol=1e-9)
+    track = run["sun_B"].values
+    return track[allows(reconstructible_mask(case.vehicle), track), 2]
 
 
 def nominal_speed(vehicle: Vehicle) -> list[float]:
@@ -111,8 +116,6 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
 
 def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
     """An event's time in s from the epoch of a Dataset."""
-    from sunspin.timeline import utc_seconds
-
     moment = case.timeline.event(event)
     return utc_seconds(moment.refined_utc or moment.utc, data.attrs["epoch_utc"])
 

@@ -91,10 +91,10 @@ def conclusions(result: Reproduction) -> list[str]:
     ]
     if distances:
         found.append(
-            "A scan of 418,241 initial rates against the distribution of the Sun's height that the published lines have in "
-            f"common finds four lines again, {number_text(min(distances))} to {number_text(max(distances))} rad/s from the "
-            "published ones on average; the grid's step is 0.015."
-            if result.clean.emd.size == 418241
+            f"A scan of {result.clean.emd.size:,} initial rates against the distribution of the Sun's height that the "
+            f"published lines have in common finds four lines again, {number_text(min(distances))} to "
+            f"{number_text(max(distances))} rad/s from the published ones on average; the grid's step is 0.015."
+            if result.clean.emd.size == rb.grid_size(result.case)
             else "A scan on a coarser grid than the paper's finds four lines again, "
             f"{number_text(min(distances))} to {number_text(max(distances))} rad/s from the published ones on average."
         )
