@@ -27,6 +27,7 @@ _HOME = {
     "direction_error": "sunspin.infer.metrics",
     "emd": "sunspin.infer.metrics",
     "scan": "sunspin.infer.scan",
+    "ensemble": "sunspin.infer.ensemble",
     "fit_lines": "sunspin.infer.lines",
     "twin": "sunspin.study.twin",
     "reproduce": "sunspin.tell.reproduction",
@@ -36,6 +37,7 @@ _HOME = {
     "MotionError": "sunspin.errors",
     "InputError": "sunspin.errors",
     "OutputError": "sunspin.errors",
+    "Interrupted": "sunspin.errors",
 }
 
 __all__ = ["__version__", *_HOME]

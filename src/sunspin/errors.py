@@ -1,7 +1,7 @@
 """Errors that a person can act on: what is wrong, what was found, what to do.
 
 Every error that sunspin raises on purpose derives from :class:`SunspinError`; the command line prints its text as one
-sentence and exits with code 2. Anything else that escapes is a defect of sunspin.
+sentence and exits with code 2 (130 after an interruption). Anything else that escapes is a defect of sunspin.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ class InputError(SunspinError):
 
 class OutputError(SunspinError):
     """A result cannot be written where it was asked for."""
+
+
+class Interrupted(SunspinError, KeyboardInterrupt):
+    """A run of many rows was stopped by Ctrl-C; the text says what was kept and how to go on."""
 
 
 def sentence(what: str, *, got: object = None, do: str | None = None, where: str | None = None) -> str:

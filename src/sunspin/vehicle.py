@@ -49,6 +49,19 @@ def direction(value: npt.ArrayLike, key: str) -> FloatArray:
     return frozen_array(vector / length)
 
 
+class Portable:
+    """Copies and pickles as plain data, bit by bit: vectors are not normalised again, and stay read-only as mappings do."""
+
+    def __getstate__(self) -> dict:
+        return {key: dict(value) if isinstance(value, MappingProxyType) else value for key, value in vars(self).items()}
+
+    def __setstate__(self, state: dict) -> None:
+        for key, value in state.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            vars(self)[key] = MappingProxyType(value) if isinstance(value, dict) else value
+
+
 @dataclass(frozen=True)
 class Fact:
     """A number's birth certificate: its value, one-sigma uncertainty (same unit as the value) and source."""
@@ -59,7 +72,7 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Panel:
+class Panel(Portable):
     """A flat solar panel: outward unit normal in B and its gain, the signal at normal incidence of the Sun.
 
     The gain is relative (a cell count will do) unless the vehicle's `gain_unit` is "W" or "A".
@@ -106,7 +119,7 @@ class Friction:
 
 
 @dataclass(frozen=True)
-class Wheel:
+class Wheel(Portable):
     """A wheel: spin axis (unit, B), axial inertia J, nominal speed relative to the body, friction and brake."""
 
     name: str
@@ -133,7 +146,7 @@ class Wheel:
 
 
 @dataclass(frozen=True)
-class Leg:
+class Leg(Portable):
     """A leg: its end, where it can touch the ground, from the vehicle's centre of mass in B (m)."""
 
     name: str
@@ -155,7 +168,7 @@ class SunRule:
 
 
 @dataclass(frozen=True)
-class TelemetryForm:
+class TelemetryForm(Portable):
     """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes."""
 
     quantity: str = "power_W"
@@ -173,7 +186,7 @@ class TelemetryForm:
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class Vehicle(Portable):
     """A rigid spacecraft with any number of panels, wheels and legs.
 
     `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the joint centre of mass, off-diagonal

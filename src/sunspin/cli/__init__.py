@@ -30,12 +30,12 @@ def main() -> None:
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
+    except (click.Abort, KeyboardInterrupt) as stop:  # before the others: Interrupted is an error of sunspin too
+        code = _say(str(stop) or "interrupted; nothing half-written was left behind, run the same command again", 130)
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
     except click.ClickException as error:
         code = _say(f"error: {' '.join(error.format_message().split())}{_hint(error)}", 2)
-    except (click.Abort, KeyboardInterrupt):
-        code = _say("interrupted; nothing half-written was left behind, run the same command again", 130)
     except (ReaderGone, BrokenPipeError):
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

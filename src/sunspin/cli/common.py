@@ -44,8 +44,8 @@ class Group(click.Group):
         """As click does, but an interruption and a closed pipe reach :func:`sunspin.cli.main` without click's own ending."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise click.Abort from None
+        except KeyboardInterrupt as stop:
+            raise click.Abort(str(stop)) from None
         except BrokenPipeError:
             raise ReaderGone from None
 

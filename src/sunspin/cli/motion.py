@@ -99,18 +99,24 @@ def _vector(values: list[float]) -> str:
 @click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True)
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
 @click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
+@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
+              "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
+              "on this machine. Needs pip install \"sunspin[dask]\".")
 @output_options()
 @run_options
 @data_option
-def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, n_lines, out,
-         as_json, quiet, seed, workers, data) -> None:  # fmt: skip
+def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, n_lines,
+         store, scheduler, out, as_json, quiet, seed, workers, data) -> None:  # fmt: skip
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
-    The run begins at the first sample that gives a direction. With --out, writes scan.nc.
+    The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
+    resumed if it has a --store.
 
     \b
-    Example:
+    Examples:
       sunspin scan vehicle.toml telemetry.csv --from 0 --to 2700 --omega-z -0.1:0.1:0.01 --out scan-results
+      sunspin scan vehicle.toml telemetry.csv --omega-z -0.3:0.3:0.001 --store scan-rows --out scan-results
     """
     from sunspin.infer.lines import fit_lines
     from sunspin.infer.scan import near_minimum
@@ -128,7 +134,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     folder = None if out is None else results_folder(out, "scan")  # refuse before the work, not after it
     volume = run_scan(
         craft, target, track["sun_B"].values[0], *axes, speeds or None, float(track["time"].values[-1]),
-        wheel_mode=wheel_mode, workers=workers, progress=on_terminal(quiet),
+        wheel_mode=wheel_mode, workers=workers, store=store, scheduler=scheduler, progress=on_terminal(quiet),
     )  # fmt: skip
     points = near_minimum(volume, factor)
     summary: dict[str, Any] = {

@@ -1,0 +1,46 @@
+"""Row functions for tests of the engine, in a module of their own so that other processes can import them."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+import sunspin
+
+ELSEWHERE = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, [Path(sunspin.__file__).parents[1], Path(__file__).parent]))}
+"""The environment of other processes that are to find this module and the package under test."""
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Cheap rows with results of several kinds and shapes; some are minus zero, infinite or not a number."""
+
+    n_rows: int = 1000
+    pitch: float = 0.37
+    seconds_per_row: float = 0.0
+    bad_row: int = -1
+    log: str | None = None
+
+    outputs: ClassVar = {"height": ("float64", ()), "kind": ("int8", ()), "path": ("float32", (2, 3))}
+
+    def identity(self):
+        return {"pitch": self.pitch}
+
+    def __call__(self, index):
+        if self.bad_row in index:
+            raise ArithmeticError(f"row {self.bad_row} is bad")
+        time.sleep(self.seconds_per_row * len(index))
+        if self.log is not None:
+            with open(self.log, "a") as file:
+                file.write("".join(f"{row}\n" for row in index))
+        height = np.sin(index * self.pitch) * (index + 1.0)
+        height[index % 7 == 0] = -0.0
+        height[index % 11 == 3] = np.nan
+        height[index % 13 == 5] = np.inf
+        path = (index[:, None, None] * np.ones((2, 3)) * self.pitch).astype(np.float32)
+        return {"height": height, "kind": (index % 5).astype(np.int8), "path": path}
