@@ -5,13 +5,15 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 READY := $(VENV)/.ready
 OUT ?= results
+BENCH ?=
 
-.PHONY: help reproduce test test-slow lint lock clean
+.PHONY: help reproduce test test-slow bench lint lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
 	@echo "make test        import contracts, lint and tests"
 	@echo "make test-slow   the long tests"
+	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
 
@@ -31,7 +33,7 @@ reproduce: $(READY)
 
 lint: $(READY)
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/ruff check --no-cache src tests
+	$(BIN)/ruff check --no-cache src tests bench
 
 test: lint
 	$(BIN)/python -m pytest -m "not slow"
@@ -39,9 +41,12 @@ test: lint
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
 
+bench: $(READY)
+	$(BIN)/python -m bench $(BENCH)
+
 lock:
 	rm -rf .lock-env && "$(PYTHON)" -m venv .lock-env
-	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,parquet,spice]" hatchling editables
+	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,bench,parquet,spice]" hatchling editables
 	{ echo "# Exact versions for the make targets; written by make lock from the ranges in pyproject.toml."; \
 	  .lock-env/bin/python -m pip freeze --exclude sunspin; } > requirements.lock.part
 	mv requirements.lock.part requirements.lock

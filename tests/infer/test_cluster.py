@@ -15,7 +15,7 @@ import sunspin as ss
 from rowsets import ELSEWHERE, Waves
 from sunspin.infer.ensemble import ensemble
 
-distributed = pytest.importorskip("distributed", reason='needs Dask: pip install "sunspin[dask]"')
+distributed = pytest.importorskip("distributed", reason='needs Dask: pip install "sunspin[cluster]"')
 from sunspin.infer import cluster as dask  # noqa: E402 (only where Dask is installed)
 
 ROWS = Waves()
@@ -147,7 +147,7 @@ def test_without_dask_one_sentence_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "sunspin.infer.cluster")
     monkeypatch.delattr("sunspin.infer.cluster")
-    with pytest.raises(ss.InputError, match=r'pip install "sunspin\[dask\]"'):
+    with pytest.raises(ss.InputError, match=r'pip install "sunspin\[cluster\]"'):
         ensemble(ROWS, scheduler="local")
 
 

@@ -102,7 +102,7 @@ def _vector(values: list[float]) -> str:
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
-              "on this machine. Needs pip install \"sunspin[dask]\".")
+              "on this machine. Needs pip install \"sunspin[cluster]\".")
 @output_options()
 @run_options
 @data_option

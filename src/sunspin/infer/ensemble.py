@@ -234,7 +234,7 @@ def _backend(function: RowFunction, rows: np.ndarray | None, scheduler: Any, n_w
         if error.name not in ("dask", "distributed"):
             raise
         raise InputError(
-            sentence("a scheduler needs Dask, which is not installed", do='pip install "sunspin[dask]"')
+            sentence("a scheduler needs Dask, which is not installed", do='pip install "sunspin[cluster]"')
         ) from None
     return Cluster(function, rows, scheduler, n_workers)
 

@@ -1,0 +1,173 @@
+"""The contestants: heyoka in batches, heyoka one by one, SciPy. All integrate `sunspin.motion.gyrostat.rhs`.
+
+Each propagates states (n, 7) over the window with the wheel's stop found on the way, and does nothing else: no mask, no
+distribution, no distance. The stopped wheel is taken to stay stuck, which it does for every motion of the grid; the direction
+errors in the table would show it otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import heyoka as hk
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from bench.problem import Problem
+from sunspin.motion import gyrostat as g
+
+LOOK_AHEAD_S = 4.0
+"""Stops of the members of a batch lie this close together, about: the free motion is followed in pieces of this length."""
+
+N_STATE = 7
+
+
+class End(NamedTuple):
+    """Directions to the Sun (n, 3) at the end of the window, and when the wheel stopped (n) in s."""
+
+    sun_B: np.ndarray
+    stop_s: np.ndarray
+
+
+Contestant = Callable[[np.ndarray], End]
+
+
+def free_system(problem: Problem) -> tuple[list, Any]:
+    """heyoka's system of (H, h, r) while the wheel turns, and the wheel's speed. Numbers are constants: heyoka folds zeros."""
+    variables = hk.make_vars("Hx", "Hy", "Hz", "h", "rx", "ry", "rz")
+    H, h, r = variables[:3], variables[3:4], variables[4:]
+    p = problem.parameters(True)
+    dH, dh, dr = g.rhs(H, h, r, p)
+    speed = g.wheel_speed(h[0], g.body_rate(H, h, p), p.wheels[0])
+    return list(zip(variables, [*dH, *dh, *dr], strict=True)), speed
+
+
+def stuck_system(problem: Problem) -> list:
+    """heyoka's system of (H, r) once the wheel has stopped: its momentum is no variable any more."""
+    variables = hk.make_vars("Hx", "Hy", "Hz", "rx", "ry", "rz")
+    dH, _, dr = g.rhs(variables[:3], [0.0], variables[3:], problem.parameters(False))
+    return list(zip(variables, [*dH, *dr], strict=True))
+
+
+def fixed_body_stop_s(problem: Problem) -> float:
+    """When the wheel would stop on a body that does not turn: W' = -(c + v W) / J. Stops of the motions lie around it."""
+    (wheel,) = problem.vehicle.wheels
+    c, v, inertia = wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s, wheel.inertia_kg_m2
+    return float(np.log1p(v * problem.wheel_speed_rad_s[0] / c) * inertia / v)
+
+
+class TaylorBatch:
+    """heyoka's batch integrator, `size` motions at once.
+
+    A terminal event would halt a whole batch at the stop of its first wheel. So the stop is watched with an event that does
+    not end the run, the state there is taken from the dense output, and the batch runs on until all of its wheels have
+    stopped; from the stops on, each at its own time, a system of six variables takes over.
+    """
+
+    def __init__(self, problem: Problem, tol: float, size: int) -> None:
+        stops: dict[int, tuple[float, np.ndarray]] = {}
+
+        # heyoka copies its callbacks deeply, and only a plain function comes out of that as itself
+        def note(ta: Any, time: float, sign: int, lane: int) -> None:
+            if lane not in stops:
+                stops[lane] = (time, ta.update_d_output(time)[:, lane].copy())
+
+        system, speed = free_system(problem)
+        event = hk.nt_event_batch(speed, note, direction=hk.event_direction.negative)
+        self.problem, self.size, self.stops = problem, size, stops
+        self.first_s = fixed_body_stop_s(problem)
+        self.free = hk.taylor_adaptive_batch(system, np.zeros((N_STATE, size)), nt_events=[event], tol=tol)
+        self.stuck = hk.taylor_adaptive_batch(stuck_system(problem), np.zeros((6, size)), tol=tol)
+
+    def __call__(self, starts: np.ndarray) -> End:
+        ends = [self._batch(starts[i : i + self.size]) for i in range(0, len(starts), self.size)]
+        return End(np.concatenate([end.sun_B for end in ends]), np.concatenate([end.stop_s for end in ends]))
+
+    def _batch(self, starts: np.ndarray) -> End:
+        n, free, stuck = len(starts), self.free, self.stuck
+        full = np.concatenate([starts, np.repeat(starts[-1:], self.size - n, axis=0)])
+        self.stops.clear()
+        free.set_time(0.0)
+        free.state[:] = full.T
+        until = self.first_s
+        while len(self.stops) < self.size:  # friction sees to it that this ends
+            until += LOOK_AHEAD_S
+            free.propagate_until(until)
+        stops = [self.stops[lane] for lane in range(self.size)]
+        times = np.array([time for time, _ in stops])
+        states = np.array([state for _, state in stops])
+        stuck.set_time(times)
+        stuck.state[:] = np.delete(states, 3, axis=1).T
+        stuck.propagate_until(self.problem.window_s)
+        return End(stuck.state[3:, :n].T.copy(), times[:n])
+
+
+class TaylorScalar:
+    """heyoka's integrator for one motion at a time, the stop a terminal event."""
+
+    def __init__(self, problem: Problem, tol: float) -> None:
+        system, speed = free_system(problem)
+        event = hk.t_event(speed, direction=hk.event_direction.negative)
+        self.window_s = problem.window_s
+        self.free = hk.taylor_adaptive(system, np.zeros(N_STATE), t_events=[event], tol=tol)
+        self.stuck = hk.taylor_adaptive(stuck_system(problem), np.zeros(6), tol=tol)
+
+    def __call__(self, starts: np.ndarray) -> End:
+        sun, stop = np.empty((len(starts), 3)), np.empty(len(starts))
+        for i, start in enumerate(starts):
+            self.free.time, self.free.state[:] = 0.0, start
+            self.free.propagate_until(self.window_s)
+            self.stuck.time, self.stuck.state[:] = self.free.time, np.delete(self.free.state, 3)
+            self.stuck.propagate_until(self.window_s)
+            sun[i], stop[i] = self.stuck.state[3:], self.free.time
+        return End(sun, stop)
+
+
+class DormandPrince:
+    """SciPy's DOP853, the stop a terminal event. On lists of floats: for seven components faster than on arrays."""
+
+    def __init__(self, problem: Problem, rtol: float) -> None:
+        self.window_s, self.rtol = problem.window_s, rtol
+        self.free, self.stuck = problem.parameters(True), problem.parameters(False)
+
+    def _rate(self, t: float, y: np.ndarray, p: g.Parameters) -> list[float]:
+        values = y.tolist()
+        dH, dh, dr = g.rhs(values[:3], values[3:4], values[4:], p)
+        return [*dH, *dh, *dr]
+
+    def _speed(self, t: float, y: np.ndarray, p: g.Parameters) -> float:
+        values = y.tolist()
+        return g.wheel_speed(values[3], g.body_rate(values[:3], values[3:4], p), p.wheels[0])
+
+    def _piece(self, start: float, y: np.ndarray, p: g.Parameters, events: list | None) -> Any:
+        span = (start, self.window_s)
+        return solve_ivp(self._rate, span, y, "DOP853", args=(p,), rtol=self.rtol, atol=self.rtol, events=events)
+
+    def __call__(self, starts: np.ndarray) -> End:
+        def stop(t: float, y: np.ndarray, p: g.Parameters) -> float:
+            return self._speed(t, y, p)
+
+        stop.terminal, stop.direction = True, -1.0
+        sun, when = np.empty((len(starts), 3)), np.empty(len(starts))
+        for i, start in enumerate(starts):
+            before = self._piece(0.0, start, self.free, [stop])
+            after = self._piece(before.t[-1], before.y[:, -1], self.stuck, None)
+            sun[i], when[i] = after.y[4:, -1], before.t[-1]
+        return End(sun, when)
+
+
+def on_cores(contestants: list[Contestant], starts: np.ndarray, block: int = 1) -> Callable[[], None]:
+    """Work for as many threads as there are contestants: neighbouring blocks of rows in turn, so that all have as much to do.
+
+    heyoka releases the interpreter while it integrates. A thread that has its rows done waits for the others.
+    """
+    number = np.arange(len(starts)) // block % len(contestants)
+    parts = [starts[number == k] for k in range(len(contestants))]
+
+    def work() -> None:
+        with ThreadPoolExecutor(len(contestants)) as pool:
+            list(pool.map(lambda pair: pair[0](pair[1]), zip(contestants, parts, strict=True)))
+
+    return work

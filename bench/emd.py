@@ -1,0 +1,56 @@
+"""The distance between two samples of r_z: ss.emd, SciPy and POT on what one motion of the scan gives."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+
+import numpy as np
+from scipy.stats import wasserstein_distance
+
+import sunspin as ss
+from bench.problem import philae
+from bench.table import Table
+from bench.timing import medians, say
+
+SAMPLES, TARGET = 30_000, 20
+FUSED = "ss.scan on one core, the motion included"
+
+
+def run(quick: bool) -> Table:
+    """Distances per second, one core."""
+    rng = np.random.default_rng(4)
+    z, target = rng.uniform(-1, 1, SAMPLES), rng.uniform(0, 1, TARGET)
+    table = Table("emd", f"distances of {SAMPLES} against {TARGET} samples", ("by", "ms", "distances/s", "largest difference"))
+    ways = _ways(z, target)
+    say(f"emd: {len(ways)} ways")
+    values = {name: call() for name, call in ways.items()}
+    work: dict[str, Callable] = dict(ways)
+    axes = philae().axes(8, 8, 8) if quick else philae().axes(16, 16, 16)
+    work[FUSED] = lambda: philae().scan(axes, workers=1)
+    seconds = medians(work, 3 if quick else 9)
+    for name in ways:
+        table.add(name, 1e3 * seconds[name], 1 / seconds[name], abs(values[name] - values["ss.emd"]))
+    fused = seconds[FUSED] / np.prod([len(axis) for axis in axes.values()])
+    table.add(FUSED, 1e3 * fused, float(1 / fused), None)
+    if not _has_pot():
+        table.notes.append("POT is not installed and its rows are left out; pip install 'POT>=0.9' (the extra `bench`) adds them.")
+    table.notes.append("SciPy's and POT's values are halved before they are compared: the paper's distance is half of theirs.")
+    return table
+
+
+def _ways(z: np.ndarray, target: np.ndarray) -> dict[str, Callable[[], float]]:
+    ways: dict[str, Callable[[], float]] = {
+        "ss.emd": lambda: ss.emd(z, target),
+        "scipy wasserstein_distance": lambda: float(wasserstein_distance(z, target)) / 2,
+    }
+    if _has_pot():
+        import ot
+
+        ways["POT wasserstein_1d"] = lambda: float(ot.wasserstein_1d(z, target, p=1)) / 2
+        ways["POT emd2_1d"] = lambda: float(ot.emd2_1d(z, target, metric="cityblock")) / 2
+    return ways
+
+
+def _has_pot() -> bool:
+    return importlib.util.find_spec("ot") is not None

@@ -1,0 +1,71 @@
+"""Times of competing pieces of work, taken in turn so that a machine that slows down slows all of them."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+Work = Callable[[], object]
+Name = TypeVar("Name", bound=Hashable)
+
+
+def say(text: str) -> None:
+    """A line of progress; the tables alone go to stdout."""
+    print(f"bench: {text}", file=sys.stderr, flush=True)
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass
+class Timing:
+    """Wall times (s) of one piece of work, round by round, and the processor's time in each (all threads together)."""
+
+    wall: list[float] = field(default_factory=list)
+    processor: list[float] = field(default_factory=list)
+
+    def take(self, call: Work) -> None:
+        """Time one call."""
+        start, used = time.perf_counter(), time.process_time()
+        call()
+        self.wall.append(time.perf_counter() - start)
+        self.processor.append(time.process_time() - used)
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.wall)
+
+    @property
+    def cores_used(self) -> float:
+        """Less than the threads at work where one of them had nothing to do, or where other people's work took the core."""
+        return sum(self.processor) / sum(self.wall)
+
+    def against(self, other: Timing) -> float:
+        """Median over the rounds of this time by the other's in the same round."""
+        return statistics.median(a / b for a, b in zip(self.wall, other.wall, strict=True))
+
+
+def timings(work: Mapping[Name, Work], repeats: int) -> dict[Name, Timing]:
+    """Times of each piece of work over `repeats` rounds; a round runs every piece once.
+
+    A round that does not count comes first: compilation, caches and first touches of memory.
+    """
+    for call in work.values():
+        call()
+    taken = {name: Timing() for name in work}
+    for _ in range(repeats):
+        for name, call in work.items():
+            taken[name].take(call)
+    return taken
+
+
+def medians(work: Mapping[Name, Work], repeats: int) -> dict[Name, float]:
+    """Median wall time in s of each piece of work."""
+    return {name: timing.median for name, timing in timings(work, repeats).items()}
