@@ -115,7 +115,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, tmp_path):
 
 
 def test_labels_from_outside_stay_text_in_the_report(tmp_path):
-    from sunspin.study.reproduce import Row
+    from sunspin.study.row import Row
     from sunspin.tell.report import write_report
 
     row = Row("x", "<script>alert(1)</script>", 1.0, 2.0, "<b>", None, None, "<img src=x>", "s")

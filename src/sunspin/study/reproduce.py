@@ -20,24 +20,10 @@ from sunspin.measure.sun import is_reconstructed, sun_directions
 from sunspin.motion.friction import fit_spin_down, spin_down_curve, spin_down_speed, spin_down_time
 from sunspin.motion.propagate import propagate
 from sunspin.study import rebound as rb
+from sunspin.study.row import Row, published_row
 
 SHADOWED_PHASES = ("deployment", "settling", "rest")
 """Phases whose samples the paper leaves out of its statistics of Delta."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """A published figure and ours: agrees is None where the comparison is not one of equal things (see the note)."""
-
-    id: str
-    what: str
-    published: Any
-    ours: Any
-    unit: str
-    tolerance: float | list[float] | None
-    agrees: bool | None
-    note: str
-    source: str
 
 
 @dataclass(frozen=True)
@@ -145,16 +131,6 @@ def rows(r: dict[str, Any]) -> list[Row]:
     return [*_measure_rows(r), *_motion_rows(r), *_scan_rows(r), *_touchdown_rows(r), *_health_rows(r)]
 
 
-def _row(case: Case, key: str, ours: Any, tolerance: float | list[float] | None, note: str = "") -> Row:
-    published = case.published[key]
-    agrees = None
-    if tolerance is not None:
-        agrees = bool(np.all(np.abs(np.asarray(ours, float) - np.asarray(published.value, float)) <= tolerance))
-    return Row(
-        key, published.what, published.value, ours, published.unit, tolerance, agrees, note, f"paper, {published.place}"
-    )
-
-
 def _measure_rows(r: dict[str, Any]) -> list[Row]:
     case, sun = r["case"], r["sun"]
     kept = is_reconstructed(sun["status"])
@@ -163,8 +139,8 @@ def _measure_rows(r: dict[str, Any]) -> list[Row]:
     delta = sun["delta"].values[kept]
     twin = "the telemetry is synthetic: its noise was chosen for this figure" if sun.attrs.get("synthetic") else ""
     return [
-        _row(case, "delta_mean", float(delta.mean()), 0.005, twin),
-        _row(case, "delta_max", float(delta.max()), 0.03, twin),
+        published_row(case, "delta_mean", float(delta.mean()), 0.005, twin),
+        published_row(case, "delta_max", float(delta.max()), 0.03, twin),
     ]
 
 
@@ -179,8 +155,8 @@ def _motion_rows(r: dict[str, Any]) -> list[Row]:
             case, "spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s], [0.1, 1e-8, 0.1],
             "fitted to a record made from the published coefficients: the measured one is not public",
         ),
-        _row(case, "friction_coulomb", fit.friction.coulomb_N_m, 1e-4, "not rounded; it follows from c2 c3 J"),
-        _row(case, "friction_viscous", fit.friction.viscous_N_m_s, 2e-8, "J = 0.0058; the printed value implies 0.005775"),
+        published_row(case, "friction_coulomb", fit.friction.coulomb_N_m, 1e-4, "not rounded; it follows from c2 c3 J"),
+        published_row(case, "friction_viscous", fit.friction.viscous_N_m_s, 2e-8, "J = 0.0058; the printed value implies 0.005775"),
         _row(
             case, "wheel_stop", stop[0] / 60 if stop else None, 0.5,
             f"with the printed, rounded friction {fall['stop_printed_s'] / 60:.1f} min",
@@ -200,7 +176,7 @@ def _scan_rows(r: dict[str, Any]) -> list[Row]:
     if truth:
         note += f"; the truth of the twin reaches {truth['emd']:.4f}"
     found = [
-        _row(case, "emd_min", smallest, None, f"of this telemetry, not of the flown one; {note}"),
+        published_row(case, "emd_min", smallest, None, f"of this telemetry, not of the flown one; {note}"),
         Row(
             "scan_runs", "initial conditions scanned", rb.grid_size(case), int(twin.emd.size), "1", 0,
             bool(twin.emd.size == rb.grid_size(case)),
