@@ -151,13 +151,13 @@ def _motion_rows(r: dict[str, Any]) -> list[Row]:
     z = still["sun_B"].values[:, 2]
     fit = fall["fit"]
     return [
-        _row(
+        published_row(
             case, "spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s], [0.1, 1e-8, 0.1],
             "fitted to a record made from the published coefficients: the measured one is not public",
         ),
         published_row(case, "friction_coulomb", fit.friction.coulomb_N_m, 1e-4, "not rounded; it follows from c2 c3 J"),
         published_row(case, "friction_viscous", fit.friction.viscous_N_m_s, 2e-8, "J = 0.0058; the printed value implies 0.005775"),
-        _row(
+        published_row(
             case, "wheel_stop", stop[0] / 60 if stop else None, 0.5,
             f"with the printed, rounded friction {fall['stop_printed_s'] / 60:.1f} min",
         ),
@@ -191,7 +191,7 @@ def _scan_rows(r: dict[str, Any]) -> list[Row]:
     for k, deviation in enumerate(clean.deviation):
         line = clean.lines.isel(line=clean.partner[k])
         found.append(
-            _row(
+            published_row(
                 case, f"line_L{k + 1}",
                 [line["point"].values.round(4).tolist(), line["direction"].values.round(4).tolist()], None,
                 f"from the published lines' own distribution, EMD below {clean.factor:g} times its minimum: angle "
@@ -223,7 +223,7 @@ def _touchdown_rows(r: dict[str, Any]) -> list[Row]:
     as_coasted = rb.smallest_on_lines(case, lines, coasted)
     ours = float(np.linalg.norm(r["touchdown_B"], axis=1).min())
     return [
-        _row(
+        published_row(
             case, "rate_at_touchdown_min", as_published, 0.01,
             f"on the published lines, wheel at {nominal:g} rad/s at the first sample; at {coasted:.0f} rad/s there (865 at "
             f"touchdown) {as_coasted:.4f}",
