@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -71,8 +72,11 @@ def test_what_the_function_raises_comes_at_once_and_stops_the_rest(tmp_path):
     assert len(log.read_text().splitlines()) <= 30
 
 
+@dataclass(frozen=True)
 class Wrong(Waves):
     """Rows whose results are not what they promised."""
+
+    what: str = ""
 
     def __call__(self, index):
         values = super().__call__(index)
@@ -80,13 +84,13 @@ class Wrong(Waves):
             "shape": values | {"path": values["path"][:, 0]},
             "dtype": values | {"kind": values["kind"].astype(float)},
             "names": {"height": values["height"]},
-        }[self.log]
+        }[self.what]
 
 
 @pytest.mark.parametrize("what", ["shape", "dtype", "names"])
 def test_results_that_are_not_as_promised_are_refused(what):
     with pytest.raises(ss.InputError, match="the row function must return"):
-        ensemble(Wrong(log=what))
+        ensemble(Wrong(what=what))
 
 
 def test_progress_counts_rows(capsys, monkeypatch):
