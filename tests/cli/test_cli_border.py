@@ -51,6 +51,8 @@ def test_check_tells_which_panel_would_explain_impossible_patterns(sunspin):
     assert code == 0 and about["synthetic"] is True
     assert set(about["impossible"]) == {"2-3-6", "2-3", "2"}
     assert about["explanations"] == [["1"]]
+    assert set(about["noise_probability"]) == set(about["impossible"])
+    assert max(about["noise_probability"].values()) == pytest.approx(0.05, abs=0.01)
     assert sum(about["status"].values()) == about["samples"]
 
 

@@ -116,7 +116,7 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
     sun = sun_directions(craft, samples)
     time, flag = samples["time"].values, samples["flag"].values
     gaps = np.diff(time)
-    health = panel_health(craft, sun)
+    health = panel_health(craft, samples)
     summary: dict[str, Any] = {
         "file": str(path),
         "samples": int(time.size),
@@ -129,6 +129,7 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
         "noise_from": str(sun.attrs["noise_from"]),
         "impossible": {"-".join(pattern): n for pattern, n in health["impossible"].items()},
         "explanations": [list(lost) for lost in health["explanations"]],
+        "noise_probability": {"-".join(pattern): verdict.largest for pattern, verdict in health["noise"].items()},
     }
     kind = "synthetic sample" if summary["synthetic"] else "sample"
     lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {summary['epoch_utc']}"]
@@ -144,7 +145,9 @@ def _health_lines(summary: dict[str, Any]) -> list[str]:
     seen = ", ".join(f"{pattern} ({n})" for pattern, n in summary["impossible"].items())
     lost = " or ".join(" and ".join(panels) for panels in summary["explanations"][:3])
     why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
-    return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}"]
+    chance = summary["noise_probability"]
+    noise = f"; noise alone makes the likeliest of them with a probability of at most {max(chance.values()):.2g}" if chance else ""
+    return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}{noise}"]
 
 
 def _counted(n: int, noun: str) -> str:
