@@ -160,6 +160,41 @@ class Leg(Portable):
 
 
 @dataclass(frozen=True)
+class HullPart(Portable):
+    """A part of the outer shape that can touch the ground: points (n, 3) in m from the centre of mass, B.
+
+    The convex hull of all parts and of the legs' ends is the shape. `panel` names the panel whose corners the points are.
+    """
+
+    name: str
+    points_B_m: FloatArray
+    panel: str | None = None
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points_B_m, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.all(np.isfinite(points)):
+            raise VehicleError(
+                sentence(f"points_B_m of hull part {self.name!r} must be points of three finite numbers", got=self.points_B_m)
+            )
+        object.__setattr__(self, "points_B_m", frozen_array(points))
+
+
+@dataclass(frozen=True)
+class Antenna(Portable):
+    """An antenna that serves directions within half of `opening_rad` of its axis (unit, B)."""
+
+    axis_B: FloatArray
+    opening_rad: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axis_B", direction(self.axis_B, "antenna.axis_B"))
+        if not (np.isfinite(self.opening_rad) and 0 < self.opening_rad <= 2 * np.pi):
+            raise VehicleError(
+                sentence("antenna.opening_rad must be an angle above 0 and at most 2 pi", got=self.opening_rad)
+            )
+
+
+@dataclass(frozen=True)
 class SunRule:
     """A rule that forbids a reconstruction: it applies when all named panels are dark (`reason` says why)."""
 
@@ -200,16 +235,18 @@ class Vehicle(Portable):
     panels: tuple[Panel, ...] = ()
     wheels: tuple[Wheel, ...] = ()
     legs: tuple[Leg, ...] = ()
+    hull: tuple[HullPart, ...] = ()
+    antenna: Antenna | None = None
     sun_rules: tuple[SunRule, ...] = ()
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()
     facts: Mapping[str, Fact] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for key in ("panels", "wheels", "legs", "sun_rules"):
+        for key in ("panels", "wheels", "legs", "hull", "sun_rules"):
             object.__setattr__(self, key, tuple(getattr(self, key)))
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
-        for key in ("panels", "wheels", "legs"):
+        for key in ("panels", "wheels", "legs", "hull"):
             _require_distinct([part.name for part in getattr(self, key)], key)
         if self.mass_kg is not None and not (np.isfinite(self.mass_kg) and self.mass_kg > 0):
             raise VehicleError(sentence("mass_kg must be positive", got=self.mass_kg))
@@ -333,6 +370,7 @@ def _require_known_panels(vehicle: Vehicle) -> None:
     known = set(vehicle.panel_names)
     named = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
     named += [("telemetry.columns", name) for name in vehicle.telemetry.columns]
+    named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]
     for key, name in named:
         if name not in known:
             raise VehicleError(

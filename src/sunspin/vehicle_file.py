@@ -100,6 +100,17 @@ class LegForm(Form):
     tip_B_m: Value
 
 
+class HullForm(Form):
+    name: Name
+    points_B_m: Value
+    panel: Name | None = None
+
+
+class AntennaForm(Form):
+    axis_B: Value
+    opening_rad: Value
+
+
 class SunRuleForm(Form):
     all_dark: Annotated[list[str], Field(min_length=1)]
     reason: Name
@@ -124,6 +135,8 @@ class VehicleForm(Form):
     panel: list[PanelForm] = []
     wheel: list[WheelForm] = []
     leg: list[LegForm] = []
+    hull: list[HullForm] = []
+    antenna: AntennaForm | None = None
     sun_rule: list[SunRuleForm] = []
     telemetry: TelemetryTable = TelemetryTable()
 
@@ -236,10 +249,23 @@ def _vehicle(form: VehicleForm) -> v.Vehicle:
         panels=panels,
         wheels=tuple(_wheel(wheel, facts) for wheel in form.wheel),
         legs=tuple(v.Leg(leg.name, _take(facts, f"leg.{leg.name}.tip_B_m", leg.tip_B_m)) for leg in form.leg),
+        hull=tuple(
+            v.HullPart(part.name, _take(facts, f"hull.{part.name}.points_B_m", part.points_B_m), part.panel)
+            for part in form.hull
+        ),
+        antenna=_antenna(form.antenna, facts),
         sun_rules=tuple(v.SunRule(tuple(rule.all_dark), rule.reason) for rule in form.sun_rule),
         gain_unit=gain_unit,
         telemetry=_telemetry(form.telemetry, facts),
         facts=facts,
+    )
+
+
+def _antenna(form: AntennaForm | None, facts: dict[str, v.Fact]) -> v.Antenna | None:
+    if form is None:
+        return None
+    return v.Antenna(
+        _take(facts, "antenna.axis_B", form.axis_B), _scalar(facts, "antenna.opening_rad", form.opening_rad)
     )
 
 

@@ -20,6 +20,7 @@ COMMANDS = {
     "sun": "sunspin.cli.measured:sun",
     "simulate": "sunspin.cli.motion:simulate",
     "scan": "sunspin.cli.motion:scan",
+    "outcomes": "sunspin.cli.outcomes:outcomes",
 }
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
@@ -30,6 +31,7 @@ SUMMARIES = {
     "sun": "Directions to the Sun from panel powers or currents.",
     "simulate": "One trajectory of a vehicle with its wheels.",
     "scan": "Which initial rates fit the Sun's measured heights, and the lines they lie on.",
+    "outcomes": "What a motion leads to: collision, first contact, antenna, wheel strategies.",
 }
 
 

@@ -56,11 +56,11 @@ def fingerprint(identity: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-@lru_cache(maxsize=1)
-def code() -> dict[str, str]:
-    """The version of sunspin and the SHA-256 of the files that decide what a row gives."""
+@lru_cache(maxsize=8)
+def code(*more: str) -> dict[str, str]:
+    """The version of sunspin and the SHA-256 of the files that decide what a row gives: `PHYSICS` and `more`."""
     found, root = hashlib.sha256(), resources.files("sunspin")
-    for name in PHYSICS:
+    for name in PHYSICS + more:
         place = root.joinpath(name)
         files = sorted(place.iterdir(), key=lambda file: file.name) if place.is_dir() else [place]
         for file in files:

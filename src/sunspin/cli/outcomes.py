@@ -1,0 +1,223 @@
+"""`sunspin outcomes`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from sunspin.cli.common import numbers, on_terminal, output_options, report, run_options
+from sunspin.errors import InputError, sentence
+
+SHOWN = (
+    ("touch_leg", "a leg touches first"),
+    ("touch_panel", "a panel touches first"),
+    ("touch_body", "the bare body touches first"),
+    ("rest_leg", "comes to rest on its legs"),
+    ("rest_panel", "comes to rest on a panel"),
+    ("leg_tip_speed", "fastest leg tip at first contact, m/s"),
+    ("antenna_share", "antenna holds the orbiter, share of the time"),
+    ("antenna_at_rest", "antenna holds the orbiter at rest"),
+    ("rz_time_below_-0.5", "r_z below -0.5, share of the time"),
+    ("rate_before", "rate before the collision, rad/s"),
+    ("rate_after", "rate after it, rad/s"),
+)
+"""What is printed of a tally, in this order."""
+
+
+@click.command()
+@click.argument("vehicle")
+@click.option("--strategy", "strategies", multiple=True, help="What the wheels are told: off, held, brake, after_rest or "
+              "delay:SECONDS; may be given several times. Default: off and held.")
+@click.option("--runs", type=click.IntRange(1, 100_000_000), default=100_000, show_default=True, help="Runs per strategy.")
+@click.option("--scan", type=click.Path(path_type=Path), help="scan.nc of `sunspin scan`: candidates are its near-minimum set.")
+@click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
+@click.option("--omega", multiple=True, help="A candidate body rate, rad/s: x,y,z; may be given several times.")
+@click.option("--sun", "sun_B", help="Unit vector to the Sun at the candidates' instant, body axes: x,y,z.")
+@click.option("--wheel-speed", help="Wheel speeds then, rad/s, separated by commas; default: the vehicle's.")
+@click.option("--lead", type=float, help="From touchdown to the candidates' instant, s.")
+@click.option("--before", type=float, help="From there to the collision, s.")
+@click.option("--after", type=float, help="From the collision to the landing, s.")
+@click.option("--collision-speed", type=float, help="Speed at the collision, m/s; 0: no collision.")
+@click.option("--landing-speed", type=float, help="Speed at the landing, m/s.")
+@click.option("--vertical", help="The ground's normal at the landing, from body axes at the touchdown: legs_down (any for which "
+              "legs were lowest there), any, an angle in degrees about legs-down, or x,y,z.")
+@click.option("--best-delay", is_flag=True, help="Search for the switch-off delay after which a leg most often touches first.")
+@click.option("--condition", is_flag=True, help="Weight the collisions of the first strategy by the trajectory kernel's speeds.")
+@click.option("--data", envvar="SUNSPIN_DATA", type=click.Path(path_type=Path), help="Folder with philae_spk/, from which "
+              "--condition reads the kernel (or set SUNSPIN_DATA); without it the facts that come with the case are used.")
+@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed; the same command resumes.")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786 or `local`.")
+@output_options()
+@run_options
+def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed, lead, before, after, collision_speed,
+             landing_speed, vertical, best_delay, condition, data,
+             store, scheduler, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
+    """What a tumbling motion leads to: collision, first contact, antenna, rest, for one or more wheel strategies.
+
+    A built-in case (philae) knows its times, speeds and, as candidates, its published lines. For another vehicle give at
+    least --omega (or --scan), --sun and --after. With --out, writes outcomes-STRATEGY.nc, strategies.nc and figures.
+
+    \b
+    Examples:
+      sunspin outcomes philae --runs 20000 --strategy off --strategy held --out landing
+      sunspin outcomes vehicle.toml --omega 0.1,0,0.2 --sun 0,0,1 --after 600 --collision-speed 0 --runs 1000
+    """
+    from sunspin.study.scenario import strategy_of
+    from sunspin.study.strategies import best_delay as search
+    from sunspin.study.strategies import compare
+    from sunspin.tell.results import results_folder
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
+    given = {
+        "lead_s": lead, "before_s": before, "after_s": after, "landing_speed_m_s": landing_speed,
+        "wheel_speed_rad_s": numbers(wheel_speed, "--wheel-speed") if wheel_speed else None,
+        "sun_B": numbers(sun_B, "--sun", 3) if sun_B else None, "vertical": _vertical(vertical),
+    }  # fmt: skip
+    scenario = _scenario(craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
+    candidates = _candidates(craft, scan, factor, omega)
+    folder = None if out is None else results_folder(out, "outcomes")
+    options = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
+    table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
+    summary: dict[str, Any] = {"runs": runs, "seed": seed, "candidates": len(candidates), "not_told": table.attrs["not_told"]}
+    summary["strategies"], lines = {}, []
+    for name in table["strategy"].values:
+        summary["strategies"][str(name)], more = _told(table, name, found[str(name)])
+        lines += more
+    best = search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options) if best_delay else None
+    if best is not None:
+        summary["best_delay"] = {"delay_s": best.best_s, "as_good_s": best.as_good_s, "spread_s": best.spread_s}
+        lines.append(
+            f"a leg touches first most often if the wheel is switched off {best.best_s:g} s after the touchdown "
+            f"({best.value.max():.3f}); not worse by two errors: {', '.join(f'{t:g}' for t in best.as_good_s)} s"
+        )
+    weighted = _condition(craft, next(iter(found.values())), data) if condition else None
+    if weighted is not None:
+        summary["collision"], more = _weighted(weighted)
+        lines += more
+    lines += [table.attrs["not_told"]] if table.attrs["not_told"] else []
+    if folder is not None:
+        lines.append(f"Results: {_write(folder, table, found, best, weighted)}")
+    report(summary, lines, as_json, quiet)
+
+
+def _told(table, name: str, runs) -> tuple[dict[str, Any], list[str]]:
+    """Estimates of one strategy for the summary, and lines for a person."""
+    at = table.sel(strategy=name)
+    told = {
+        str(q): {"value": float(v), "error": float(e)}
+        for q, v, e in zip(at["quantity"].values, at["value"].values, at["error"].values, strict=True)
+        if np.isfinite(v)
+    }
+    failed = int((runs["outcome"].values != 0).sum())
+    head = f"{name}: {runs.sizes['run']} runs" + (f", {failed} of them could not be computed" if failed else "")
+    body = [f"  {text}: {told[q]['value']:.4f} +- {told[q]['error']:.4f}" for q, text in SHOWN if q in told]
+    return told, [head, *body]
+
+
+def _vertical(text: str | None) -> Any:
+    if text is None or text in ("legs_down", "any"):
+        return text
+    values = numbers(text, "--vertical")
+    if len(values) == 1:
+        return float(np.radians(values[0]))
+    if len(values) == 3:
+        return tuple(values)
+    raise InputError(sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text))
+
+
+def _scenario(craft, given: dict[str, Any], collision_speed: float | None):
+    """The case's own scenario with what the options say instead, or one made of the options alone."""
+    from sunspin.cases import case_names, load_case
+    from sunspin.study.scenario import Scenario, case_scenario
+
+    if collision_speed is not None:
+        given["collision_speed_m_s"] = collision_speed or None
+    if craft.name in case_names() and load_case(craft.name).timeline is not None:
+        return replace(case_scenario(load_case(craft.name)), **given)
+    for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
+        if key not in given:
+            raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))
+    return Scenario(**{"wheel_speed_rad_s": tuple(wheel.speed_rad_s for wheel in craft.wheels)} | given)
+
+
+def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...]) -> np.ndarray:
+    if scan is not None and omega:
+        raise InputError(sentence("candidates come from --scan or from --omega", do="give one of them"))
+    if omega:
+        return np.array([numbers(text, "--omega", 3) for text in omega])
+    if scan is not None:
+        return _near_minimum(scan, factor)
+    from sunspin.cases import case_names, load_case
+    from sunspin.study.landing import published_candidates
+
+    if craft.name in case_names() and "line_L1" in load_case(craft.name).published:
+        return published_candidates(load_case(craft.name))
+    raise InputError(sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc"))
+
+
+def _near_minimum(path: Path, factor: float) -> np.ndarray:
+    import xarray as xr
+
+    from sunspin.infer.scan import near_minimum
+
+    if not path.is_file():
+        raise InputError(sentence("there is no such file", do="give scan.nc as `sunspin scan --out` writes it", where=str(path)))
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as file:
+            volume = file["emd" if "emd" in file else "E"].load()
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(
+            sentence(
+                f"this is no scan ({type(error).__name__})", do="give scan.nc as `sunspin scan` writes it", where=str(path)
+            )
+        ) from None
+    return near_minimum(volume, factor)
+
+
+def _condition(craft, runs, data: Path | None):
+    """The collisions weighted by the kernel in the data folder, or by the facts that come with the case."""
+    from sunspin.cases import case_names, load_case
+    from sunspin.study import collision
+
+    case = load_case(craft.name) if craft.name in case_names() else None
+    if case is None or "kernel_speed_before" not in case.published or not np.isfinite(runs["speed_after"]).any():
+        raise InputError(sentence("--condition needs collisions of a case with a trajectory kernel", do="use it with philae"))
+    there = data is not None and data.joinpath(*collision.KERNEL).is_file()
+    return collision.condition(case, runs, collision.kernel_facts(case, data) if there else None)
+
+
+def _weighted(found) -> tuple[dict[str, Any], list[str]]:
+    head = f"collision: {found.explained} of the runs come near the kernel's jump and speed"
+    lines = [
+        f"  {line['name']}: worth {line['effective_runs']:.0f} runs, rate before {line['rate_before']}, after {line['rate_after']} "
+        f"rad/s, median period after {line['median_period_after']:.1f} s"
+        for line in found.table
+    ]
+    return {"facts": found.facts, "explained": found.explained, "table": found.table}, [head, *lines]
+
+
+def _write(folder: Path, table, found: dict[str, Any], best, weighted) -> Path:
+    from sunspin.tell import figures_outcomes as figures
+    from sunspin.tell.figures import save
+    from sunspin.tell.results import write_netcdf
+
+    for name, runs in found.items():
+        write_netcdf(folder / f"outcomes-{name.replace(':', '-')}.nc", runs)
+    write_netcdf(folder / "strategies.nc", table)
+    save(figures.sun_height_figure(found), folder, "sun-height")
+    save(figures.strategies_figure(table), folder, "strategies")
+    if all(np.isfinite(runs["up_z"]).any() for runs in found.values()):
+        save(figures.distributions_figure(found), folder, "distributions")
+    if all("point_kind" in runs.coords for runs in found.values()):
+        save(figures.first_contact_figure(found), folder, "first-contact")
+    if weighted is not None:
+        save(figures.collision_figure(weighted), folder, "collision")
+    if best is not None:
+        save(figures.delay_figure(best), folder, "delay")
+    return folder
