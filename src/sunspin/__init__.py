@@ -35,6 +35,7 @@ _HOME = {
     "outcomes": "sunspin.study.outcomes",
     "Scenario": "sunspin.study.scenario",
     "reproduce": "sunspin.tell.reproduction",
+    "worth": "sunspin.tell.worth",
     "SunspinError": "sunspin.errors",
     "VehicleError": "sunspin.errors",
     "TelemetryError": "sunspin.errors",

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-COMMANDS = ["reproduce", "init", "check", "sun", "simulate", "scan", "outcomes"]
+COMMANDS = ["reproduce", "worth", "init", "check", "sun", "simulate", "scan", "outcomes"]
 
 
 def sunspin(*arguments, cwd=None, code=0):

@@ -15,6 +15,7 @@ from sunspin.errors import InputError, sentence
 
 COMMANDS = {
     "reproduce": "sunspin.cli.study:reproduce",
+    "worth": "sunspin.cli.study:worth",
     "init": "sunspin.cli.files:init",
     "check": "sunspin.cli.files:check",
     "sun": "sunspin.cli.measured:sun",
@@ -26,6 +27,7 @@ COMMANDS = {
 
 SUMMARIES = {
     "reproduce": "The whole Philae study: figures, tables, report.",
+    "worth": "How far the study's answer can be trusted: its method on many twins.",
     "init": "Write a vehicle file and telemetry to start from.",
     "check": "What is wrong with my files, in plain words.",
     "sun": "Directions to the Sun from panel powers or currents.",

@@ -98,6 +98,8 @@ def _vector(values: list[float]) -> str:
 @click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
 @click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True)
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
+@click.option("--threshold", type=click.FloatRange(0, min_open=True), help="Take the points below this value instead: one that was "
+              "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
 @click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
@@ -106,7 +108,7 @@ def _vector(values: list[float]) -> str:
 @output_options()
 @run_options
 @data_option
-def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, n_lines,
+def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, threshold, n_lines,
          store, scheduler, out, as_json, quiet, seed, workers, data) -> None:  # fmt: skip
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
@@ -119,7 +121,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
       sunspin scan vehicle.toml telemetry.csv --omega-z -0.3:0.3:0.001 --store scan-rows --out scan-results
     """
     from sunspin.infer.lines import fit_lines
-    from sunspin.infer.scan import near_minimum
+    from sunspin.infer.scan import below, near_minimum
     from sunspin.infer.scan import scan as run_scan
     from sunspin.tell.results import results_folder, write_netcdf
     from sunspin.vehicle import load_vehicle
@@ -136,7 +138,10 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         craft, target, track["sun_B"].values[0], *axes, speeds or None, float(track["time"].values[-1]),
         wheel_mode=wheel_mode, workers=workers, store=store, scheduler=scheduler, progress=on_terminal(quiet),
     )  # fmt: skip
-    points = near_minimum(volume, factor)
+    points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
+    if not len(points):
+        raise InputError(sentence("no motion of the grid comes below "
+        "--threshold", got=threshold, do=f"the smallest is {float(volume.min()):.4f}"))
     summary: dict[str, Any] = {
         "metric": metric,
         "rows": int(volume.size),
@@ -146,7 +151,8 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     }
     lines = [
         f"{volume.size} motions against {track.sizes['time']} directions: smallest {metric} {summary['minimum']:.4f} at "
-        f"{_vector(summary['best_omega_B'])} rad/s; {len(points)} points within {factor:g} times it"
+        f"{_vector(summary['best_omega_B'])} rad/s; {len(points)} points "
+        + (f"within {factor:g} times it" if threshold is None else f"below {threshold:g}")
     ]
     if n_lines and len(points) >= 2 * n_lines:
         fitted = fit_lines(points, n_lines, seed=seed)

@@ -114,18 +114,27 @@ class EmdRows:
 
     def _distances(self, states: k.Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """EMD, number of histogram samples that the mask let pass, and outcome of each state (n)."""
-        result = k.run_rows(
-            self.vehicle,
-            states,
-            float(self.duration_s),
-            wheel_mode=self.wheel_mode,
-            direction_error=EMD_DIRECTION_ERROR,
-            mask=self.condition,
-            bins=BINS,
-        )
-        emd, seen = np.empty(len(states)), np.empty(len(states), dtype=np.int64)
-        _kernel(self.vehicle, self.condition, BINS).emd_rows(result.hist, *self.segments, emd, seen)
-        return emd, seen, result.outcome
+        hist, outcome = histograms(self.vehicle, states, self.duration_s, self.condition, self.wheel_mode)
+        return *distances_to(self.vehicle, self.condition, hist, self.segments), outcome
+
+
+def histograms(
+    vehicle: Vehicle, states: k.Rows, duration_s: float, condition: k.Mask | None, wheel_mode: str | tuple[str, ...] = "coast"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Counts of r_z (n, BINS + 1) over the run of each state, the last column what the mask left out; outcome (n)."""
+    result = k.run_rows(
+        vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=EMD_DIRECTION_ERROR, mask=condition, bins=BINS
+    )
+    return result.hist, result.outcome
+
+
+def distances_to(
+    vehicle: Vehicle, condition: k.Mask | None, hist: np.ndarray, segments: tuple[np.ndarray, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """EMD (n) of histograms (n, BINS + 1) to the target of `target_segments`, NaN where nothing was seen; samples seen (n)."""
+    emd, seen = np.empty(len(hist)), np.empty(len(hist), dtype=np.int64)
+    _kernel(vehicle, condition, BINS).emd_rows(hist, *segments, emd, seen)
+    return emd, seen
 
 
 @dataclass(frozen=True)

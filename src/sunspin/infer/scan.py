@@ -78,13 +78,12 @@ def scan(
         Sun could never have been reconstructed has EMD 1, the largest there is.
     """
     axes = [_axis(values, name) for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))]
-    shape = tuple(len(axis) for axis in axes)
-    n_rows = int(np.prod([float(size) for size in shape]))
+    n_rows = int(np.prod([float(len(axis)) for axis in axes]))
     if n_rows > MAX_ROWS:
         raise InputError(
             sentence(
                 f"the grid has {n_rows:.3g} points, more than {MAX_ROWS:.3g}",
-                got=" x ".join(map(str, shape)),
+                got=" x ".join(str(len(axis)) for axis in axes),
                 do="use a larger step or a smaller range",
             )
         )
@@ -96,15 +95,23 @@ def scan(
     else:
         name, rows = "emd", EmdRows(vehicle, start, target_z, weights, duration_s, mask, mode)
     out = ensemble(rows, workers=workers, store=store, scheduler=scheduler, progress=progress, label="scan")
+    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode)
+
+
+def volume(
+    vehicle: Vehicle, start: Start, name: str, values: np.ndarray, outcome: np.ndarray, mask: Any, wheel_mode: Any
+) -> xr.DataArray:
+    """Values of all rows of a grid, and their outcomes, as `scan` returns them."""
     dims = ("omega_x", "omega_y", "omega_z")
+    axes = (start.omega_x, start.omega_y, start.omega_z)
     result = xr.DataArray(
-        out[name].reshape(shape),
+        values.reshape(start.shape),
         dims=dims,
         coords={dim: (dim, axis, {"units": "rad/s"}) for dim, axis in zip(dims, axes, strict=True)},
         name=name,
         attrs={"units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode)},
     )
-    result = result.assign_coords(outcome=(dims, out["outcome"].reshape(shape)))
+    result = result.assign_coords(outcome=(dims, outcome.reshape(start.shape)))
     result["outcome"].attrs = {
         "flag_values": [int(o) for o in k.Outcome],
         "flag_meanings": " ".join(o.name.lower() for o in k.Outcome),
@@ -135,10 +142,23 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
     """
     if not factor > 1:
         raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=factor))
-    if "outcome" in emd.coords:
-        emd = emd.where(emd["outcome"] == k.Outcome.FINE)
-    values = emd.transpose("omega_x", "omega_y", "omega_z").values
+    values = _computed(emd)
     if not np.isfinite(values).any():
         raise InputError(sentence("no motion of the grid could be computed", do="see its coordinate `outcome`"))
-    i, j, l = np.nonzero(values < factor * np.nanmin(values))
+    return _points(emd, values < factor * np.nanmin(values))
+
+
+def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
+    """Grid points (n, 3) in rad/s with EMD below a threshold; rows that could not be computed take no part."""
+    return _points(emd, _computed(emd) < threshold)
+
+
+def _computed(emd: xr.DataArray) -> np.ndarray:
+    if "outcome" in emd.coords:
+        emd = emd.where(emd["outcome"] == k.Outcome.FINE)
+    return emd.transpose("omega_x", "omega_y", "omega_z").values
+
+
+def _points(emd: xr.DataArray, chosen: np.ndarray) -> np.ndarray:
+    i, j, l = np.nonzero(chosen)
     return np.stack([emd["omega_x"].values[i], emd["omega_y"].values[j], emd["omega_z"].values[l]], axis=-1)

@@ -15,8 +15,10 @@ from sunspin.errors import InputError, TelemetryError, sentence
 from sunspin.infer.lines import fit_lines, line_deviation, match_lines, point_at
 from sunspin.infer.mask import allows, reconstructible_mask
 from sunspin.infer.metrics import emd
+from sunspin.infer.rates import end_rates
 from sunspin.infer.scan import near_minimum, scan
 from sunspin.measure.sun import is_reconstructed
+from sunspin.motion.kernel import Rows
 from sunspin.motion.propagate import propagate
 from sunspin.timeline import utc_seconds
 from sunspin.vehicle import Vehicle
@@ -172,19 +174,23 @@ def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | 
     )
 
 
+def after_touchdown_s(case: Case) -> float:
+    """Time in s from the first touchdown to the first sample after it."""
+    return case.timeline.seconds("first_touchdown", "first_sample_after_touchdown")
+
+
 def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float) -> np.ndarray:
     """Body rates (n, 3) at the first touchdown of motions with rates `starts` (n, 3) at the first sample after it."""
-    back = -case.timeline.seconds("first_touchdown", "first_sample_after_touchdown")
-    runs = [
-        propagate(case.vehicle, omega, first_sun(case), wheel_speed_rad_s, [0.0, back], rtol=1e-10) for omega in starts
-    ]
-    return np.array([run["omega_B"].values[-1] for run in runs]).reshape(-1, 3)
+    states = Rows(
+        np.asarray(starts, dtype=np.float64).reshape(-1, 3), np.tile(first_sun(case), (len(starts), 1)),
+        np.full((len(starts), len(case.vehicle.wheels)), float(wheel_speed_rad_s)),
+    )  # fmt: skip
+    return end_rates(case.vehicle, states, -after_touchdown_s(case))
 
 
 def speed_at_first_sample(case: Case) -> float:
     """Wheel speed at the first sample if it was nominal at touchdown and coasted since, the body nearly at rest."""
-    after = case.timeline.seconds("first_touchdown", "first_sample_after_touchdown")
-    run = propagate(case.vehicle, [0, 0, 0], first_sun(case), nominal_speed(case.vehicle), [0.0, after])
+    run = propagate(case.vehicle, [0, 0, 0], first_sun(case), nominal_speed(case.vehicle), [0.0, after_touchdown_s(case)])
     return float(run["wheel_speed_rad_s"].values[-1, 0])
 
 

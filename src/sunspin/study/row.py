@@ -9,6 +9,9 @@ import numpy as np
 
 from sunspin.cases import Case
 
+STATEMENT = "contradiction_"
+"""Rows that hold the paper against itself or public facts, rather than against this run, have ids that begin so."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -34,3 +37,13 @@ def published_row(case: Case, key: str, ours: Any, tolerance: float | list[float
     return Row(
         key, published.what, published.value, ours, published.unit, tolerance, agrees, note, f"paper, {published.place}"
     )
+
+
+def statement(
+    name: str, what: str, published: Any, ours: Any, unit: str, tolerance: float | None, note: str, place: str
+) -> Row:
+    """A row on a statement; it stands where both numbers differ by no more than the tolerance, if there is one."""
+    agrees = None
+    if tolerance is not None:
+        agrees = bool(np.all(np.abs(np.asarray(ours, float) - np.asarray(published, float)) <= tolerance))
+    return Row(f"{STATEMENT}{name}", what, published, ours, unit, tolerance, agrees, note, f"paper, {place}")

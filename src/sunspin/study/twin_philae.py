@@ -107,7 +107,7 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
     landed = _state_at(vehicle, after_blow, case.timeline.event("second_touchdown").t_s)
     parts = [
         *_descent(case, generator(seed, 1)),
-        _rebound(case, "first_rebound", start, _rebound_times(case, generator(seed, 2))),
+        _rebound(case, "first_rebound", start, rebound_times(case, generator(seed, 2))),
         _rebound(case, "second_rebound", after_blow, _sparse_times(case, generator(seed, 4))),
         _settling(case, landed.sun_B, generator(seed, 5)),
         _rest(case, generator(seed, 6)),
@@ -116,7 +116,7 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
     exact = CELL_W * panel_power(vehicle, sun) * seen
     power = noisy_power(vehicle, exact, sigma, generator(seed, 0))
     first = int(np.flatnonzero(phase == "first_rebound")[0])
-    power[first] = _keep_direction(vehicle, exact[first], power[first])
+    power[first] = keep_direction(vehicle, exact[first], power[first])
     truth = {
         "seed": seed,
         "noise": sigma,
@@ -207,7 +207,8 @@ def _descent_sun(case: Case, t: np.ndarray, azimuth: float) -> np.ndarray:
     return np.stack([flat * np.cos(azimuth - angle), flat * np.sin(azimuth - angle), np.full(t.shape, z)], axis=-1)
 
 
-def _rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
+def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
+    """Times (n) in s of the samples of the first rebound: even but for `JITTER_S`, the first where it is known to be."""
     begin = case.timeline.event("first_sample_after_touchdown").t_s
     later = begin + REBOUND_INTERVAL_S * np.arange(1, SAMPLES_OF_REBOUND)
     return on_time_grid(np.concatenate([[begin], _jittered(later, rng)]))
@@ -272,7 +273,7 @@ def _joined(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     )
 
 
-def _keep_direction(vehicle, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
+def keep_direction(vehicle, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
     """Confine the noise of one sample to what its redundancy shows, so that the measured direction is the true one.
 
     The first direction after the touchdown is published as measured, and is the truth here: so this sample's noise may

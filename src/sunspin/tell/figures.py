@@ -6,6 +6,7 @@ Synthetic telemetry is called so in the title of every figure that shows it.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +39,11 @@ def _title(text: str, synthetic: Any) -> str:
     return f"{text} (synthetic telemetry)" if synthetic else text
 
 
-def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset) -> Figure:
-    """Panel signals, Sun direction components and Delta against time; samples without a direction by their reason."""
+def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset, events: Mapping[str, float] | None = None) -> Figure:
+    """Panel signals, Sun direction components and Delta against time; samples without a direction by their reason.
+
+    `events`: name -> s of the telemetry's clock, marked by lines across all three.
+    """
     name = "power_W" if "power_W" in telemetry else "current_A"
     values, hours = telemetry[name], telemetry["time"].values / 3600
     figure = Figure(figsize=(10, 8.5), layout="constrained")
@@ -69,11 +73,15 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset) -> Figure:
         hours[unchecked], np.full(unchecked.sum(), 1e-4), "x", color=COLOURS[7], ms=4,
         label="exactly three panels lit: 0 whatever the powers",
     )  # fmt: skip
-    low.set_ylim(5e-5, 1)
+    low.set_ylim(5e-5, 60 if events else 1)  # room for the names of events
     if unchecked.any():
-        low.legend(fontsize=8, loc="upper right")
+        low.legend(fontsize=8, loc="lower right")
     low.set_ylabel(r"$\Delta$ (1)")
     low.set_xlabel(f"time (h) since {sun.attrs.get('epoch_utc', 'the first sample')}")
+    for k, (event, second) in enumerate((events or {}).items()):
+        for axes in (top, middle, low):
+            axes.axvline(second / 3600, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
+        low.text(second / 3600, 20 / 4 ** (k % 3), f" {event}", fontsize=7, va="center", ha="right" if k % 2 == 0 and k else "left")
     return figure
 
 
@@ -201,8 +209,8 @@ def level_set_figure(
 def _clipped(point: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The part of a line inside the scanned box."""
     low, high = np.array([-0.5, -0.5, -0.3]), np.array([1.0, 1.0, 0.3])
-    with np.errstate(divide="ignore"):
-        ends = np.sort(np.array([(low - point) / direction, (high - point) / direction]), axis=0)
+    along = np.abs(direction) > 1e-12  # a line parallel to a pair of faces meets neither
+    ends = np.sort(np.array([(low - point)[along] / direction[along], (high - point)[along] / direction[along]]), axis=0)
     begin, end = ends[0].max(), ends[1].min()
     return point + np.linspace(begin, max(begin, end), 2)[:, None] * direction
 

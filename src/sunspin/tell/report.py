@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,21 +29,22 @@ def write_report(
     synthetic: bool,
     conclusions: Sequence[str],
     pictures: Sequence[Picture],
-    rows: Sequence[Any],
+    rows: Mapping[str, Sequence[Any]] | Sequence[Any],
     provenance: dict[str, Any],
 ) -> Path:
-    """Write the page. Everything that comes from outside is escaped by the template engine."""
+    """Write the page; `rows` in one table, or by heading. Everything that comes from outside is escaped by the template engine."""
     template = resources.files("sunspin").joinpath("tell", "report.html.j2").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     figures = [
         {"data": base64.b64encode(p.path.read_bytes()).decode("ascii"), "alt": p.alt, "caption": p.caption} for p in pictures
     ]
+    named = rows if isinstance(rows, Mapping) else {"": rows}
     page = environment.from_string(template).render(
         title=title,
         synthetic=synthetic,
         conclusions=list(conclusions),
         figures=figures,
-        rows=[_shown(row) for row in rows],
+        tables=[{"title": name, "rows": [_shown(row) for row in part]} for name, part in named.items()],
         provenance=provenance,
     )
     return write_whole(target, lambda part: part.write_text(page, "utf-8"))

@@ -1,0 +1,65 @@
+"""`sunspin worth`: the paper's method on twins of known truth, into a results folder."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from sunspin.cases import load_case
+from sunspin.study import worth as study
+from sunspin.study import worth_told
+from sunspin.tell import figures as fig
+from sunspin.tell.pictures import worth_sheet
+from sunspin.tell.report import Picture, write_report
+from sunspin.tell.results import results_folder, write_json
+
+
+def worth(
+    out: str | Path | None = None,
+    twins: int = 400,
+    *,
+    case: str = "philae",
+    confidence: float = study.CONFIDENCE,
+    **options: Any,
+) -> dict[str, Any]:
+    """Run the study of what the answer is worth; with `out`, write `worth.json`, a figure and `report.html` there.
+
+    Parameters
+    ----------
+    twins : int
+        Synthetic rebounds of each kind: truth on the published lines, truth anywhere in the scanned box.
+    confidence : float
+        Of the region whose threshold is looked for.
+    options
+        seed, coarser, factor, workers, store, progress: see :func:`sunspin.study.worth.compute`.
+
+    Returns
+    -------
+    dict
+        `figures`: rows as in the summary of `reproduce`; `sentences`; `seconds`; `folder`.
+    """
+    began = time.perf_counter()
+    known = load_case(case)
+    folder = None if out is None else results_folder(out, "worth")  # refused before the work, not after it
+    study.check_confidence(twins, confidence)
+    found = study.compute(known, twins, **options)
+    rows, told = worth_told.rows(known, found, [], confidence), worth_told.sentences(found, confidence)
+    summary = {
+        "version": metadata.version("sunspin"), "synthetic_telemetry": True, "command": found.command, "seed": found.seed,
+        "confidence": confidence, "seconds": round(time.perf_counter() - began, 1), "sentences": told,
+        "figures": [asdict(row) for row in rows],
+    }  # fmt: skip
+    if folder is not None:
+        write_json(folder / "worth.json", study.to_json(found))
+        sheet = worth_sheet(found, known.published, confidence)
+        picture = Picture(fig.save(sheet.make(), folder, sheet.name)[0], sheet.alt, sheet.caption)
+        write_report(
+            folder / "report.html", title="What the answer is worth", synthetic=True, conclusions=told, pictures=[picture],
+            rows={"The method on twins of known truth": rows},
+            provenance={"version": f"sunspin {summary['version']}", "run again with": found.command,
+                        "seconds": summary["seconds"]},
+        )  # fmt: skip
+    return summary | {"folder": None if folder is None else str(folder)}
