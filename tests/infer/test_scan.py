@@ -118,3 +118,15 @@ def test_bad_arguments_are_named(change, message):
     } | change  # fmt: skip
     with pytest.raises(ss.InputError, match=message):
         ss.scan(PHILAE, **arguments)
+
+
+def test_the_width_of_the_vectors_is_reported():
+    volume = ss.scan(PHILAE, [0.2], FIRST_SUN, [0.1], [0.2], [0.0], 865.0, 60.0)
+    assert volume.attrs["vector_bits"] in (128, 256, 512)
+
+
+def test_a_tighter_error_changes_the_distance_by_less_than_the_wider_one_allows():
+    axes = ([0.3, 0.6], [-0.2, 0.5], [0.0])
+    loose = ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 2700.0)
+    tight = ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 2700.0, direction_error=1e-6)
+    assert 0 < np.abs(loose - tight).max() < 1e-3

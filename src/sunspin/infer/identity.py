@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from importlib import metadata, resources
+from importlib.resources.abc import Traversable
 from typing import Any
 
 import numpy as np
 
-PHYSICS = ("vehicle.py", "motion", "infer/rows.py", "infer/mask.py", "infer/metrics.py", "measure/panels.py", "measure/sun.py")
+PHYSICS = (
+    "vehicle.py", "motion", "infer/rows.py", "infer/histogram.py", "infer/mask.py", "infer/metrics.py", "measure/panels.py",
+    "measure/sun.py",
+)  # fmt: skip
 """Files and folders of the package whose text decides what a row gives."""
 
 SMALL = 16
@@ -58,12 +62,21 @@ def fingerprint(identity: Mapping[str, Any]) -> str:
 
 @lru_cache(maxsize=8)
 def code(*more: str) -> dict[str, str]:
-    """The version of sunspin and the SHA-256 of the files that decide what a row gives: `PHYSICS` and `more`."""
+    """Versions of sunspin and of the compiler, and the SHA-256 of the files that decide what a row gives: `PHYSICS` and `more`."""
     found, root = hashlib.sha256(), resources.files("sunspin")
     for name in PHYSICS + more:
-        place = root.joinpath(name)
-        files = sorted(place.iterdir(), key=lambda file: file.name) if place.is_dir() else [place]
-        for file in files:
-            if file.name.endswith(".py"):
-                found.update(f"{name} {file.name}\n".encode() + file.read_bytes())
-    return {"sunspin": metadata.version("sunspin"), "physics_sha256": found.hexdigest()}
+        for path, file in _files(name, root.joinpath(name)):
+            found.update(f"{path}\n".encode() + file.read_bytes())
+    return {
+        "sunspin": metadata.version("sunspin"), "physics_sha256": found.hexdigest(), "numba": metadata.version("numba"),
+    }  # fmt: skip
+
+
+def _files(path: str, place: Traversable) -> Iterator[tuple[str, Traversable]]:
+    """The Python files at a place, those of folders in it included."""
+    if not place.is_dir():
+        yield path, place
+        return
+    for item in sorted(place.iterdir(), key=lambda item: item.name):
+        if item.is_dir() or item.name.endswith(".py"):
+            yield from _files(f"{path}/{item.name}", item)

@@ -13,23 +13,20 @@ import numpy as np
 import numpy.typing as npt
 
 from sunspin.errors import InputError, sentence
+from sunspin.infer.histogram import emd_rows
 from sunspin.infer.identity import code, plain
 from sunspin.infer.mask import reconstructible_mask
 from sunspin.infer.metrics import direction_error
 from sunspin.motion import kernel as k
-from sunspin.motion.codegen import Rows as Layout
-from sunspin.motion.compiled import kernel
+from sunspin.motion.kernel import RowLayout as Layout
 from sunspin.motion.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
 from sunspin.vehicle import Vehicle
 
 BINS = 256
 """Bins of r_z over [-1, 1]; the CDF is linear inside a bin, the measured one exact. Error below 1e-3, see the tests."""
 
-EMD_DIRECTION_ERROR = 0.03
-"""Direction error (rad) at the end of the window that an EMD can bear: a late phase error hardly moves a distribution."""
-
 TRACK_DIRECTION_ERROR = 1e-3
-"""Direction error (rad) at the last sample for E, which compares directions."""
+"""Default error of the direction (rad) at the last sample for E, which compares directions."""
 
 MAX_TARGET = 4096
 """Target samples beyond this are replaced by as many quantiles: measured tracks have tens, simulated ones 10^5."""
@@ -71,7 +68,11 @@ class Start:
 
 @dataclass(frozen=True)
 class EmdRows:
-    """Row -> EMD between the distributions of r_z, simulated over `duration_s` and given as `target_z` with `weights`."""
+    """Row -> EMD between the distributions of r_z, simulated over `duration_s` and given as `target_z` with `weights`.
+
+    Simulated so that the EMD errs by `emd_error` (1e-3 unless given), or that the Sun's direction at the end errs by
+    `direction_error` rad.
+    """
 
     vehicle: Vehicle
     start: Start
@@ -80,6 +81,8 @@ class EmdRows:
     duration_s: float
     mask: str | None = "reconstructible"
     wheel_mode: str | tuple[str, ...] = "coast"
+    emd_error: float | None = None
+    direction_error: float | None = None
     condition: k.Mask | None = field(init=False)
     segments: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
@@ -91,6 +94,9 @@ class EmdRows:
         if self.mask not in ("reconstructible", None):
             raise InputError(sentence('mask must be "reconstructible" or None', got=self.mask))
         k.check_commands(self.vehicle, self.wheel_mode)
+        if self.emd_error is None and self.direction_error is None:
+            object.__setattr__(self, "emd_error", k.EMD_ERROR)
+        k.accuracy(self.direction_error, self.emd_error)
         object.__setattr__(self, "condition", reconstructible_mask(self.vehicle) if self.mask else None)
         object.__setattr__(self, "segments", target_segments(self.target_z, self.weights))
 
@@ -99,13 +105,14 @@ class EmdRows:
         return len(self.start)
 
     def identity(self) -> dict[str, Any]:
-        return _identity(self, self.condition, BINS) | {
+        return _identity(self) | {
             "target_z": plain(np.asarray(self.target_z, dtype=np.float64)),
             "weights": None if self.weights is None else plain(np.asarray(self.weights, dtype=np.float64)),
             "mask": [self.mask, plain(self.condition)],
             "duration_s": float(self.duration_s),
             "bins": BINS,
-            "direction_error": EMD_DIRECTION_ERROR,
+            "emd_error": plain(self.emd_error),
+            "direction_error": plain(self.direction_error),
         }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
@@ -113,54 +120,60 @@ class EmdRows:
         return {"emd": np.where(seen == 0, 1.0, emd), "outcome": outcome.astype(np.int8)}
 
     def _distances(self, states: k.Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """EMD, number of histogram samples that the mask let pass, and outcome of each state (n)."""
-        hist, outcome = histograms(self.vehicle, states, self.duration_s, self.condition, self.wheel_mode)
-        return *distances_to(self.vehicle, self.condition, hist, self.segments), outcome
+        """EMD, time (s) that the mask let pass, and outcome of each state (n)."""
+        errors = {"emd_error": self.emd_error, "direction_error": self.direction_error}
+        hist, outcome = histograms(self.vehicle, states, self.duration_s, self.condition, self.wheel_mode, **errors)
+        return *distances_to(hist, self.segments), outcome
 
 
 def histograms(
-    vehicle: Vehicle, states: k.Rows, duration_s: float, condition: k.Mask | None, wheel_mode: str | tuple[str, ...] = "coast"
-) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of r_z (n, BINS + 1) over the run of each state, the last column what the mask left out; outcome (n)."""
+    vehicle: Vehicle, states: k.Rows, duration_s: float, condition: k.Mask | None, wheel_mode: str | tuple[str, ...] = "coast",
+    *, emd_error: float | None = k.EMD_ERROR, direction_error: float | None = None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Time (s) by r_z (n, BINS) in the run of each state, of directions that the mask lets pass; outcome (n)."""
     result = k.run_rows(
-        vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=EMD_DIRECTION_ERROR, mask=condition, bins=BINS
-    )
+        vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error, emd_error=emd_error,
+        mask=condition, bins=BINS,
+    )  # fmt: skip
     return result.hist, result.outcome
 
 
-def distances_to(
-    vehicle: Vehicle, condition: k.Mask | None, hist: np.ndarray, segments: tuple[np.ndarray, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """EMD (n) of histograms (n, BINS + 1) to the target of `target_segments`, NaN where nothing was seen; samples seen (n)."""
-    emd, seen = np.empty(len(hist)), np.empty(len(hist), dtype=np.int64)
-    _kernel(vehicle, condition, BINS).emd_rows(hist, *segments, emd, seen)
+def distances_to(hist: np.ndarray, segments: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """EMD (n) of histograms (n, BINS) to the target of `target_segments`, NaN where nothing was seen; time seen (n)."""
+    emd, seen = np.empty(len(hist)), np.empty(len(hist))
+    emd_rows(hist, *segments, emd, seen)
     return emd, seen
 
 
 @dataclass(frozen=True)
 class TrackRows:
-    """Row -> E, the mean misfit of directions at `times` (n, s after the start) against `measured` (n, 3)."""
+    """Row -> E, the mean misfit of directions at `times` (n, s after the start) against `measured` (n, 3).
+
+    The direction at the last of them errs by `direction_error` rad.
+    """
 
     vehicle: Vehicle
     start: Start
     measured: np.ndarray
     times: np.ndarray
     wheel_mode: str | tuple[str, ...] = "coast"
+    direction_error: float = TRACK_DIRECTION_ERROR
 
     outputs: ClassVar[Mapping[str, Any]] = {"E": ("float64", ()), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
         k.check_commands(self.vehicle, self.wheel_mode)
+        k.accuracy(self.direction_error, None)
 
     @property
     def n_rows(self) -> int:
         return len(self.start)
 
     def identity(self) -> dict[str, Any]:
-        return _identity(self, None, 0) | {
+        return _identity(self) | {
             "measured": plain(self.measured),
             "times": plain(self.times),
-            "direction_error": TRACK_DIRECTION_ERROR,
+            "direction_error": float(self.direction_error),
         }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
@@ -169,23 +182,17 @@ class TrackRows:
             self.start.take(index),
             self.times,
             wheel_mode=self.wheel_mode,
-            direction_error=TRACK_DIRECTION_ERROR,
+            direction_error=self.direction_error,
         )
         first = Layout(len(self.vehicle.wheels)).r
         simulated = result.track[:, :, first : first + 3]
         return {"E": direction_error(simulated, self.measured), "outcome": result.outcome.astype(np.int8)}
 
 
-def _kernel(vehicle: Vehicle, condition: k.Mask | None, bins: int) -> Any:
-    """The compiled module of these rows; its name holds the hash of its source."""
-    return kernel(k.structure_of(vehicle, condition, bins))
-
-
-def _identity(rows: EmdRows | TrackRows, condition: k.Mask | None, bins: int) -> dict[str, Any]:
+def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     """What both kinds of rows depend on."""
     return {
         **code(),
-        "kernel": _kernel(rows.vehicle, condition, bins).__name__,
         "vehicle": plain(rows.vehicle),
         **plain(rows.start),
         "wheel_mode": list(k.check_commands(rows.vehicle, rows.wheel_mode)),

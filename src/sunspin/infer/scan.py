@@ -16,7 +16,7 @@ import xarray as xr
 
 from sunspin.errors import InputError, sentence
 from sunspin.infer.ensemble import ensemble
-from sunspin.infer.rows import EmdRows, Start, TrackRows
+from sunspin.infer.rows import TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows
 from sunspin.motion import kernel as k
 from sunspin.vehicle import Vehicle
 
@@ -37,6 +37,8 @@ def scan(
     weights: npt.ArrayLike | None = None,
     mask: str | None = "reconstructible",
     wheel_mode: str | Sequence[str] = "coast",
+    emd_error: float | None = None,
+    direction_error: float | None = None,
     workers: int | None = None,
     store: str | Path | None = None,
     scheduler: Any = None,
@@ -62,6 +64,10 @@ def scan(
     mask : "reconstructible" or None
         Count only directions that the panels allow to reconstruct, or all. Only for EMD.
     wheel_mode : "coast", "hold", "brake", or one per wheel.
+    emd_error : float, optional
+        Error wanted of the EMD; 1e-3 unless given. Anything tighter is much slower.
+    direction_error : float, optional
+        Instead, error wanted (rad) of the simulated Sun's direction at the end; for a track 1e-3 unless given.
     workers : int, optional
         Threads, or worker processes of the scheduler "local"; default one per core.
     store : path, optional
@@ -91,9 +97,9 @@ def scan(
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     rows: EmdRows | TrackRows
     if isinstance(target_z, xr.Dataset):
-        name, rows = "E", _track_rows(vehicle, start, target_z, mode)
+        name, rows = "E", _track_rows(vehicle, start, target_z, mode, emd_error, direction_error)
     else:
-        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, duration_s, mask, mode)
+        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, duration_s, mask, mode, emd_error, direction_error)
     out = ensemble(rows, workers=workers, store=store, scheduler=scheduler, progress=progress, label="scan")
     return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode)
 
@@ -109,7 +115,10 @@ def volume(
         dims=dims,
         coords={dim: (dim, axis, {"units": "rad/s"}) for dim, axis in zip(dims, axes, strict=True)},
         name=name,
-        attrs={"units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode)},
+        attrs={
+            "units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode),
+            "vector_bits": k.vector_bits(),
+        },
     )
     result = result.assign_coords(outcome=(dims, outcome.reshape(start.shape)))
     result["outcome"].attrs = {
@@ -126,13 +135,19 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
     return axis
 
 
-def _track_rows(vehicle: Vehicle, start: Start, track: xr.Dataset, wheel_mode: str | tuple[str, ...]) -> TrackRows:
+def _track_rows(
+    vehicle: Vehicle, start: Start, track: xr.Dataset, wheel_mode: str | tuple[str, ...], emd_error: float | None,
+    direction_error: float | None,
+) -> TrackRows:  # fmt: skip
+    if emd_error is not None:
+        raise InputError(sentence("a track is compared by E, not by EMD", got=f"emd_error {emd_error}", do="give direction_error"))
     measured = np.asarray(track["sun_B"], dtype=np.float64)
     known = np.all(np.isfinite(measured), axis=1)
     if not known.any():
         raise InputError(sentence("the track holds no direction to compare with"))
     times = np.asarray(track["time"], dtype=np.float64)[known]
-    return TrackRows(vehicle, start, measured[known], times, wheel_mode)
+    error = TRACK_DIRECTION_ERROR if direction_error is None else direction_error
+    return TrackRows(vehicle, start, measured[known], times, wheel_mode, error)
 
 
 def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:

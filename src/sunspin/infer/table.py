@@ -17,7 +17,7 @@ import xarray as xr
 from sunspin.infer.ensemble import ensemble
 from sunspin.infer.identity import code, plain
 from sunspin.infer.mask import reconstructible_mask
-from sunspin.infer.rows import BINS, EMD_DIRECTION_ERROR, Start, distances_to, histograms, target_segments
+from sunspin.infer.rows import BINS, Start, distances_to, histograms, target_segments
 from sunspin.infer.scan import volume
 from sunspin.motion import kernel as k
 from sunspin.vehicle import Vehicle
@@ -32,7 +32,7 @@ class HistogramRows:
     duration_s: float
     condition: k.Mask = field(init=False)
 
-    outputs: ClassVar[Mapping[str, Any]] = {"hist": ("int32", (BINS + 1,)), "outcome": ("int8", ())}
+    outputs: ClassVar[Mapping[str, Any]] = {"hist": ("float32", (BINS,)), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "condition", reconstructible_mask(self.vehicle))
@@ -45,17 +45,17 @@ class HistogramRows:
         return {
             **code(), "table": "histograms of r_z", "vehicle": plain(self.vehicle), "start": plain(self.start),
             "duration_s": float(self.duration_s), "mask": plain(self.condition), "bins": BINS,
-            "direction_error": EMD_DIRECTION_ERROR,
+            "emd_error": k.EMD_ERROR,
         }  # fmt: skip
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         hist, outcome = histograms(self.vehicle, self.start.take(index), self.duration_s, self.condition)
-        return {"hist": hist.astype(np.int32, copy=False), "outcome": outcome.astype(np.int8)}
+        return {"hist": hist, "outcome": outcome.astype(np.int8)}
 
 
 @dataclass(frozen=True)
 class Table:
-    """Histograms `hist` (n, BINS + 1) and outcomes (n) of the motions of a grid; 1 kB a motion."""
+    """Histograms `hist` (n, BINS; s) and outcomes (n) of the motions of a grid; 1 kB a motion."""
 
     rows: HistogramRows
     hist: np.ndarray
@@ -63,7 +63,7 @@ class Table:
 
     def distances(self, target_z: npt.ArrayLike) -> np.ndarray:
         """EMD (n) of every motion to measured z components (m), by the same arithmetic as `scan`: 1 where never seen."""
-        emd, seen = distances_to(self.rows.vehicle, self.rows.condition, self.hist, target_segments(target_z))
+        emd, seen = distances_to(self.hist, target_segments(target_z))
         return np.where(seen == 0, 1.0, emd)
 
     def volume(self, target_z: npt.ArrayLike) -> xr.DataArray:

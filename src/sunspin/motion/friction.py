@@ -90,14 +90,19 @@ def spin_down_curve(t: FloatArray, c1: float, c2: float, c3: float) -> FloatArra
     return c1 * np.exp(c2 * t) + c3
 
 
-def spin_down_speed(friction: Friction, inertia_kg_m2: float, speed_rad_s: float, t: FloatArray) -> FloatArray:
-    """Speed (rad/s) at times t (s) of a wheel begun at `speed_rad_s` > 0 on a fixed body; zero once it has stopped.
+def spin_down_speed(friction: Friction, inertia_kg_m2: float, speed_rad_s: FloatArray, t: FloatArray) -> FloatArray:
+    """Speed (rad/s) at times t (s) of a wheel begun at `speed_rad_s` on a fixed body; zero once it has stopped.
 
-    `Friction.from_spin_down` turned round: c2 = -mu1 / J and c3 = -mu0 / mu1. Needs viscous friction.
+    Speeds and times are broadcast; a time before the beginning gives the speed that the wheel came from.
+    `Friction.from_spin_down` turned round: c2 = -mu1 / J and c3 = -mu0 / mu1.
     """
-    rest = friction.coulomb_N_m / friction.viscous_N_m_s
-    speed = spin_down_curve(t, speed_rad_s + rest, -friction.viscous_N_m_s / inertia_kg_m2, -rest)
-    return np.maximum(speed, 0.0)
+    speed = np.abs(speed_rad_s)
+    if friction.viscous_N_m_s == 0.0:
+        left = speed - friction.coulomb_N_m / inertia_kg_m2 * t
+    else:
+        rest = friction.coulomb_N_m / friction.viscous_N_m_s
+        left = spin_down_curve(t, speed + rest, -friction.viscous_N_m_s / inertia_kg_m2, -rest)
+    return np.sign(speed_rad_s) * np.maximum(left, 0.0)
 
 
 def _record(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

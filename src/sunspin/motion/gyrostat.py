@@ -84,12 +84,26 @@ def wheel_torque(h_i: Scalar, omega: Sequence[Scalar], wheel: WheelParameters) -
 
 
 def rhs(
-    H: Sequence[Scalar], h: Sequence[Scalar], r: Sequence[Scalar], p: Parameters
+    H: Sequence[Scalar], h: Sequence[Scalar], r: Sequence[Scalar], p: Parameters, spin: Scalar = 0
 ) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """Time derivatives (dH, dh, dr) in body axes; paper eqs. (3), (4), (5), (7) in terms of momenta."""
+    """Time derivatives (dH, dh, dr) in body axes; paper eqs. (3), (4), (5), (7) in terms of momenta.
+
+    With a `spin` in 1/(kg m2), r is seen from axes that turn about H at the rate spin |H| besides. The share spin H of omega
+    turns r about H and leaves H alone, and what is left of omega is slower than omega; see :func:`spun`.
+    """
     omega = body_rate(H, h, p)
     torques = tuple(wheel_torque(h_i, omega, wheel) for h_i, wheel in zip(h, p.wheels, strict=True))
-    return cross(H, omega), torques, cross(r, omega)
+    left = tuple(omega[k] - spin * H[k] for k in range(3)) if spin != 0 else omega
+    return cross(H, left), torques, cross(r, left)
+
+
+def spun(H: Sequence[Scalar], r: Sequence[Scalar], cosine: Scalar, sine: Scalar, along: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """r in body axes, from its value in the axes that turn about H, after a turn by the angle a = spin |H| t.
+
+    `cosine` is cos a, `sine` is sin a / |H|, `along` is (1 - cos a) H.r / |H|^2; H.r is an invariant.
+    """
+    x = cross(r, H)
+    return tuple(cosine * r[k] + sine * x[k] + along * H[k] for k in range(3))
 
 
 def quaternion_rate(q: Sequence[Scalar], omega: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar, Scalar]:

@@ -15,7 +15,7 @@ from sunspin.infer.identity import code, plain
 from sunspin.infer.metrics import direction_error
 from sunspin.infer.rows import TRACK_DIRECTION_ERROR, Start, TrackRows
 from sunspin.motion import kernel as k
-from sunspin.motion.codegen import Rows as Layout
+from sunspin.motion.kernel import RowLayout as Layout
 from sunspin.vehicle import Vehicle
 
 INERTIA = {"theta_xx": (0, 0), "theta_yy": (1, 1), "theta_zz": (2, 2), "theta_xy": (0, 1), "theta_xz": (0, 2), "theta_yz": (1, 2)}

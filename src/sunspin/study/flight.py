@@ -13,7 +13,7 @@ import numpy as np
 
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
-from sunspin.motion.codegen import Rows as Layout
+from sunspin.motion.kernel import RowLayout as Layout
 from sunspin.motion.modes import Schedule, command_at, friction_limit, switch_times
 from sunspin.vehicle import Vehicle
 
@@ -73,10 +73,9 @@ def sun_height_shares(
     """Share of the time (n, bins) that r_z spends in each of `bins` equal bins of [-1, 1], and the outcome (n)."""
     total, outcome = np.zeros((len(rows), bins)), np.zeros(len(rows), dtype=np.int64)
     for begin, end, command in legs_of(schedule, begin_s, end_s):
-        options = {"wheel_mode": command, "direction_error": DIRECTION_ERROR}
-        result = k.run_rows(vehicle, rows, end - begin, bins=bins, **options)
-        counts = result.hist[:, :bins]
-        total += counts / np.maximum(counts.sum(axis=1, keepdims=True), 1) * ((end - begin) / (end_s - begin_s))
+        result = k.run_rows(vehicle, rows, end - begin, wheel_mode=command, emd_error=k.EMD_ERROR, bins=bins)
+        seconds = result.hist.astype(np.float64)
+        total += seconds / seconds.sum(axis=1, keepdims=True) * ((end - begin) / (end_s - begin_s))
         outcome = np.where(outcome == 0, result.outcome, outcome)
         if end != end_s:
             rows = fly(vehicle, rows, ((begin, command),), begin, np.array([end])).at(-1)

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.infer.identity import plain
-from sunspin.motion.compiled import OUTCOME_TEXT, Outcome
+from sunspin.motion.kernel import OUTCOME_TEXT, Outcome
 from sunspin.study.contact import KINDS, Shape
 from sunspin.study.scenario import verticals
 from sunspin.vehicle import Vehicle

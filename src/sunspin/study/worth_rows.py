@@ -213,7 +213,7 @@ def truth_distance(case: Case, truth: np.ndarray, z: np.ndarray) -> float:
     """EMD between the z components of a twin and the distribution of its own true motion, by the scan's arithmetic."""
     condition = rb.reconstructible_mask(case.vehicle)
     hist, _ = histograms(case.vehicle, _states(case, truth[None]), rb.window_s(case), condition)
-    return float(distances_to(case.vehicle, condition, hist, target_segments(z))[0][0])
+    return float(distances_to(hist, target_segments(z))[0][0])
 
 
 def _states(case: Case, omega_B: np.ndarray) -> k.Rows:

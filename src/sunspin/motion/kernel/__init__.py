@@ -1,0 +1,18 @@
+"""The ensemble kernels: 10^4 to 10^5 trajectories a second.
+
+run.py takes rows of initial states through a compiled kernel; steps.py says how many steps each needs for the accuracy asked
+for. The source of a kernel is generated from the equations of :mod:`sunspin.motion.gyrostat` (codegen.py, series.py) for lanes
+that advance together (lanes.py), by one of two methods: series_lanes.py for directions, split_lanes.py with the numbers of
+principal.py for distributions (deposit.py). compiled.py puts it into the hand-written text of the *_template.py files and has
+it compiled, once for each structure.
+"""
+
+from sunspin.motion.kernel.codegen import RowLayout
+from sunspin.motion.kernel.compiled import OUTCOME_TEXT, Outcome, kernel, vector_bits
+from sunspin.motion.kernel.run import BlockResult, Mask, check_commands, run_rows, structure_of, work_array
+from sunspin.motion.kernel.steps import EMD_ERROR, Rows, accuracy, rate_scale
+
+__all__ = [
+    "EMD_ERROR", "OUTCOME_TEXT", "BlockResult", "Mask", "Outcome", "RowLayout", "Rows", "accuracy", "check_commands", "kernel",
+    "rate_scale", "run_rows", "structure_of", "vector_bits", "work_array",
+]  # fmt: skip

@@ -1,0 +1,200 @@
+"""Compiled kernels: generated source in a module named by the hash of that source.
+
+numba's disk cache keys a function by its file and its time stamp and does not notice changes in what it inlines from
+elsewhere. A module whose name is the hash of everything in it can be cached for good: an edit to the physics is another
+module.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+import threading
+from enum import IntEnum
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+
+import llvmlite.binding as llvm
+import numba
+
+from sunspin.motion.kernel import codegen as c
+from sunspin.motion.kernel.deposit import deposit_body, signed_body
+from sunspin.motion.kernel.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
+from sunspin.motion.kernel.series_lanes import ORDER, SeriesLanes
+from sunspin.motion.kernel.split_lanes import TIMES, SplitLanes
+
+_lock = threading.Lock()
+
+
+class Outcome(IntEnum):
+    """How a row ended; the text is in `OUTCOME_TEXT`."""
+
+    FINE = 0
+    CHATTERS = 1
+    PAST_UNKNOWN = 2
+    NOT_FINITE = 3
+
+
+OUTCOME_TEXT = {
+    Outcome.FINE: "computed as asked",
+    Outcome.CHATTERS: "a wheel stops and starts too often to be followed",
+    Outcome.PAST_UNKNOWN: "running backward, a wheel comes to rest: its past is not determined",
+    Outcome.NOT_FINITE: "the motion left the range of numbers",
+}
+
+
+def _use_full_vectors() -> None:
+    """Let LLVM use 512-bit vectors where the processor has them; its default for many of them is 256.
+
+    Measured on the Philae scan: 107 against 142 microseconds a row. Only before numba has set up its compiler, and not
+    where the user has chosen a processor.
+    """
+    features = llvm.get_host_cpu_features()
+    if features.get("avx512f") and not (numba.config.CPU_NAME or numba.config.CPU_FEATURES):
+        features["prefer-256-bit"] = False
+        numba.config.CPU_NAME = llvm.get_host_cpu_name()
+        numba.config.CPU_FEATURES = features.flatten()
+
+
+_use_full_vectors()
+
+
+def vector_bits() -> int:
+    """Width in bits of the vectors that the kernels are compiled for: 512 with AVX-512, 256 with AVX2, else 128 (SSE, NEON)."""
+    chosen = numba.config.CPU_FEATURES
+    if chosen:
+        on = {feature[1:] for feature in chosen.split(",") if feature.startswith("+")}
+    else:
+        on = {feature for feature, has in llvm.get_host_cpu_features().items() if has}
+    if "avx512f" in on and "prefer-256-bit" not in on:
+        return 512
+    return 256 if "avx2" in on else 128
+
+
+NOT_IN_ALL = ("S_SPIN", "S_INVERSE", "S_DIFFERENCE", "S_HELD", "S_AXES", "S_LOW", "S_WEAR", "S_SPEEDS", "S_SIZE")
+"""Rows that only one of the methods has."""
+
+METHODS: dict[str, type[Lanes]] = {"series": SeriesLanes, "split": SplitLanes}
+
+EVENT_ORDER = {"series": ORDER, "split": 8}
+"""Order of the Taylor step of one trajectory through an event: at least as accurate as the lanes' own."""
+
+EVENT_TOLERANCE = {"series": 1e-13, "split": 1e-5}
+"""Of the place of an event in its step, and of the value there compared with that at the step's begin."""
+
+
+def source(structure: c.Structure) -> str:
+    """The complete source of the kernel for this structure."""
+    o = METHODS[structure.method](structure)
+    bodies = {
+        "        pass  # STEP": o.step(),
+        "    pass  # HALVE": o.halve(),
+        "        pass  # BREAK_AWAY": o.break_away(),
+        "        pass  # SIGNED": signed_body(o) if structure.bins else [],
+        "                pass  # DEPOSIT_ALL": [],
+        "    pass  # STEP_ONE": c.step_one_body(structure, EVENT_ORDER[structure.method]),
+        "    pass  # SPIN_ONE": c.spin_one_body(structure),
+        "    pass  # OBSERVE_ONE": c.observe_one_body(structure),
+        "    pass  # OMEGA_ONE": c.omega_body(structure),
+    }
+    deposits = []
+    for node in range(o.nodes if structure.bins else 0):
+        lines = "\n".join("        " + line for line in deposit_body(o, node))
+        deposits.append(f"@estimate\ndef deposit_{node}(v, normals, bins, weights):\n    for j in range(LANES):\n{lines}\n\n\n")
+        # in a loop over nodes the choice between the functions would cost as much as a third of them
+        calls = [f"deposit_{node}(v, normals, bins, weights)", "add_up(bins, weights, hist)"]
+        bodies["                pass  # DEPOSIT_ALL"] += calls
+    parts = {
+        "CONSTANTS": o.definitions(),
+        "EVENTS": _template("events"),
+        "METHOD": _template(structure.method),
+        "DEPOSITS": "".join(deposits).rstrip(),
+    }
+    text = _template("driver")
+    for name, part in parts.items():
+        text = text.replace(f'\n"{name}"\n', f"\n{part}\n")
+    for name, value in _constants(structure, o).items():
+        text = text.replace(f'\n{name} = "{name}"', f"\n{name} = {value}")
+    for marker, lines in bodies.items():
+        indent = marker[: len(marker) - len(marker.lstrip())]
+        text = text.replace(marker + "\n", ("\n".join(indent + line for line in lines) or f"{indent}pass") + "\n")
+    return text
+
+
+def _template(name: str) -> str:
+    return Path(__file__).with_name(f"{name}_template.py").read_text(encoding="utf-8")
+
+
+def _constants(structure: c.Structure, o: Lanes) -> dict[str, object]:
+    """Numbers of the layouts by their names in the templates."""
+    rows = c.RowLayout(len(structure.axes))
+    return {
+        **dict.fromkeys(NOT_IN_ALL, 0),
+        **o.at,
+        "TIMES": repr(TIMES),
+        "FLOAT": f"np.{structure.precision}",
+        "LANES": o.lanes,
+        "NODES": o.nodes,
+        "LANE_WHEEL_ROWS": len(LANE_WHEEL_ROWS),
+        "NODE_ROWS": NODE_ROWS,
+        "N_WHEELS": rows.n_wheels,
+        "N_STATE": rows.n_state,
+        "ROWS": rows.count,
+        "NEW": rows.new,
+        "DT": rows.dt,
+        "SPIN": rows.spin,
+        "MODE_NUMBERS": rows.held - rows.spin,
+        "INVERSE": rows.inverse,
+        "FRAME": rows.frame,
+        "HELD": rows.held,
+        "WHEEL": rows.wheel(0),
+        "PER_WHEEL": len(c.WHEEL_ROWS),
+        "BINS": structure.bins,
+        "EVENT_TOLERANCE": EVENT_TOLERANCE[structure.method],
+        **{name.upper(): offset for offset, name in enumerate(c.WHEEL_ROWS)},
+        **{outcome.name: int(outcome) for outcome in Outcome},
+    }
+
+
+def cache_folder() -> Path:
+    """Where generated modules and their machine code are kept: the user's cache, or a private temporary folder."""
+    base = os.environ.get("SUNSPIN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    folder = Path(base) / "sunspin" / "kernels"
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass
+    return _private_folder()
+
+
+@lru_cache(maxsize=1)
+def _private_folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="sunspin-kernels-"))
+
+
+@lru_cache(maxsize=32)
+def kernel(structure: c.Structure) -> ModuleType:
+    """The module with the compiled functions `run` and `emd_rows` for this structure."""
+    text = source(structure)
+    key = f"{metadata.version('numba')}\n{text}"
+    name = f"sunspin_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
+    with _lock:
+        if name in sys.modules:
+            return sys.modules[name]
+        path = cache_folder() / f"{name}.py"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            part = path.with_suffix(f".{os.getpid()}.part")
+            part.write_text(text, encoding="utf-8")
+            os.replace(part, path)
+        spec = importlib.util.spec_from_file_location(name, path)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+        return module
