@@ -53,8 +53,8 @@ class Problem:
         full = rebound.grid(self.case)
         return {name: np.linspace(full[name][0], full[name][-1], n) for name, n in zip(AXES, counts, strict=True)}
 
-    def scan(self, axes: dict[str, np.ndarray], workers: int | None = None) -> xr.DataArray:
-        """sunspin's own scan of a grid."""
+    def scan(self, axes: dict[str, np.ndarray], workers: int | None = None, direction_error: float | None = None) -> xr.DataArray:
+        """sunspin's own scan of a grid; unless a `direction_error` (rad) is asked for, for an EMD good to 1e-3."""
         return ss.scan(
             self.vehicle,
             self.target_z,
@@ -63,6 +63,7 @@ class Problem:
             wheel_speed_rad_s=self.wheel_speed_rad_s,
             duration_s=self.window_s,
             workers=workers,
+            direction_error=direction_error,
         )
 
     def starts(self, omega_B: np.ndarray) -> np.ndarray:

@@ -11,20 +11,25 @@ from scipy.stats import wasserstein_distance
 
 import sunspin as ss
 from bench.baselines import Contestant, DormandPrince, TaylorBatch, TaylorScalar, on_cores
+from bench.operations import operations_per_row
+from bench.peak import FULL_S, QUICK_S, peak
 from bench.problem import AXES, Problem, grid_sample, philae
 from bench.table import Table
 from bench.timing import cores, medians, say, timings
 from sunspin.infer.mask import allows, reconstructible_mask
+from sunspin.motion import kernel as k
 
 TOLERANCES = (1e-5, 1e-6, 1e-9)
-"""heyoka's, per step: too loose for the scan's own error of directions (0.03 rad), about right for it, and tight."""
+"""heyoka's, per step: about what an EMD can bear, what directions good to 1e-3 need, and tight."""
 
 SIZES = (1, 2, 4)
 """Batch sizes tried, in units of the one that heyoka recommends."""
 
 SCIPY_RTOL = 1e-6
 REFERENCE_STEP_S = 0.1
-OURS = "sunspin scan"
+OURS = "sunspin scan, EMD to 1e-3"
+DIRECTION_ERROR = 1e-5
+OURS_DIRECTIONS = f"sunspin scan, directions to {DIRECTION_ERROR:g}"
 COLUMNS = ("contestant", "cores", "in use", "rows", "us/row", "rows/s", "sunspin is faster by", "direction error, rad")
 
 
@@ -64,7 +69,8 @@ def run(quick: bool) -> Table:
     entries = contestants(problem, axes, size, {tol: min(tried, key=tried.get) for tol, tried in trials.items()})
     teams = tuple(sorted({cores(), 1}, reverse=True))
     work: dict[tuple[str, int], Callable] = {(OURS, n): lambda n=n: problem.scan(axes, workers=n) for n in teams}
-    rows = {OURS: int(np.prod(size.grid))}
+    work |= {(OURS_DIRECTIONS, n): lambda n=n: problem.scan(axes, n, DIRECTION_ERROR) for n in teams}
+    rows = dict.fromkeys((OURS, OURS_DIRECTIONS), int(np.prod(size.grid)))
     for name, entry in entries.items():
         rows[name] = len(entry.starts)
         for n in entry.teams:
@@ -72,6 +78,7 @@ def run(quick: bool) -> Table:
     say("scan: timing")
     times = timings(work, size.repeats)
     errors = direction_errors(problem, axes, entries, size.directions)
+    errors[OURS_DIRECTIONS] = our_direction_error(problem, axes, size.directions)
     table = Table("scan", "initial rates of Philae followed over 45 minutes", COLUMNS)
     for (name, n), timing in times.items():
         per_row = timing.median / rows[name]
@@ -81,6 +88,7 @@ def run(quick: bool) -> Table:
         "sunspin's rows include mask, distribution and distance; the others' are the propagation only, which favours them.",
         *(f"us/row by batch size at tolerance {tol:g}, one core: {_line(tried)}" for tol, tried in trials.items()),
         _distance_note(problem, axes, size.distances),
+        _peak_note(problem, axes, times[OURS, 1].median / rows[OURS], quick),
     ]
     return table
 
@@ -127,6 +135,23 @@ def direction_errors(problem: Problem, axes: dict[str, np.ndarray], entries: dic
         gap = entry.make()(starts[some]).sun_B - reference[some]
         errors[name] = float(np.linalg.norm(gap, axis=1).max())
     return errors
+
+
+def our_direction_error(problem: Problem, axes: dict[str, np.ndarray], n: int) -> float:
+    """The same of the kernel, asked for DIRECTION_ERROR."""
+    rates = grid_sample(axes, n, seed=2)
+    rows = k.Rows(rates, np.tile(problem.sun_B, (n, 1)), np.tile(problem.wheel_speed_rad_s, (n, 1)))
+    ends = k.run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR).track[:, 0, -3:]
+    return float(max(np.linalg.norm(end - last_sun(problem, omega)) for end, omega in zip(ends, rates, strict=True)))
+
+
+def _peak_note(problem: Problem, axes: dict[str, np.ndarray], per_row: float, quick: bool) -> str:
+    operations = operations_per_row(problem, grid_sample(axes, 64 if quick else 512, seed=4))
+    reached, roof = operations / per_row / 1e9, peak("float32", seconds=QUICK_S if quick else FULL_S)
+    return (
+        f"{operations:.3g} operations a row on one core: {reached:.0f} GFLOP/s, {100 * reached / roof:.0f} % of the measured peak "
+        f"of fused multiply-adds in float32 ({roof:.0f}); vectors of {k.vector_bits()} bits"
+    )
 
 
 def last_sun(problem: Problem, omega_B: np.ndarray) -> np.ndarray:
