@@ -27,7 +27,7 @@ def test_the_satellite_commands_run_as_written(tmp_path, monkeypatch):
 
     section = README.split("## Your satellite")[1].split("Real telemetry")[0].replace("\\\n", " ")
     commands = [line.split("#")[0].strip() for line in section.splitlines() if line.startswith("    ")]
-    assert len(commands) == 6
+    assert len(commands) == 8
     monkeypatch.chdir(tmp_path)
     for command in commands:
         words = shlex.split(command)

@@ -23,6 +23,8 @@ _HOME = {
     "sun_directions": "sunspin.measure.sun",
     "SunStatus": "sunspin.measure.sun",
     "panel_health": "sunspin.measure.health",
+    "panel_quality": "sunspin.measure.quality",
+    "rates": "sunspin.infer.rates",
     "propagate": "sunspin.motion.propagate",
     "impact": "sunspin.motion.impact",
     "fit_spin_down": "sunspin.motion.friction",

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sunspin.errors import VehicleError, sentence
+from sunspin.vehicle_sensors import Sensors
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -240,6 +241,7 @@ class Vehicle(Portable):
     sun_rules: tuple[SunRule, ...] = ()
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()
+    sensors: Sensors = Sensors()
     facts: Mapping[str, Fact] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -9,54 +9,17 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
+from sunspin.vehicle_form import Form, Name, Value, scalar, take
+from sunspin.vehicle_sensors_file import DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
-
-
-class Given(NamedTuple):
-    """A physical value as the file gives it."""
-
-    value: Any
-    sigma: Any = None
-    source: str | None = None
-
-
-def _given(raw: Any) -> Given:
-    if isinstance(raw, dict):
-        unknown = set(raw) - {"value", "sigma", "source"}
-        if "value" not in raw or unknown:
-            raise ValueError(f"a table here has the keys value, sigma, source, not {sorted(raw)}")
-        source = raw.get("source")
-        if source is not None and not (isinstance(source, str) and source.strip()):
-            raise ValueError("source must be a text that is not empty")
-        return Given(_numbers(raw["value"]), None if raw.get("sigma") is None else _numbers(raw["sigma"]), source)
-    return Given(_numbers(raw))
-
-
-def _numbers(raw: Any) -> Any:
-    """Numbers, or nested lists of them, as floats; anything else is refused (so "0.5" or true is not a number)."""
-    if isinstance(raw, list):
-        return [_numbers(item) for item in raw]
-    if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise ValueError(f"a number is expected, not {raw!r}")
-    if raw != raw or raw in (float("inf"), float("-inf")):
-        raise ValueError(f"a finite number is expected, not {raw!r}")
-    return float(raw)
-
-
-Value = Annotated[Any, BeforeValidator(_given)]
-Name = Annotated[str, Field(min_length=1, max_length=100)]
-
-
-class Form(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class BodyForm(Form):
@@ -139,6 +102,10 @@ class VehicleForm(Form):
     antenna: AntennaForm | None = None
     sun_rule: list[SunRuleForm] = []
     telemetry: TelemetryTable = TelemetryTable()
+    sun_sensor: list[SunSensorForm] = []
+    gyro: GyroForm | None = None
+    magnetometer: MagnetometerForm | None = None
+    disturbance: DisturbanceForm = DisturbanceForm()
 
 
 GAIN_KEYS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}
@@ -244,19 +211,20 @@ def _vehicle(form: VehicleForm) -> v.Vehicle:
     body = form.body
     return v.Vehicle(
         name=form.name,
-        inertia_kg_m2=_take(facts, "body.inertia_kg_m2", body.inertia_kg_m2),
-        mass_kg=_scalar(facts, "body.mass_kg", body.mass_kg),
+        inertia_kg_m2=take(facts, "body.inertia_kg_m2", body.inertia_kg_m2),
+        mass_kg=scalar(facts, "body.mass_kg", body.mass_kg),
         panels=panels,
         wheels=tuple(_wheel(wheel, facts) for wheel in form.wheel),
-        legs=tuple(v.Leg(leg.name, _take(facts, f"leg.{leg.name}.tip_B_m", leg.tip_B_m)) for leg in form.leg),
+        legs=tuple(v.Leg(leg.name, take(facts, f"leg.{leg.name}.tip_B_m", leg.tip_B_m)) for leg in form.leg),
         hull=tuple(
-            v.HullPart(part.name, _take(facts, f"hull.{part.name}.points_B_m", part.points_B_m), part.panel)
+            v.HullPart(part.name, take(facts, f"hull.{part.name}.points_B_m", part.points_B_m), part.panel)
             for part in form.hull
         ),
         antenna=_antenna(form.antenna, facts),
         sun_rules=tuple(v.SunRule(tuple(rule.all_dark), rule.reason) for rule in form.sun_rule),
         gain_unit=gain_unit,
         telemetry=_telemetry(form.telemetry, facts),
+        sensors=read_sensor_forms(form, facts),
         facts=facts,
     )
 
@@ -265,7 +233,7 @@ def _antenna(form: AntennaForm | None, facts: dict[str, v.Fact]) -> v.Antenna | 
     if form is None:
         return None
     return v.Antenna(
-        _take(facts, "antenna.axis_B", form.axis_B), _scalar(facts, "antenna.opening_rad", form.opening_rad)
+        take(facts, "antenna.axis_B", form.axis_B), scalar(facts, "antenna.opening_rad", form.opening_rad)
     )
 
 
@@ -280,8 +248,8 @@ def _panels(form: VehicleForm, facts: dict[str, v.Fact]) -> tuple[tuple[v.Panel,
                 )
             )
         units.add(GAIN_KEYS[given[0]])
-        gain = _scalar(facts, f"panel.{panel.name}.{given[0]}", getattr(panel, given[0]))
-        panels.append(v.Panel(panel.name, _take(facts, f"panel.{panel.name}.normal_B", panel.normal_B), gain))
+        gain = scalar(facts, f"panel.{panel.name}.{given[0]}", getattr(panel, given[0]))
+        panels.append(v.Panel(panel.name, take(facts, f"panel.{panel.name}.normal_B", panel.normal_B), gain))
     if len(units) > 1:
         raise VehicleError(sentence("the gains of the panels must all be relative, all gain_W or all gain_A"))
     return tuple(panels), next(iter(units), None)
@@ -289,21 +257,21 @@ def _panels(form: VehicleForm, facts: dict[str, v.Fact]) -> tuple[tuple[v.Panel,
 
 def _wheel(form: WheelForm, facts: dict[str, v.Fact]) -> v.Wheel:
     key = f"wheel.{form.name}"
-    inertia = _scalar(facts, f"{key}.inertia_kg_m2", form.inertia_kg_m2)
+    inertia = scalar(facts, f"{key}.inertia_kg_m2", form.inertia_kg_m2)
     if not inertia > 0:
         raise VehicleError(sentence(f"{key}.inertia_kg_m2 must be positive", got=inertia))
     friction = v.Friction() if form.friction is None else _friction(form.friction, inertia, f"{key}.friction", facts)
     return v.Wheel(
         name=form.name,
-        axis_B=_take(facts, f"{key}.axis_B", form.axis_B),
+        axis_B=take(facts, f"{key}.axis_B", form.axis_B),
         inertia_kg_m2=inertia,
-        speed_rad_s=0.0 if form.speed_rad_s is None else _scalar(facts, f"{key}.speed_rad_s", form.speed_rad_s),
+        speed_rad_s=0.0 if form.speed_rad_s is None else scalar(facts, f"{key}.speed_rad_s", form.speed_rad_s),
         friction=friction,
         alternative_frictions={
             name: _friction(other, inertia, f"{key}.alternative_frictions.{name}", facts)
             for name, other in form.alternative_frictions.items()
         },
-        brake_torque_N_m=_scalar(facts, f"{key}.brake_torque_N_m", form.brake_torque_N_m),
+        brake_torque_N_m=scalar(facts, f"{key}.brake_torque_N_m", form.brake_torque_N_m),
     )
 
 
@@ -312,19 +280,19 @@ def _friction(form: FrictionForm, inertia: float, key: str, facts: dict[str, v.F
         if form.coulomb_N_m is not None or form.viscous_N_m_s is not None:
             raise VehicleError(sentence(f"{key} gives both a spin_down and coefficients", do="keep one of them"))
         names = ("c1_rad_s", "c2_per_s", "c3_rad_s")
-        values = [_scalar(facts, f"{key}.spin_down.{name}", getattr(form.spin_down, name)) for name in names]
+        values = [scalar(facts, f"{key}.spin_down.{name}", getattr(form.spin_down, name)) for name in names]
         return v.Friction.from_spin_down(*values, inertia_kg_m2=inertia)
     coefficients = {
-        name: 0.0 if getattr(form, name) is None else _scalar(facts, f"{key}.{name}", getattr(form, name))
+        name: 0.0 if getattr(form, name) is None else scalar(facts, f"{key}.{name}", getattr(form, name))
         for name in ("coulomb_N_m", "viscous_N_m_s")
     }
     return v.Friction(**coefficients)
 
 
 def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryForm:
-    scale = 1.0 if isinstance(form.scale, float) else _scalar(facts, "telemetry.scale", form.scale)
-    noise = _scalar(facts, "telemetry.noise", form.noise)
-    threshold = _scalar(facts, "telemetry.lit_threshold", form.lit_threshold)
+    scale = 1.0 if isinstance(form.scale, float) else scalar(facts, "telemetry.scale", form.scale)
+    noise = scalar(facts, "telemetry.noise", form.noise)
+    threshold = scalar(facts, "telemetry.lit_threshold", form.lit_threshold)
     for key, value in (("scale", scale), ("noise", noise), ("lit_threshold", threshold)):
         if value is not None and not value > 0:
             raise VehicleError(sentence(f"telemetry.{key} must be positive", got=value))
@@ -343,22 +311,3 @@ def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryFor
         lit_threshold=threshold,
         bad_rows=form.bad_rows,
     )
-
-
-def _take(facts: dict[str, v.Fact], key: str, given: Given | None) -> Any:
-    """Note the birth certificate of a value under `key` and return the bare value."""
-    if given is None:
-        return None
-    facts[key] = v.Fact(_tuples(given.value), _tuples(given.sigma), given.source)
-    return given.value
-
-
-def _scalar(facts: dict[str, v.Fact], key: str, given: Given | None) -> Any:
-    value = _take(facts, key, given)
-    if value is not None and not isinstance(value, float):
-        raise VehicleError(sentence(f"{key} must be one number", got=value))
-    return value
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 from sunspin.cases import load_case
 from sunspin.cli import cli
 from sunspin.errors import InputError, MotionError
+from sunspin.infer.end_rates import end_rates
 from sunspin.infer.ensemble import ensemble
 from sunspin.infer.metrics import emd
-from sunspin.infer.rates import end_rates
 from sunspin.infer.scan import below, near_minimum, scan
 from sunspin.infer.table import make_table
 from sunspin.motion.kernel import Rows

@@ -18,10 +18,14 @@ COMMANDS = {
     "worth": "sunspin.cli.study:worth",
     "init": "sunspin.cli.files:init",
     "check": "sunspin.cli.files:check",
+    "decode": "sunspin.cli.files:decode",
     "sun": "sunspin.cli.measured:sun",
+    "rates": "sunspin.cli.rates:rates",
     "simulate": "sunspin.cli.motion:simulate",
     "scan": "sunspin.cli.motion:scan",
     "outcomes": "sunspin.cli.outcomes:outcomes",
+    "export": "sunspin.cli.export:export",
+    "compare": "sunspin.cli.export:compare",
 }
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
@@ -30,10 +34,14 @@ SUMMARIES = {
     "worth": "How far the study's answer can be trusted: its method on many twins.",
     "init": "Write a vehicle file and telemetry to start from.",
     "check": "What is wrong with my files, in plain words.",
+    "decode": "Raw beacons of skCUBE into a table.",
     "sun": "Directions to the Sun from panel powers or currents.",
+    "rates": "Body rates and attitude of each pass, all motions that fit.",
     "simulate": "One trajectory of a vehicle with its wheels.",
     "scan": "Which initial rates fit the Sun's measured heights, and the lines they lie on.",
     "outcomes": "What a motion leads to: collision, first contact, antenna, wheel strategies.",
+    "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
+    "compare": "Rates against somebody's SPICE attitude kernels.",
 }
 
 

@@ -12,6 +12,9 @@ import click
 from sunspin.cli.common import data_option, find_telemetry, output_options, report
 from sunspin.errors import OutputError, sentence
 
+HEALTH_SAMPLES = 3000
+"""Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
+
 TEMPLATES = ("vehicle.toml", "telemetry.csv")
 
 
@@ -107,16 +110,12 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
 def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
     import numpy as np
 
-    from sunspin.cli.measured import counts, status_lines
-    from sunspin.measure.health import panel_health
-    from sunspin.measure.sun import sun_directions
+    from sunspin.cli.check_words import worth
     from sunspin.measure.telemetry import FLAGS, read_telemetry
 
     samples = read_telemetry(path, craft)
-    sun = sun_directions(craft, samples)
     time, flag = samples["time"].values, samples["flag"].values
     gaps = np.diff(time)
-    health = panel_health(craft, samples)
     summary: dict[str, Any] = {
         "file": str(path),
         "samples": int(time.size),
@@ -125,18 +124,36 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
         "span_s": float(time[-1] - time[0]),
         "interval_s": [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None,
         "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
-        "status": counts(sun),
-        "noise_from": str(sun.attrs["noise_from"]),
-        "impossible": {"-".join(pattern): n for pattern, n in health["impossible"].items()},
-        "explanations": [list(lost) for lost in health["explanations"]],
-        "noise_probability": {"-".join(pattern): verdict.largest for pattern, verdict in health["noise"].items()},
     }
     kind = "synthetic sample" if summary["synthetic"] else "sample"
     lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {summary['epoch_utc']}"]
     if gaps.size:
         lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
-    return summary, lines + status_lines(sun) + _health_lines(summary)
+    if "panel" in samples.coords:
+        about, more = _about_panels(craft, samples)
+        summary, lines = summary | about, lines + more
+    about, more = worth(craft, samples)
+    return summary | about, lines + more
+
+
+def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
+    from sunspin.cli.measured import counts, status_lines
+    from sunspin.measure.health import panel_health
+    from sunspin.measure.sun import sun_directions
+
+    sun = sun_directions(craft, samples)
+    stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
+    health = panel_health(craft, samples.isel(time=slice(None, None, stride)))
+    summary = {
+        "status": counts(sun),
+        "noise_from": str(sun.attrs["noise_from"]),
+        "impossible": {"-".join(pattern): n for pattern, n in health["impossible"].items()},
+        "explanations": [list(lost) for lost in health["explanations"]],
+        "noise_probability": {"-".join(pattern): verdict.largest for pattern, verdict in health["noise"].items()},
+        "health_of_every": stride,
+    }
+    return summary, status_lines(sun) + _health_lines(summary)
 
 
 def _health_lines(summary: dict[str, Any]) -> list[str]:
@@ -152,3 +169,26 @@ def _health_lines(summary: dict[str, Any]) -> list[str]:
 
 def _counted(n: int, noun: str) -> str:
     return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+@click.command()
+@click.argument("raw", type=click.Path(path_type=Path))
+@output_options(default="skcube")
+def decode(raw: Path, out: Path, as_json: bool, quiet: bool) -> None:
+    """Decode raw beacons of skCUBE (a folder or zip of frames, as published) into skcube_adcs.csv.
+
+    \b
+    Example:
+      sunspin decode skcube_raw_23_27_june.zip --out skcube
+    """
+    from sunspin.cases.skcube_beacons import adcs_csv, decode_beacons
+    from sunspin.tell.results import results_folder, write_whole
+
+    beacons = decode_beacons(raw)
+    folder = results_folder(out, "decode")
+    target = write_whole(folder / "skcube_adcs.csv", lambda part: part.write_text(adcs_csv(beacons), "utf-8"))
+    kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(beacons.kinds.items()))
+    lines = [f"Frames: {kinds}", *(f"  {n:6d}  not read: {why}" for why, n in beacons.unread.items())]
+    lines.append(f"{len(beacons.adcs)} attitude beacons: {target}")
+    summary = {"frames": beacons.kinds, "unread": beacons.unread, "attitude_beacons": len(beacons.adcs), "file": str(target)}
+    report(summary, lines, as_json, quiet)

@@ -1,83 +1,228 @@
-"""Body rates at the end of many short runs, forward or backward, by the ensemble kernel."""
+"""Body rates and attitude from where the Sun was, seen now and then: from directions, panel powers, with or without a gyro."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import replace
+from importlib import metadata
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.spatial.transform import Rotation
 
-from sunspin.errors import MotionError, sentence
-from sunspin.infer.identity import code, plain
-from sunspin.infer.rows import Start
-from sunspin.motion import gyrostat as g
-from sunspin.motion import kernel as k
-from sunspin.motion import modes as m
-from sunspin.motion.friction import spin_down_time
+from sunspin.errors import InputError, sentence
+from sunspin.infer.rates_motion import Body
+from sunspin.infer.rates_observe import observations, passes
+from sunspin.infer.rates_seed import search
+from sunspin.infer.rates_smooth import Motion, Observations, Track
 from sunspin.vehicle import Vehicle
 
-RATE_DIRECTION_ERROR = 1e-9
-"""Direction error (rad) at the end that sets the step: rates err by about as much, relatively."""
+MAX_MODES = 6
+"""Modes reported for each pass."""
+
+NOISE_LADDER = (2e-5, 1e-4, 3e-4)
+"""Angular-acceleration noises (rad/s^1.5) tried where none is given; at 3e-4 a rate wanders by 0.3 deg/s in 5 minutes."""
+
+LADDER_PASSES = 2
+"""Passes whose evidence chooses among them."""
+
+DEFAULT_MAX_RATE = 1.0
+"""rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
+
+BAD_COST = 4.0
+"""Cost per sample beyond which even the best motion does not fit; sound ones, of skCUBE and of twins, stay below 3.6."""
+
+DECIDED = 0.9
+"""A mode with at least this weight is called decided."""
 
 
-def end_rates(vehicle: Vehicle, states: k.Rows, duration_s: float) -> np.ndarray:
-    """Body rates (n, 3) in rad/s, B, when each of the states (n) has coasted for `duration_s` (negative: backward).
+class Pass(NamedTuple):
+    """The modes of one pass, best first, with weights that add to one; `index` are its samples."""
 
-    For runs in which no wheel stops or starts, such as those of the minute between the touchdown and the first sample; others
-    are refused, as what is free or held decides how the rate follows from the momenta (paper, eq. 3).
+    index: np.ndarray
+    track: Track
+    weight: np.ndarray
+
+
+def rates(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    *,
+    source: str | None = None,
+    max_rate_rad_s: float | None = None,
+    acceleration_noise: float | None = None,
+    gap_s: float | None = None,
+) -> xr.Dataset:
+    """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
+
+    Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start;
+    starts grow over the pass by smoothing (:mod:`sunspin.infer.rates_smooth`): rigid-body motion with the vehicle's inertia
+    and wheels (a sphere where no inertia is known) and white angular acceleration for what it leaves out, measurements with
+    Student tails.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`, or of `sun_directions`
+        A gyro or magnetometer in it is used where the vehicle describes one.
+    source : {"panels", "sun_sensor", "directions"}, optional
+        Where the Sun comes from; default: what the telemetry has.
+    max_rate_rad_s : float, optional
+        No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most
+        1 rad/s.
+    acceleration_noise : float, optional
+        rad/s^1.5; default: the vehicle's, else the best supported by the first passes.
+    gap_s : float, optional
+        A longer gap parts two passes; default: six usual intervals.
+
+    Returns
+    -------
+    xarray.Dataset
+        On `time` (the samples used), of each pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
+        On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
+        fewer modes; `omega_sigma_all_B` (pass_id, axis): about the best mode's mean, all modes counted. On `sample`: `why`:
+        what became of each sample of the file. attrs: `verdict`, `source`, the settings.
+
+    Raises
+    ------
+    InputError
+        Too few samples, or no rate below the largest fits.
     """
-    n_wheel, first = len(vehicle.wheels), states.wheel_speed_rad_s
-    if len(states) == 0:
-        return np.zeros((0, 3))
-    _refuse_stops(vehicle, states, duration_s)
-    run = k.run_rows(vehicle, states, np.array([float(duration_s)]), direction_error=RATE_DIRECTION_ERROR)
-    end = run.track[:, 0]
-    kinds = [m.state_under(wheel, "coast", float(speed)) for wheel, speed in zip(vehicle.wheels, first[0], strict=True)]
-    p = m.parameters(vehicle, kinds)
-    h = [end[:, 3 + i] for i in range(n_wheel)]
-    omega = np.stack(np.broadcast_arrays(*g.body_rate(end[:, :3].T, h, p)), axis=-1)
-    if np.any(run.outcome != k.Outcome.FINE):
-        raise MotionError(sentence("a motion could not be computed", got=str(k.Outcome(int(run.outcome.max())))))
-    return omega
+    o, why, source = observations(vehicle, telemetry, source)
+    parts = passes(o, why, gap_s)
+    sensors = vehicle.sensors
+    rate_max = _rate_max(max_rate_rad_s or sensors.disturbance.max_rate_rad_s, o, parts)
+    body = Body.of(vehicle, sensors.disturbance.dipole)
+    given = acceleration_noise or _known_noise(vehicle, o)
+    if given is not None and not (np.isfinite(given) and given > 0):
+        raise InputError(sentence("acceleration_noise must be positive", got=given))
+    noise = given or choose_noise(o, parts, body, rate_max)
+    motion = Motion(body, noise, rate_max / 2)
+    found = [modes(take(o, part), part, motion, rate_max) for part in parts]
+    return _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
 
 
-def _refuse_stops(vehicle: Vehicle, states: k.Rows, duration_s: float) -> None:
-    """Wheels must stay faster than anything the body can do to them: it turns at |H| over its least moment at most."""
-    momentum = np.linalg.norm(g.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s), axis=1).max()
-    body = 2 * momentum / float(np.linalg.eigvalsh(vehicle.require_inertia())[0])
-    for wheel, speeds in zip(vehicle.wheels, np.abs(states.wheel_speed_rad_s).T, strict=True):
-        slowest = float(speeds.min())
-        if duration_s > 0 and slowest > 0:
-            late = duration_s >= spin_down_time(wheel.friction, wheel.inertia_kg_m2, slowest)
-            slowest *= 0.0 if late else np.exp(-wheel.friction.viscous_N_m_s / wheel.inertia_kg_m2 * duration_s)
-            slowest -= 0.0 if late else wheel.friction.coulomb_N_m / wheel.inertia_kg_m2 * duration_s
-        if slowest <= body:
-            raise MotionError(
-                sentence("a wheel may stop or start within the run", got=f"{duration_s:g} s", do="use propagate for each motion")
-            )
+def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
+    """The vehicle's acceleration noise: another one where its dipole cannot be modelled, the field not being measured."""
+    disturbance = vehicle.sensors.disturbance
+    modelled = disturbance.dipole is None or np.isfinite(o.field).all(axis=1).any()
+    return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
 
 
-@dataclass(frozen=True)
-class EndSpeedRows:
-    """Row -> angular speed (rad/s) of a motion of the grid after `duration_s`."""
+def take(o: Observations, index: np.ndarray) -> Observations:
+    """The samples `index` of `o`."""
+    names = ("t_s", "sun_B", "sun_cov", "power", "power_sigma", "scale", "scale_sigma", "gyro", "field")
+    return replace(o, **{name: getattr(o, name)[index] for name in names})
 
-    vehicle: Vehicle
-    start: Start
-    duration_s: float
 
-    outputs: ClassVar[Mapping[str, Any]] = {"speed": ("float64", ())}
+def modes(o: Observations, index: np.ndarray, motion: Motion, rate_max: float) -> Pass:
+    """The modes of one pass with their weights (masses of the posterior, by Laplace's method)."""
+    track = search(o, motion, rate_max)
+    order = np.argsort(-track.log_weight, kind="stable")
+    weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
+    keep = order[: max(1, int(np.count_nonzero(weight[:MAX_MODES] > 1e-3)))]
+    return Pass(index, track.take(keep), weight[: len(keep)] / weight.sum())
 
-    @property
-    def n_rows(self) -> int:
-        return len(self.start)
 
-    def identity(self) -> dict[str, Any]:
-        return {
-            **code(), "rows": "angular speed at the end", "vehicle": plain(self.vehicle), "start": plain(self.start),
-            "duration_s": float(self.duration_s), "direction_error": RATE_DIRECTION_ERROR,
-        }  # fmt: skip
+def choose_noise(o: Observations, parts: list[np.ndarray], body: Body, rate_max: float) -> float:
+    """The acceleration noise of `NOISE_LADDER` with the largest evidence over the passes with the most samples."""
+    longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
+    evidence = []
+    for noise in NOISE_LADDER:
+        total = 0.0
+        for part in longest:
+            track = search(take(o, part), Motion(body, noise, rate_max / 2), rate_max, pairs=1)
+            total += np.logaddexp.reduce(track.log_weight) - 6 * (len(part) - 1) * np.log(noise)
+        evidence.append(total)
+    return NOISE_LADDER[int(np.argmax(evidence))]
 
-    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        omega = end_rates(self.vehicle, self.start.take(index), self.duration_s)
-        return {"speed": np.linalg.norm(omega, axis=1)}
+
+def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> float:
+    if given is not None:
+        if not (np.isfinite(given) and given > 0):
+            raise InputError(sentence("max_rate_rad_s must be positive", got=given))
+        return float(given)
+    usual = float(np.median([np.sort(np.diff(o.t_s[part]))[: max(2, len(part) // 8)].mean() for part in parts]))
+    return min(1.5 * 2 * np.pi / usual, DEFAULT_MAX_RATE)
+
+
+def mean_rate(track: Track) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over the samples of each mode's rate (K, 3), and its sigma (K, 3): that of the samples, taken as fully correlated."""
+    sigma = np.sqrt(np.einsum("knii->kni", track.covariance[:, :, 3:, 3:])).mean(axis=1)
+    return track.omega.mean(axis=1), sigma
+
+
+def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Sigma (3) about the best mode's mean rate when the other modes, by their weights, are counted in."""
+    share = (weight / weight.sum())[:, None]
+    return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
+
+
+def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
+    count = max(len(p.weight) for p in found)
+
+    def padded(values: list[npt.ArrayLike]) -> np.ndarray:
+        first = np.asarray(values[0])
+        out = np.full((len(values), count, *first.shape[1:]), np.nan)
+        for row, value in zip(out, values, strict=True):
+            row[: len(value)] = value
+        return out
+
+    index = np.concatenate([p.index for p in found])
+    best = [p.track.take(np.array([0])) for p in found]
+    attitude = np.concatenate([track.attitude[0] for track in best])
+    covariance = np.concatenate([track.covariance[0] for track in best])
+    sun = np.concatenate([track.sun_B[0] for track in best])
+    means = [mean_rate(p.track) for p in found]
+    spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
+    sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
+    carried = ("epoch_utc", "synthetic", "file", "sha256")
+    attrs: dict[str, Any] = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
+    attrs |= {
+        "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
+        "acceleration_noise_from": "evidence of the data" if chosen else "given",
+        "body": "sphere (no inertia given)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
+        "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
+        "sunspin_version": metadata.version("sunspin"),
+    }  # fmt: skip
+    result = xr.Dataset(
+        {
+            "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, 3:, 3:], {"units": "rad2 s-2"}),
+            "sun_B": (("time", "axis"), sun, {"units": "1", "long_name": "direction to the Sun, smoothed"}),
+            "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
+            "B_from_N": (("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
+            "pass_of": ("time", np.repeat(np.arange(len(found)), [len(p.index) for p in found])),
+            "weight": (("pass_id", "mode"), padded([p.weight for p in found]), {"units": "1"}),
+            "omega_mean_B": (("pass_id", "mode", "axis"), padded([m[0] for m in means]), {"units": "rad s-1"}),
+            "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
+            "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
+            "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
+            "why": ("sample", why.astype(np.str_)),
+        },
+        coords={
+            "time": ("time", o.t_s[index], {"units": "s"}), "sample": o.t_s, "axis": ["x", "y", "z"],
+            "pass_id": np.arange(len(found)), "quaternion": ["x", "y", "z", "w"],
+        },
+        attrs=attrs,
+    )  # fmt: skip
+    result.attrs["verdict"] = verdict(result)
+    return result
+
+
+def verdict(result: xr.Dataset) -> str:
+    """What the data can tell, in words."""
+    best = result["weight"].values[:, 0]
+    count = np.bincount(result["pass_of"].values, minlength=len(best))
+    bad = result["cost"].values[:, 0] > BAD_COST * count
+    decided = int(np.count_nonzero((best >= DECIDED) & ~bad))
+    text = f"{decided} of {len(best)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight"
+    if bad.any():
+        text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    if decided + np.count_nonzero(bad) < len(best):
+        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    if not (result.attrs["gyro_used"] or result.attrs["field_used"]):
+        text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
+    return text

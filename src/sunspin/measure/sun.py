@@ -141,13 +141,18 @@ def sun_directions(
     return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
 
 
+def signals(telemetry: xr.Dataset) -> np.ndarray:
+    """The powers or currents (time, panel) of a telemetry Dataset."""
+    name = next((key for key in ("power_W", "current_A") if key in telemetry), None)
+    if name is None:
+        raise InputError(sentence("the telemetry has no panel powers or currents", do="give a file with a column per panel"))
+    return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
+
+
 def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
     n_panel = len(vehicle.require_panels())
     if isinstance(telemetry, xr.Dataset):
-        name = next((key for key in ("power_W", "current_A") if key in telemetry), None)
-        if name is None:
-            raise InputError(sentence("the telemetry Dataset has neither power_W nor current_A"))
-        return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64), telemetry
+        return signals(telemetry), telemetry
     power = np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
     if power.ndim != 2 or power.shape[1] != n_panel:
         raise InputError(sentence(f"powers must have one column for each of the {n_panel} panels", got=power.shape))

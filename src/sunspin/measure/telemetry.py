@@ -6,22 +6,18 @@ rewrite a file to have it read.
 
 from __future__ import annotations
 
-import csv
-import hashlib
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from sunspin.errors import TelemetryError, sentence
+from sunspin.measure.sensors import ABSURD, read_sensors
+from sunspin.measure.tables import Table, read_table
 from sunspin.vehicle import TelemetryForm, Vehicle
-
-MAX_FILE_BYTES = 500_000_000
-"""A year of 1 Hz samples of six panels is about this much."""
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
@@ -32,24 +28,15 @@ NEGATIVE_SIGMAS = 5.0
 UNITS = {"power_W": "W", "current_A": "A"}
 
 
-class Table(NamedTuple):
-    """A CSV file as text: header, rows of cells, the line each row stands on, comments, hash."""
-
-    header: list[str]
-    rows: list[list[str]]
-    lines: list[int]
-    comments: list[str]
-    sha256: str
-
-
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
-    """Read panel powers or currents from a CSV file.
+    """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, Parquet or NetCDF file.
 
     Parameters
     ----------
     path : str or path
     vehicle : Vehicle
-        Its `telemetry` says which columns, unit, clock; its panels which columns must be there.
+        Its `telemetry` says which columns, unit, clock; its panels which columns must be there. A file that has columns of
+        the vehicle's sensors may have none of the panels.
 
     Returns
     -------
@@ -64,90 +51,17 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         Naming file, line, column, what was found and what to do.
     """
     path = Path(path)
-    vehicle.require_panels()
+    if not (vehicle.sensors.sun_sensors or vehicle.sensors.gyro):
+        vehicle.require_panels()
     form = vehicle.telemetry
-    table = _read_table(path)
-    columns = _panel_columns(vehicle, table, path)
+    table = read_table(path)
+    sensors = read_sensors(vehicle, table)
+    columns = _panel_columns(vehicle, table, path, optional=bool(sensors))
     time_at = _column(table, form.time_column, "the time", path)
     time, epoch = _times(form, [row[time_at] for row in table.rows], table, path)
     values, flag = _values(form, table, columns, path)
     flag |= _order_flags(form, time, table, path)
-    return _dataset(vehicle, path, table, time, epoch, values, flag)
-
-
-def _read_table(path: Path) -> Table:
-    where = str(path)
-    try:
-        if path.is_dir():
-            raise TelemetryError(sentence("this is a folder, not a telemetry file", where=where))
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise TelemetryError(
-                sentence(f"the file is larger than {MAX_FILE_BYTES / 1e6:.0f} MB", do="cut it into parts", where=where)
-            )
-        content = path.read_bytes()
-    except OSError as error:
-        raise TelemetryError(
-            sentence(f"the file cannot be read ({error.strerror or error})", do="check the path", where=where)
-        ) from None
-    except ValueError as error:
-        raise TelemetryError(sentence(f"this is not a path ({error})", where=repr(where))) from None
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise TelemetryError(
-            sentence("the file is not UTF-8 text", do="save it as CSV in UTF-8", where=f"{where}, line {line}")
-        ) from None
-    if not text.strip():
-        raise TelemetryError(sentence("the file is empty", do="a CSV with a header and one row per sample", where=where))
-    if "\0" in text:
-        raise TelemetryError(sentence("the file holds binary data", do="save it as CSV in UTF-8", where=where))
-    return _split(text, where, hashlib.sha256(content).hexdigest())
-
-
-def _split(text: str, where: str, sha256: str) -> Table:
-    comments: list[str] = []
-    lines = text.splitlines()
-    skipped = 0
-    while skipped < len(lines) and (lines[skipped].startswith("#") or not lines[skipped].strip()):
-        comments.append(lines[skipped].lstrip("# ").strip())
-        skipped += 1
-    reader = csv.reader(lines[skipped:], strict=True)
-    records = _records(reader, skipped, where)
-    header = next(records, (0, []))[1]
-    header = [cell.strip() for cell in header]
-    rows, numbers = [], []
-    for number, cells in records:
-        if len(cells) != len(header):
-            raise TelemetryError(
-                sentence(
-                    f"the row has {len(cells)} values but the header names {len(header)} columns",
-                    do="complete or remove the row",
-                    where=f"{where}, line {number}",
-                )
-            )
-        rows.append(cells)
-        numbers.append(number)
-    if not rows:
-        raise TelemetryError(sentence("the file has a header but no samples", where=where))
-    repeated = sorted({name for name in header if header.count(name) > 1})
-    if repeated:
-        raise TelemetryError(sentence("two columns share a name", got=repeated[0], do="rename one", where=where))
-    return Table(header, rows, numbers, [c for c in comments if c], sha256)
-
-
-def _records(reader: Any, skipped: int, where: str) -> Iterator[tuple[int, list[str]]]:
-    while True:
-        try:
-            cells = next(reader)
-        except StopIteration:
-            return
-        except csv.Error as error:
-            raise TelemetryError(
-                sentence(f"this is not valid CSV ({error})", where=f"{where}, line {skipped + reader.line_num}")
-            ) from None
-        if cells and any(cell.strip() for cell in cells):
-            yield skipped + reader.line_num, cells
+    return _dataset(vehicle, path, table, time, epoch, values, flag, sensors)
 
 
 def _column(table: Table, name: str, what: str, path: Path) -> int:
@@ -163,11 +77,13 @@ def _column(table: Table, name: str, what: str, path: Path) -> int:
     return table.header.index(name)
 
 
-def _panel_columns(vehicle: Vehicle, table: Table, path: Path) -> list[int]:
+def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = False) -> list[int]:
     letter, unit = ("P", "W") if vehicle.telemetry.quantity == "power_W" else ("I", "A")
+    known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.panel_names}
+    if optional and not any(name in table.header for names in known.values() for name in names):
+        return []
     found = []
-    for panel in vehicle.panel_names:
-        names = [vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}"]
+    for panel, names in known.items():
         present = [name for name in names if name is not None and name in table.header]
         if vehicle.telemetry.columns.get(panel) is not None or not present:
             present = [names[0] or names[2]]
@@ -183,7 +99,9 @@ def _number(text: str) -> float:
 
 
 def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -> tuple[np.ndarray, np.ndarray]:
-    values = np.array([[_number(row[column]) for column in columns] for row in table.rows]) * form.scale
+    cells = [[_number(row[column]) for column in columns] for row in table.rows]
+    values = np.array(cells).reshape(len(table.rows), -1)
+    values = np.where(np.abs(values) < ABSURD, values, np.nan) * form.scale
     floor = -NEGATIVE_SIGMAS * form.noise if form.noise is not None else 0.0
     flag = np.zeros(len(values), dtype=np.uint8)
     problems = (
@@ -262,7 +180,7 @@ def _order_flags(form: TelemetryForm, time: np.ndarray, table: Table, path: Path
     return np.where(late, np.uint8(4), np.uint8(0))
 
 
-def _dataset(vehicle, path, table, time, epoch, values, flag) -> xr.Dataset:
+def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dataset:
     form = vehicle.telemetry
     coords: dict[str, Any] = {
         "time": ("time", time, {"units": "s", "long_name": "time since the epoch"}),
@@ -282,11 +200,13 @@ def _dataset(vehicle, path, table, time, epoch, values, flag) -> xr.Dataset:
         "sunspin_version": metadata.version("sunspin"),
     }
     flags = {"flag_masks": [k for k in FLAGS if k], "flag_meanings": " ".join(v for k, v in FLAGS.items() if k)}
+    panels = {form.quantity: (("time", "panel"), values, {"units": UNITS[form.quantity]})} if values.shape[1] else {}
+    if not panels:
+        del coords["panel"]
+    if sensors:
+        coords["axis"] = ["x", "y", "z"]
     return xr.Dataset(
-        {
-            form.quantity: (("time", "panel"), values, {"units": UNITS[form.quantity]}),
-            "flag": ("time", flag, flags),
-        },
+        {**panels, "flag": ("time", flag, flags), **sensors},
         coords=coords,
         attrs=attrs,
     )

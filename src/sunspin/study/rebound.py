@@ -12,10 +12,10 @@ import xarray as xr
 
 from sunspin.cases import Case
 from sunspin.errors import InputError, TelemetryError, sentence
+from sunspin.infer.end_rates import end_rates
 from sunspin.infer.lines import fit_lines, line_deviation, match_lines, point_at
 from sunspin.infer.mask import allows, reconstructible_mask
 from sunspin.infer.metrics import emd
-from sunspin.infer.rates import end_rates
 from sunspin.infer.scan import near_minimum, scan
 from sunspin.measure.sun import is_reconstructed
 from sunspin.motion.kernel import Rows

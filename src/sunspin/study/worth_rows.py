@@ -17,10 +17,10 @@ import numpy as np
 
 from sunspin.cases import Case, load_case
 from sunspin.errors import InputError, sentence
+from sunspin.infer.end_rates import EndSpeedRows, end_rates
 from sunspin.infer.ensemble import ensemble
 from sunspin.infer.identity import code, fingerprint, plain
 from sunspin.infer.lines import distances, fit_lines, line_deviation, match_lines, point_at
-from sunspin.infer.rates import EndSpeedRows, end_rates
 from sunspin.infer.rows import distances_to, histograms, target_segments
 from sunspin.infer.table import Table, make_table
 from sunspin.measure.panels import panel_power

@@ -1,0 +1,62 @@
+"""What `sunspin check` says of the samples' worth: which are usable and why, how many faces, what rates the sampling can tell."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate."""
+    summary: dict[str, Any] = {}
+    lines: list[str] = []
+    if "panel" in samples.coords:
+        about, lines = _panels(craft, samples)
+        summary |= about
+    sensors = {"sun_sensor_B": "Sun sensors", "gyro_B": "gyro", "field_B": "magnetometer"}
+    there = {label: int(np.isfinite(samples[name].values).all(axis=1).sum()) for name, label in sensors.items() if name in samples}
+    if there:
+        summary["sensors"] = there
+        lines.append("  other sensors: " + ", ".join(f"{label} ({n} samples)" for label, n in there.items()))
+    about, more = _sampling(samples)
+    return summary | about, lines + more
+
+
+def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
+    from sunspin.measure.quality import panel_quality, reasons
+
+    quality = panel_quality(craft, samples)
+    why = reasons(quality)
+    dead = [str(name) for name in quality["panel"].values[quality["dead"].values]]
+    faces = np.bincount(_lit(craft, samples, quality))
+    summary = {"worth": why, "dead_panels": dead, "full_sun": quality.attrs["full_sun"], "albedo": quality.attrs["albedo"],
+               "samples_by_lit_faces": {int(k): int(n) for k, n in enumerate(faces) if n}}  # fmt: skip
+    lines = [f"  {n:6d}  {text}" for text, n in why.items()]
+    if dead:
+        lines.append(f"  panel {', '.join(dead)} never reads anything: dead, or never in the Sun; left out")
+    counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
+    lines.append(f"  faces lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too")
+    return summary, lines
+
+
+def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
+    from sunspin.measure.sun import signals
+
+    floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.panel_gains
+    return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)
+
+
+def _sampling(samples: Any) -> tuple[dict[str, Any], list[str]]:
+    gaps = np.diff(samples["time"].values)
+    gaps = gaps[gaps > 0]
+    if len(gaps) < 2:
+        return {}, ["  too few samples to tell a rate"]
+    usual = float(np.median(gaps))
+    clear = 180 / usual
+    near = gaps[gaps < 6 * usual]
+    jitter = float(np.std(near) / usual)
+    lines = [f"  sampling: rates up to {clear:.3g} deg/s are told without doubt about whole turns between samples"]
+    if jitter < 0.02:
+        lines.append(f"  the samples are evenly spaced: a rate and one that differs by {360 / usual:.3g} deg/s look alike")
+    return {"clear_rate_deg_s": clear, "relative_jitter": jitter}, lines

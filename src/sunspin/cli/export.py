@@ -1,0 +1,95 @@
+"""`sunspin export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from sunspin.cli.common import output_options, report
+from sunspin.errors import InputError, sentence
+
+FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--format", "form", type=click.Choice(FORMATS), default="aem", show_default=True)
+@click.option("--frame", help="Frame to write; a celestial one is refused where the turn about the Sun line is not known.")
+@click.option("--epoch", help="UTC of time zero, where the results have none (those of `sunspin simulate`).")
+@output_options(default="export")
+def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
+    """Attitude and rates of a results folder in formats that other tools read.
+
+    aem and aem-xml: CCSDS attitude ephemeris message; ck: SPICE kernels (.bc, .tsc, .tf); netcdf: with CF attributes; parquet.
+
+    \b
+    Example:
+      sunspin rates skcube skcube/skcube_adcs.csv --data DIR --out skcube-rates
+      sunspin export skcube-rates --format ck --out skcube-ck
+    """
+    from sunspin.tell.export import attitude_of, read_results, write_cf, write_parquet
+    from sunspin.tell.results import results_folder
+
+    data, source = read_results(folder)
+    attitude = attitude_of(data, frame, epoch)
+    target = results_folder(out, "export")
+    if form == "ck":
+        from sunspin.tell.export_ck import write_ck
+
+        paths = write_ck(target, attitude)
+    elif form.startswith("aem"):
+        from sunspin.tell.export_aem import write_aem
+
+        kind = "xml" if form == "aem-xml" else "kvn"
+        paths = [write_aem(target / ("sunspin.aem" if kind == "kvn" else "sunspin-aem.xml"), attitude, kind)]
+    elif form == "netcdf":
+        paths = [write_cf(target / "attitude.nc", data, attitude)]
+    else:
+        paths = [write_parquet(target / "attitude.parquet", attitude)]
+    summary: dict[str, Any] = {
+        "from": str(source), "frame": attitude.frame, "samples": len(attitude.t_s), "segments": len(attitude.parts()),
+        "files": [str(path) for path in paths],
+    }  # fmt: skip
+    local = "LOCAL" in attitude.frame.upper()
+    why = "; its z axis points to the Sun, the turn about it is arbitrary and another in each pass" if local else ""
+    lines = [f"{len(attitude.t_s)} attitudes in {len(attitude.parts())} segments, frame {attitude.frame}{why}"]
+    report(summary, [*lines, *(f"  {path}" for path in paths)], as_json, quiet)
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("kernels", nargs=-1, required=True)
+@click.option("--frame", required=True, help="The body's frame in the kernels, for example ROS_LANDER.")
+@click.option("--base", default="J2000", show_default=True, help="An inertial frame of the kernels.")
+@click.option("--epoch", help="UTC of time zero, where the results have none.")
+@output_options(out=False)
+def compare(folder, kernels, frame, base, epoch, as_json, quiet) -> None:
+    """Compare the rates of a results folder with somebody's SPICE attitude kernels (C-kernel, frames, clock, leap seconds).
+
+    \b
+    Example, for those who have ESA's kernels of Philae:
+      sunspin compare RESULTS LATT_EME2LDR_SDL_V1_0.BC ROS_V38.TF LANDER_170904_STEP.TSC naif0012.tls --frame ROS_LANDER
+    """
+    from datetime import timedelta
+
+    from sunspin.tell.export import attitude_of, read_results
+    from sunspin.tell.export_ck import ephemeris_time, kernel_rates
+
+    data, _ = read_results(folder)
+    attitude = attitude_of(data, None, epoch)
+    et = np.array([ephemeris_time(attitude.epoch + timedelta(seconds=float(t))) for t in attitude.t_s])
+    theirs = kernel_rates(list(kernels), frame, base, et)
+    covered = np.isfinite(theirs).all(axis=1)
+    if not covered.any():
+        raise InputError(sentence("the kernels do not cover any of these times", got=f"{attitude.utc(0)} to {attitude.utc(-1)}"))
+    difference = np.degrees(attitude.omega_B[covered] - theirs[covered])
+    speed = np.degrees(np.linalg.norm(attitude.omega_B[covered], axis=1) - np.linalg.norm(theirs[covered], axis=1))
+    summary = {"samples": len(et), "covered": int(covered.sum()), "rms_deg_s": np.sqrt((difference**2).mean(axis=0)).tolist(),
+               "rms_speed_deg_s": float(np.sqrt((speed**2).mean()))}  # fmt: skip
+    shown = ", ".join(f"{value:.4g}" for value in summary["rms_deg_s"])
+    lines = [f"{summary['covered']} of {len(et)} times covered; rms difference of the rates ({shown}) deg/s in body axes, "
+             f"of their size {summary['rms_speed_deg_s']:.4g} deg/s"]  # fmt: skip
+    report(summary, lines, as_json, quiet)

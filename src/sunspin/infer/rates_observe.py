@@ -1,0 +1,146 @@
+"""From telemetry to what the smoother of :mod:`sunspin.infer.rates` reads: passes, thinning, and what each sample gives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.errors import InputError, sentence
+from sunspin.infer.rates_smooth import Observations
+from sunspin.measure.quality import panel_quality
+from sunspin.measure.sun import signals
+from sunspin.vehicle import Vehicle
+
+RADIAL_SIGMA = 0.02
+"""Sigma given to a direction along itself, so that its covariance can be inverted; a chord is shorter than its arc."""
+
+GAP_FACTOR = 6.0
+"""A gap longer than this many usual intervals ends a pass."""
+
+MAX_PASS_S = 3000.0
+"""Longer passes are cut: half an orbit, over which a rate's wandering is still small against a turn."""
+
+MAX_SAMPLES = 40
+"""Samples of a pass beyond this are thinned."""
+
+GROWTH = 1.4
+"""Ratio of neighbouring steps of the thinned samples: they leave from the file's own interval and widen to even steps."""
+
+FIELD_FACTOR = 5.0
+"""A field of more than this many times the usual size is a wrapped or broken reading: along an orbit it varies by three."""
+
+SOURCES = ("sun_sensor", "panels", "directions")
+
+
+def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = None) -> tuple[Observations, np.ndarray, str]:
+    """All samples as `Observations`, a sentence for each (n), and where the Sun comes from.
+
+    `source`: "sun_sensor", "panels" or "directions" (`sun_B` with `sun_cov_B`, as `sun_directions` returns them); default:
+    the first of directions, Sun sensors, panels that the telemetry has.
+    """
+    source = _source(telemetry, source)
+    n = telemetry.sizes["time"]
+    t = np.asarray(telemetry["time"], dtype=np.float64)
+    why = np.full(n, "used", dtype=object)
+    parts: dict[str, Any] = {
+        "sun_B": np.full((n, 3), np.nan), "sun_cov": np.full((n, 3, 3), np.nan), "power": np.zeros((n, 0)),
+        "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
+    }  # fmt: skip
+    if source == "panels":
+        quality = panel_quality(vehicle, telemetry)
+        parts |= {
+            "power": signals(telemetry), "power_sigma": quality["sigma"].values,
+            "rows": vehicle.panel_gains[:, None] * vehicle.panel_normals_B,
+            "scale": quality["scale"].values, "scale_sigma": quality["scale_sigma"].values,
+        }  # fmt: skip
+        why = quality["why"].values.astype(object)
+    else:
+        sun, cov = ("sun_sensor_B", "sun_sensor_cov_B") if source == "sun_sensor" else ("sun_B", "sun_cov_B")
+        parts |= {"sun_B": telemetry[sun].values, "sun_cov": _full_rank(telemetry[sun].values, telemetry[cov].values)}
+        why[~np.isfinite(parts["sun_cov"][:, 0, 0])] = "no direction of the Sun: only the motion and other sensors bridge it"
+    gyro = _or_nan(telemetry, "gyro_B", n)
+    field = _without_outliers(_or_nan(telemetry, "field_B", n))
+    sensors = vehicle.sensors
+    noise = sensors.magnetometer.noise if sensors.magnetometer is not None else None
+    gyro_sigma = sensors.gyro.noise_rad_s if sensors.gyro is not None else 1.0
+    made = Observations(t_s=t, gyro=gyro, gyro_sigma=gyro_sigma, field=field, field_sigma=noise or np.inf, **parts)
+    late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
+    why[late] = "dropped: a late or repeated frame (time does not increase)"
+    return made, why, source
+
+
+def _source(telemetry: xr.Dataset, wanted: str | None) -> str:
+    has = {
+        "directions": "sun_B" in telemetry and "sun_cov_B" in telemetry,
+        "sun_sensor": "sun_sensor_B" in telemetry,
+        "panels": "power_W" in telemetry or "current_A" in telemetry,
+    }
+    if wanted is None:
+        wanted = next((name for name, there in has.items() if there), None)
+    if wanted not in has or not has[wanted]:
+        there = ", ".join(name for name, is_there in has.items() if is_there) or "nothing of the Sun"
+        raise InputError(
+            sentence(f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}", got=there, do=f"use {', '.join(has)}")
+        )
+    return wanted
+
+
+def _or_nan(telemetry: xr.Dataset, name: str, n: int) -> np.ndarray:
+    return np.asarray(telemetry[name], dtype=np.float64) if name in telemetry else np.full((n, 3), np.nan)
+
+
+def _without_outliers(field: np.ndarray) -> np.ndarray:
+    """Fields (n, 3) with readings far beyond the usual size, which the Earth's field cannot reach, made NaN."""
+    size = np.linalg.norm(np.nan_to_num(field), axis=1)
+    usual = np.median(size[size > 0]) if np.any(size > 0) else 0.0
+    return np.where((size <= FIELD_FACTOR * usual)[:, None], field, np.nan)
+
+
+def _full_rank(direction: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    n = direction[:, :, None] * direction[:, None, :]
+    along = np.einsum("nij,nij->n", covariance, n)
+    add = np.where(along < RADIAL_SIGMA**2, RADIAL_SIGMA**2, 0.0)
+    return np.where(np.isfinite(direction[:, :1, None]), covariance + add[:, None, None] * n, np.nan)
+
+
+def informative(o: Observations) -> np.ndarray:
+    """Which samples (n) say something of the Sun."""
+    return o.told | (np.isfinite(o.power_sigma).any(axis=1) if o.power.size else False)
+
+
+def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list[np.ndarray]:
+    """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
+    use = np.flatnonzero(informative(o) & np.array([not text.startswith("dropped") for text in why]))
+    if len(use) < 3:
+        raise InputError(
+            sentence("fewer than three samples say where the Sun is", got=f"{len(use)} of {len(o)}",
+                     do="`sunspin check` says why samples are dropped")
+        )  # fmt: skip
+    times = o.t_s[use]
+    gap = GAP_FACTOR * float(np.median(np.diff(times))) if gap_s is None else gap_s
+    found = []
+    for part in np.split(use, np.flatnonzero(np.diff(times) > gap) + 1):
+        pieces = max(1, int(np.ceil((o.t_s[part[-1]] - o.t_s[part[0]]) / MAX_PASS_S)))
+        edges = o.t_s[part[0]] + np.arange(1, pieces) * (o.t_s[part[-1]] - o.t_s[part[0]]) / pieces
+        found += [thinned(piece) for piece in np.split(part, np.searchsorted(o.t_s[part], edges)) if len(piece) >= 3]
+    if not found:
+        raise InputError(sentence("no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"))
+    return found
+
+
+def thinned(index: np.ndarray, most: int = MAX_SAMPLES) -> np.ndarray:
+    """At most `most` of the samples: close together at first, where the rate is found, then ever farther apart.
+
+    Each step is at most `GROWTH` times the one before, so that what is known of the rate always carries to the next sample.
+    """
+    if len(index) <= most:
+        return index
+    low, high = 1.0, float(len(index))
+    for _ in range(60):  # the largest step for which the steps reach the end
+        widest = (low + high) / 2
+        steps = np.minimum(GROWTH ** np.arange(most - 1), widest)
+        low, high = (widest, high) if steps.sum() < len(index) - 1 else (low, widest)
+    place = np.concatenate([[0.0], np.cumsum(np.minimum(GROWTH ** np.arange(most - 1), high))])
+    return index[np.unique(np.minimum(np.round(place), len(index) - 1).astype(int))]

@@ -1,0 +1,171 @@
+"""What each panel reading is worth: dead panels, power-limited samples, albedo, spikes, stale frames; and why, in words.
+
+Nothing is thrown away in silence. A reading that cannot be the Sun's gets an infinite sigma, one that may be something else
+as well gets a larger sigma, and every sample carries a sentence.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.measure.panels import panel_power
+from sunspin.measure.sun import best_directions, signals
+from sunspin.vehicle import Vehicle
+
+DEAD_FRACTION = 0.05
+"""A panel that never exceeds this fraction of its gain, in a file that is long enough, is taken as dead."""
+
+DEAD_SAMPLES = 20
+"""Samples with some panel lit before a panel may be called dead."""
+
+LIMITED_FRACTION = 0.85
+"""Panels together below this fraction of full Sun: the battery, not the Sun, sets the current, or a dead panel is lit."""
+
+SPIKE_FACTOR = 1.6
+"""A reading above this many times full Sun is a wrapped counter or a spike; Earth's albedo adds at most 0.4."""
+
+ALBEDO_DEFAULT = 0.06
+"""Fraction of full Sun that Earth's light may put on a dark panel, where the file has too few samples to tell."""
+
+IDLE_FRACTION = 0.35
+"""Below this fraction of full Sun nothing is learnt: on skCUBE the panels that stood less in the Sun then gave the current."""
+
+LIMITED_SIGMA = 0.5
+"""Error of a power-limited reading, as a fraction of the sample's largest: the lit side is right, the ratio is not."""
+
+LIMITED_DARK_SIGMA = 1.0
+"""The same of a panel that gives little in such a sample: it may stand in the Sun while another feeds the battery."""
+
+LIMITED_SCALE = 2.0
+"""Relative uncertainty of the scale of a power-limited sample: as good as unknown."""
+
+CLEAN_SCALE = 0.06
+"""Relative uncertainty of the scale of a sample in full Sun: cell temperature and spread of gains."""
+
+BELOW_FULL = "down-weighted: below full Sun, so the battery and not the Sun sets the current, or a dead panel is lit"
+IDLE = "dropped: far below full Sun, so the battery alone sets which panel gives the current"
+BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was left out"
+
+USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
+
+
+def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
+    """Judge every reading and every sample of panel powers or currents.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`
+
+    Returns
+    -------
+    xarray.Dataset
+        `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing; `scale` (time), the factor
+        between gain and reading at full Sun, and its relative uncertainty `scale_sigma` (time); `use` (time): 0 used, 1
+        down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel). attrs: `full_sun` (scale of a clean sample),
+        `albedo` (fraction of full Sun on dark panels), `full_sun_from`.
+    """
+    value = signals(telemetry)
+    gains = vehicle.panel_gains
+    relative = value / gains
+    dropped, why = _unusable(telemetry, value)
+    good = ~dropped
+    full, source = _full_sun(vehicle, relative[good])
+    spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
+    dead = _dead(relative[good], full)
+    use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
+    bright = _brightness(vehicle, use_value)
+    dark = bright < DEAD_FRACTION * full
+    idle = good & ~dark & (bright < IDLE_FRACTION * full)
+    limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
+    albedo = _albedo(vehicle, relative[good & ~limited & ~idle & ~dark] / full)
+    floor = np.hypot(albedo * full * gains, vehicle.telemetry.noise or 0.0)
+    largest = use_value.max(axis=1, initial=0.0)[:, None]
+    sigma = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA) * largest * limited[:, None]
+    sigma = np.hypot(sigma, floor)
+    sigma[~np.isfinite(value) | spike | dead[None]] = np.inf
+    sigma[dropped | dark | idle] = np.inf
+    use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(np.int8)
+    some = spike.any(axis=1) & (use == USED)
+    use[some] = DOWNWEIGHTED
+    why = np.where(why != "", why, np.where(dark, "dropped: no panel lit", np.where(idle, IDLE, "used")))
+    why = np.where(limited & (use != DROPPED), BELOW_FULL, why)
+    why = np.where(some & ~limited, BEYOND_FULL, why)
+    return xr.Dataset(
+        {
+            "sigma": (("time", "panel"), sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
+            "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), full), {"units": "1"}),
+            "scale_sigma": ("time", np.where(limited, LIMITED_SCALE, CLEAN_SCALE), {"units": "1"}),
+            "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
+            "why": ("time", why.astype(np.str_)),
+            "dead": ("panel", dead),
+        },
+        coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
+        attrs={"full_sun": float(full), "albedo": float(albedo), "full_sun_from": source},
+    )
+
+
+def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Samples that cannot be used at all (n), and why (n)."""
+    flag = np.asarray(telemetry["flag"]) if "flag" in telemetry else np.zeros(len(value), dtype=np.uint8)
+    why = np.full(len(value), "", dtype=object)
+    empty = ~np.isfinite(value).any(axis=1)
+    why[empty] = "dropped: no panel has a number"
+    late = (flag & 4) != 0
+    why[late] = "dropped: a late or repeated frame (time does not increase)"
+    same = np.zeros(len(value), dtype=bool)
+    same[1:] = np.all(value[1:] == value[:-1], axis=1) & (np.nan_to_num(value[1:]) > 0).any(axis=1)
+    same &= _finely_quantised(value)
+    why[same & (why == "")] = "dropped: repeats the sample before it to the last digit (stale frame)"
+    return empty | late | same, why
+
+
+def _finely_quantised(value: np.ndarray) -> bool:
+    """Whether equal neighbours mean a stale frame and not just coarse counts or a body at rest: they must be rare."""
+    if len(value) < 3:
+        return False
+    same = np.all(value[1:] == value[:-1], axis=1)
+    return bool(same.mean() < 0.2)
+
+
+def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
+    """The scale of readings in full Sun: one where gains are given in the reading's unit, else from the brightest samples."""
+    unit = {"power_W": "W", "current_A": "A"}[vehicle.telemetry.quantity]
+    if vehicle.gain_unit == unit:
+        return 1.0, "the gains of the vehicle file"
+    bright = _brightness(vehicle, np.nan_to_num(relative) * vehicle.panel_gains)
+    if not len(bright) or bright.max() <= 0:
+        return 1.0, "nothing: no panel is lit"
+    return float(np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)), "the brighter samples of the file"
+
+
+def _brightness(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
+    """Factor (n) by which readings exceed the model at the direction that fits them best."""
+    if not len(value):
+        return np.zeros(0)
+    direction, _ = best_directions(vehicle, value)
+    shape = panel_power(vehicle, direction)
+    return (value * shape).sum(axis=1) / np.maximum((shape**2).sum(axis=1), 1e-300)
+
+
+def _dead(relative: np.ndarray, full: float) -> np.ndarray:
+    high = np.nanmax(np.where(np.isfinite(relative), relative, -np.inf), axis=0, initial=-np.inf)
+    lit = (np.nan_to_num(relative) > DEAD_FRACTION * full).any(axis=1).sum()
+    return (high < DEAD_FRACTION * full) & (lit >= DEAD_SAMPLES) & (high < np.max(high))
+
+
+def _albedo(vehicle: Vehicle, share: np.ndarray) -> float:
+    """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read."""
+    opposite = vehicle.panel_normals_B @ vehicle.panel_normals_B.T < -0.99
+    readings = [share[share[:, j] > 0.3, i] for i, j in np.argwhere(opposite)]
+    dark = np.concatenate(readings) if readings else np.zeros(0)
+    dark = dark[np.isfinite(dark)]
+    return float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if len(dark) >= 10 else ALBEDO_DEFAULT
+
+
+def reasons(quality: Any) -> dict[str, int]:
+    """Number of samples for each sentence, most frequent first."""
+    texts, counts = np.unique(quality["why"].values, return_counts=True)
+    return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda item: -item[1]))
