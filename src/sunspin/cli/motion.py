@@ -102,6 +102,8 @@ def _vector(values: list[float]) -> str:
               "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
 @click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
               "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
+@click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Run on the processor, or on "
+              "an NVIDIA GPU. The latter needs pip install \"sunspin[gpu]\".")
 @click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
@@ -111,7 +113,8 @@ def _vector(values: list[float]) -> str:
 @run_options
 @data_option
 def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, threshold,
-         direction_error, n_lines, store, scheduler, out, as_json, quiet, seed, workers, data) -> None:  # fmt: skip
+         direction_error, n_lines, store, scheduler, device, out, as_json, quiet, seed, workers,
+         data) -> None:  # fmt: skip
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
     The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
@@ -139,7 +142,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     volume = run_scan(
         craft, target, track["sun_B"].values[0], *axes, speeds or None, float(track["time"].values[-1]),
         wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
-        progress=on_terminal(quiet),
+        device=device, progress=on_terminal(quiet),
     )  # fmt: skip
     points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
     if not len(points):

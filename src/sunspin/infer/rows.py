@@ -83,6 +83,7 @@ class EmdRows:
     wheel_mode: str | tuple[str, ...] = "coast"
     emd_error: float | None = None
     direction_error: float | None = None
+    device: str = "cpu"
     condition: k.Mask | None = field(init=False)
     segments: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
@@ -94,6 +95,7 @@ class EmdRows:
         if self.mask not in ("reconstructible", None):
             raise InputError(sentence('mask must be "reconstructible" or None', got=self.mask))
         k.check_commands(self.vehicle, self.wheel_mode)
+        k.check_device(self.device)
         if self.emd_error is None and self.direction_error is None:
             object.__setattr__(self, "emd_error", k.EMD_ERROR)
         k.accuracy(self.direction_error, self.emd_error)
@@ -121,19 +123,21 @@ class EmdRows:
 
     def _distances(self, states: k.Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """EMD, time (s) that the mask let pass, and outcome of each state (n)."""
-        errors = {"emd_error": self.emd_error, "direction_error": self.direction_error}
-        hist, outcome = histograms(self.vehicle, states, self.duration_s, self.condition, self.wheel_mode, **errors)
+        hist, outcome = histograms(
+            self.vehicle, states, self.duration_s, self.condition, self.wheel_mode, emd_error=self.emd_error,
+            direction_error=self.direction_error, device=self.device,
+        )  # fmt: skip
         return *distances_to(hist, self.segments), outcome
 
 
 def histograms(
     vehicle: Vehicle, states: k.Rows, duration_s: float, condition: k.Mask | None, wheel_mode: str | tuple[str, ...] = "coast",
-    *, emd_error: float | None = k.EMD_ERROR, direction_error: float | None = None,
+    *, emd_error: float | None = k.EMD_ERROR, direction_error: float | None = None, device: str = "cpu",
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Time (s) by r_z (n, BINS) in the run of each state, of directions that the mask lets pass; outcome (n)."""
     result = k.run_rows(
         vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error, emd_error=emd_error,
-        mask=condition, bins=BINS,
+        mask=condition, bins=BINS, device=device,
     )  # fmt: skip
     return result.hist, result.outcome
 
@@ -158,11 +162,13 @@ class TrackRows:
     times: np.ndarray
     wheel_mode: str | tuple[str, ...] = "coast"
     direction_error: float = TRACK_DIRECTION_ERROR
+    device: str = "cpu"
 
     outputs: ClassVar[Mapping[str, Any]] = {"E": ("float64", ()), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
         k.check_commands(self.vehicle, self.wheel_mode)
+        k.check_device(self.device)
         k.accuracy(self.direction_error, None)
 
     @property
@@ -183,6 +189,7 @@ class TrackRows:
             self.times,
             wheel_mode=self.wheel_mode,
             direction_error=self.direction_error,
+            device=self.device,
         )
         first = Layout(len(self.vehicle.wheels)).r
         simulated = result.track[:, :, first : first + 3]
@@ -193,6 +200,7 @@ def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     """What both kinds of rows depend on."""
     return {
         **code(),
+        **k.device_identity(rows.device),
         "vehicle": plain(rows.vehicle),
         **plain(rows.start),
         "wheel_mode": list(k.check_commands(rows.vehicle, rows.wheel_mode)),

@@ -88,9 +88,9 @@ EVENT_TOLERANCE = {"series": 1e-13, "split": 1e-5}
 """Of the place of an event in its step, and of the value there compared with that at the step's begin."""
 
 
-def source(structure: c.Structure) -> str:
-    """The complete source of the kernel for this structure."""
-    o = METHODS[structure.method](structure)
+def source(structure: c.Structure, lanes: int | None = None) -> str:
+    """The complete source of the kernel for this structure, for the method's number of lanes or another (1, or a multiple of 4)."""
+    o = METHODS[structure.method](structure, lanes)
     bodies = {
         "        pass  # STEP": o.step(),
         "    pass  # HALVE": o.halve(),
@@ -111,11 +111,11 @@ def source(structure: c.Structure) -> str:
         bodies["                pass  # DEPOSIT_ALL"] += calls
     parts = {
         "CONSTANTS": o.definitions(),
-        "EVENTS": _template("events"),
-        "METHOD": _template(structure.method),
+        "EVENTS": template("events"),
+        "METHOD": template(structure.method),
         "DEPOSITS": "".join(deposits).rstrip(),
     }
-    text = _template("driver")
+    text = template("driver")
     for name, part in parts.items():
         text = text.replace(f'\n"{name}"\n', f"\n{part}\n")
     for name, value in _constants(structure, o).items():
@@ -126,7 +126,8 @@ def source(structure: c.Structure) -> str:
     return text
 
 
-def _template(name: str) -> str:
+def template(name: str) -> str:
+    """The hand-written text of this name, as it stands in its file."""
     return Path(__file__).with_name(f"{name}_template.py").read_text(encoding="utf-8")
 
 
@@ -181,9 +182,13 @@ def _private_folder() -> Path:
 
 @lru_cache(maxsize=32)
 def kernel(structure: c.Structure) -> ModuleType:
-    """The module with the compiled functions `run` and `emd_rows` for this structure."""
-    text = source(structure)
-    key = f"{metadata.version('numba')}\n{text}"
+    """The module with the compiled function `run` for this structure."""
+    return module_of(source(structure), metadata.version("numba"))
+
+
+def module_of(text: str, compiler: str) -> ModuleType:
+    """The module with this text, from the cache folder if it is there; `compiler` is the version that its machine code is of."""
+    key = f"{compiler}\n{text}"
     name = f"sunspin_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
     with _lock:
         if name in sys.modules:

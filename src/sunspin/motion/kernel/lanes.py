@@ -27,9 +27,11 @@ class Lanes:
     """Collects lines of one lane's code, and knows where everything is; each method of integration is a subclass."""
 
     lanes = 32
+    """Trajectories of a block on a processor with vectors, unless told."""
 
-    def __init__(self, structure: Structure):
+    def __init__(self, structure: Structure, lanes: int | None = None):
         self.structure = structure
+        self.lanes = type(self).lanes if lanes is None else lanes
         self.n = len(structure.axes)
         self.constants: dict[tuple[str, float], str] = {}
         self.lines: list[str] = []
@@ -38,6 +40,8 @@ class Lanes:
             "S_STATE": n_state, "S_OLD": n_state, "S_DT": 1, "S_MARGIN": 1, "S_LEAST": 1, "S_TURN": 3 * self.nodes,
             "S_WHEEL": len(LANE_WHEEL_ROWS) * self.n, **self.more_rows(), "S_ROWS": 0,
         }) | _places({"V_NODE": NODE_ROWS * (self.nodes + 1), "V_DT": 1, "V_SIGNED": 1, "V_ROWS": 0})  # fmt: skip
+        if self.lanes == 1:
+            self.at["S_LEAST"] = self.at["S_MARGIN"]  # the least of one, with nothing to halve
 
     @property
     def nodes(self) -> int:

@@ -18,6 +18,8 @@ from sunspin.motion import modes as m
 from sunspin.motion.kernel import codegen as c
 from sunspin.motion.kernel import principal
 from sunspin.motion.kernel.compiled import Outcome, kernel
+from sunspin.motion.kernel.cuda import Group, require_device
+from sunspin.motion.kernel.cuda import launch as launch_cuda
 from sunspin.motion.kernel.steps import SEGMENTS, UNEVEN, Accuracy, Rows, accuracy, common_spin, free_inertias, plan, segments
 from sunspin.vehicle import Vehicle
 
@@ -114,6 +116,15 @@ class BlockResult:
     evenness: np.ndarray
 
 
+def _launch(
+    structure: c.Structure, work: np.ndarray, groups: list[Group], modes: np.ndarray, normals: np.ndarray, result: BlockResult
+) -> None:
+    """Run groups of rows of `work` on the processor and put what they give into `result`."""
+    run = kernel(structure).run
+    for index, parts in groups:
+        run(work, index, modes, normals, *parts, result.hist, result.track, result.outcome, result.evenness)
+
+
 def run_rows(
     vehicle: Vehicle,
     rows: Rows,
@@ -125,8 +136,9 @@ def run_rows(
     mask: Mask | None = None,
     bins: int = 0,
     min_steps: int = 1,
+    device: str = "cpu",
 ) -> BlockResult:
-    """Run rows through the kernels on the calling thread (the GIL is released inside).
+    """Run rows through the kernels on the calling thread (the GIL is released inside), or on a GPU.
 
     Parameters
     ----------
@@ -141,12 +153,15 @@ def run_rows(
         Bins of the histogram of r_z over [-1, 1] (0: none, and `track` is filled).
     min_steps : int
         At least this many steps over the whole run.
+    device : "cpu" or "cuda"
+        Where the rows run: with the same steps, and within the same errors, but not to the same bits.
 
     Raises
     ------
     InputError
-        Output times that go to and fro, an error that cannot be met.
+        Output times that go to and fro, an error that cannot be met, a device that is not there.
     """
+    require_device(device)
     ends = np.atleast_1d(np.asarray(duration_s, dtype=np.float64))
     gaps = np.diff(ends, prepend=0.0)
     if not (np.all(gaps >= 0) or np.all(gaps <= 0)):
@@ -166,10 +181,13 @@ def run_rows(
     def go(which: np.ndarray, accuracy: Accuracy) -> None:
         todo = plan(vehicle, rows.take(which), commands, float(ends[-1]), accuracy, bool(bins), min_steps)
         result.steps[which], result.method[which] = todo.steps, todo.method
+        by_method: dict[str, list[Group]] = {}
         for group, method, steps, ratio in todo.groups():
-            run = kernel(structure_of(vehicle, mask, bins, method)).run
             parts = segments(ends, steps, ratio, SEGMENTS, growing=bool(ends[-1] < 0))
-            run(work, which[group], modes, normals, *parts, result.hist, result.track, result.outcome, result.evenness)
+            by_method.setdefault(method, []).append((which[group], parts))
+        for method, groups in by_method.items():
+            launch = launch_cuda if device == "cuda" else _launch
+            launch(structure_of(vehicle, mask, bins, method), work, groups, modes, normals, result)
 
     go(np.arange(n), wanted)
     sensitive = np.flatnonzero((result.method == "split") & ~(result.evenness > UNEVEN) & (result.outcome == Outcome.FINE))
