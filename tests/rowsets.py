@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,11 @@ import sunspin
 
 ELSEWHERE = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, [Path(sunspin.__file__).parents[1], Path(__file__).parent]))}
 """The environment of other processes that are to find this module and the package under test."""
+
+
+def heed_interrupts() -> None:
+    """Before a child process begins: one that was started in the background of a shell would ignore Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from rowsets import heed_interrupts
 from sunspin import cli
 
 START = ["--omega=0.1,0,0", "--sun=0.1959,0.5690,0.7986"]
@@ -144,7 +145,8 @@ def test_a_reader_that_goes_away_is_no_error():
 def test_interruption_is_one_sentence_and_130(tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "sunspin.cli", "reproduce", "--quiet", "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, preexec_fn=heed_interrupts, **pipes)
     try:
         while not out.exists() and process.poll() is None:  # the marker is written when the work begins
             time.sleep(0.05)

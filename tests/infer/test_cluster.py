@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from rowsets import ELSEWHERE, Waves
+from rowsets import ELSEWHERE, Waves, heed_interrupts
 from sunspin.infer.ensemble import ensemble
 
 distributed = pytest.importorskip("distributed", reason='needs Dask: pip install "sunspin[cluster]"')
@@ -172,6 +172,7 @@ def test_an_interruption_ends_the_cluster_in_good_order(tmp_path):
     process = subprocess.Popen(
         [sys.executable, str(script), str(log), str(store)],
         env=ELSEWHERE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=heed_interrupts,
     )  # fmt: skip
     try:
         while process.poll() is None and not (log.exists() and log.read_text().count("\n") > 100):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from rowsets import ELSEWHERE, Waves
+from rowsets import ELSEWHERE, Waves, heed_interrupts
 from sunspin import cli
 from sunspin.errors import Interrupted
 from sunspin.infer.ensemble import ensemble
@@ -119,7 +119,8 @@ except Interrupted as stop:
 def test_an_interruption_says_what_is_kept_and_how_to_go_on(kept, tmp_path):
     log, store = tmp_path / "rows", tmp_path / "store"
     command = [sys.executable, "-c", SCRIPT, str(log), str(store) if kept else ""]
-    process = subprocess.Popen(command, env=ELSEWHERE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, env=ELSEWHERE, preexec_fn=heed_interrupts, **pipes)
     try:
         while process.poll() is None and not (log.exists() and log.read_text().count("\n") > 100):
             time.sleep(0.02)
