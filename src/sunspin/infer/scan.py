@@ -111,11 +111,18 @@ def scan(
         k.require_device(device)  # before a store is made
     chunk = CHUNK if device == "cpu" else GPU_CHUNK
     out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
-    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode).assign_attrs(device=device)
+    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device)
 
 
 def volume(
-    vehicle: Vehicle, start: Start, name: str, values: np.ndarray, outcome: np.ndarray, mask: Any, wheel_mode: Any
+    vehicle: Vehicle,
+    start: Start,
+    name: str,
+    values: np.ndarray,
+    outcome: np.ndarray,
+    mask: Any,
+    wheel_mode: Any,
+    device: str = "cpu",
 ) -> xr.DataArray:
     """Values of all rows of a grid, and their outcomes, as `scan` returns them."""
     dims = ("omega_x", "omega_y", "omega_z")
@@ -127,7 +134,7 @@ def volume(
         name=name,
         attrs={
             "units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode),
-            "vector_bits": k.vector_bits(),
+            "vector_bits": k.vector_bits(), "device": device,
         },
     )
     result = result.assign_coords(outcome=(dims, outcome.reshape(start.shape)))
