@@ -16,12 +16,12 @@ from sunspin.errors import InputError, sentence
 from sunspin.motion import modes as m
 from sunspin.motion.kernel import codegen as c
 from sunspin.motion.kernel import principal
-from sunspin.motion.kernel.accuracy import Accuracy, accuracy
 from sunspin.motion.kernel.compiled import Outcome, kernel
 from sunspin.motion.kernel.cuda import Group, require_device
 from sunspin.motion.kernel.cuda import launch as launch_cuda
 from sunspin.motion.kernel.rows import Rows, mode_table, work_array
 from sunspin.motion.kernel.steps import SEGMENTS, UNEVEN, Scales, plan, segments
+from sunspin.motion.kernel.tolerance import Accuracy, accuracy
 from sunspin.vehicle import Vehicle
 
 

@@ -17,11 +17,11 @@ from sunspin.motion import gyrostat as g
 from sunspin.motion import modes as m
 from sunspin.motion.friction import spin_down_speed
 from sunspin.motion.kernel import principal
-from sunspin.motion.kernel.accuracy import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.motion.kernel.lanes import NODES_PER_STEP
 from sunspin.motion.kernel.rows import Rows
 from sunspin.motion.kernel.series_lanes import ORDER
 from sunspin.motion.kernel.split_lanes import MAX_MAIN_ANGLE, MAX_SIDE_ANGLE
+from sunspin.motion.kernel.tolerance import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.vehicle import Vehicle
 
 MAX_STEPS = 10**8
