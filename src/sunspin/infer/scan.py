@@ -16,12 +16,16 @@ import xarray as xr
 
 from sunspin.errors import InputError, sentence
 from sunspin.infer.ensemble import CHUNK, ensemble
-from sunspin.infer.rows import TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows
+from sunspin.infer.rows import BINS, TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows
 from sunspin.motion import kernel as k
 from sunspin.vehicle import Vehicle
 
 MAX_ROWS = 50_000_000
 """Grids beyond this are refused: at 115 microseconds a row this many run for an hour and a half on one core."""
+
+MANY_ROWS = 5_000
+"""Grids from here on nearly always hold motions near an unstable spin, which are run again by the other method: its kernel is
+compiled beside the first."""
 
 GPU_CHUNK = 65_536
 """Rows that a GPU is given at once: 255 registers let one with 132 processors run 33,792. Each takes 1.5 kB of its memory."""
@@ -109,6 +113,8 @@ def scan(
         name, rows = "emd", EmdRows(vehicle, start, target_z, weights, duration_s, mask, mode, emd_error, direction_error, device)
     if scheduler is None:
         k.require_device(device)  # before a store is made
+        if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:
+            k.prepare(vehicle, [(rows.condition, BINS)])
     chunk = CHUNK if device == "cpu" else GPU_CHUNK
     out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
     return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device)

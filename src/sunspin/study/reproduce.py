@@ -14,7 +14,10 @@ import xarray as xr
 
 from sunspin.cases import Case
 from sunspin.errors import InputError, TelemetryError, sentence
+from sunspin.infer.mask import reconstructible_mask
+from sunspin.infer.rows import BINS as SCAN_BINS
 from sunspin.measure.sun import sun_directions
+from sunspin.motion import kernel as k
 from sunspin.study import (
     contradictions,
     descent,
@@ -30,6 +33,7 @@ from sunspin.study import (
 )
 from sunspin.study import inputs as taken
 from sunspin.study import rebound as rb
+from sunspin.study.outcomes import BINS as OUTCOME_BINS
 from sunspin.study.row import Row
 
 LANDING_RUNS = 5_000
@@ -144,6 +148,7 @@ def compute(case: Case, *, seed: int = 0, coarser: int = 1, workers: int | None 
     sun = sun_directions(case.vehicle, case.telemetry)
     rb.rebound_samples(case, sun)  # refused before the work
     inputs = Inputs(case, sun, seed, coarser, workers, progress)
+    k.prepare(case.vehicle, [(reconstructible_mask(case.vehicle), SCAN_BINS), (None, OUTCOME_BINS)])
     rows, missing = {}, {}
     for part in PARTS:
         try:
