@@ -121,7 +121,8 @@ class Friction:
 
 @dataclass(frozen=True)
 class Wheel(Portable):
-    """A wheel: spin axis (unit, B), axial inertia J, nominal speed relative to the body, friction and brake."""
+    """A wheel: spin axis (unit, B), axial inertia J, nominal speed relative to the body, friction and brake; the column of
+    the telemetry with its speed, if any, and the factor from that column to rad/s."""
 
     name: str
     axis_B: FloatArray
@@ -130,6 +131,8 @@ class Wheel(Portable):
     friction: Friction = Friction()
     alternative_frictions: Mapping[str, Friction] = field(default_factory=dict)
     brake_torque_N_m: float | None = None
+    speed_column: str | None = None
+    speed_scale_rad_s: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axis_B", direction(self.axis_B, f"axis_B of wheel {self.name!r}"))

@@ -54,6 +54,8 @@ class WheelForm(Form):
     inertia_kg_m2: Value
     speed_rad_s: Value | None = None
     brake_torque_N_m: Value | None = None
+    speed_column: Name | None = None
+    speed_scale_rad_s: Value | None = None
     friction: FrictionForm | None = None
     alternative_frictions: dict[str, FrictionForm] = {}
 
@@ -272,6 +274,8 @@ def _wheel(form: WheelForm, facts: dict[str, v.Fact]) -> v.Wheel:
             for name, other in form.alternative_frictions.items()
         },
         brake_torque_N_m=scalar(facts, f"{key}.brake_torque_N_m", form.brake_torque_N_m),
+        speed_column=form.speed_column,
+        speed_scale_rad_s=scalar(facts, f"{key}.speed_scale_rad_s", form.speed_scale_rad_s) or 1.0,
     )
 
 

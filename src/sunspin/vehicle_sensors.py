@@ -5,7 +5,7 @@ All in body axes. Frozen data, read from the vehicle file by :mod:`sunspin.vehic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,12 +37,17 @@ class SunSensor:
 
 @dataclass(frozen=True)
 class Gyro:
-    """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`)."""
+    """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`).
+
+    `noise_rad_s` is that of one sample, `zero_sigma` (3) and `scale_sigma` are shared by all samples of a pass.
+    """
 
     columns: tuple[str, str, str]
     scale_rad_s: float
     zero: np.ndarray
     noise_rad_s: float
+    zero_sigma: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    scale_sigma: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -97,9 +97,21 @@ def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
 
 def _gyro(form: GyroForm, facts: dict[str, v.Fact]) -> s.Gyro:
     noise = _positive(facts, "gyro.noise_rad_s", form.noise_rad_s)
-    return s.Gyro(
-        tuple(form.columns), scalar(facts, "gyro.scale_rad_s", form.scale_rad_s), _vector(facts, "gyro.zero", form.zero), noise
-    )
+    scale = scalar(facts, "gyro.scale_rad_s", form.scale_rad_s)
+    if scale == 0:
+        raise VehicleError(sentence("gyro.scale_rad_s must not be zero"))
+    zero_sigma = np.broadcast_to(_sigma(form.zero, "gyro.zero"), 3)
+    scale_sigma = float(_sigma(form.scale_rad_s, "gyro.scale_rad_s"))
+    return s.Gyro(tuple(form.columns), scale, _vector(facts, "gyro.zero", form.zero), noise, zero_sigma, scale_sigma)
+
+
+def _sigma(given: Any, key: str) -> np.ndarray:
+    """The stated sigma of a value, zero where none is stated."""
+    sigma = np.array(0.0 if given is None or given.sigma is None else given.sigma, dtype=np.float64)
+    if sigma.shape not in ((), np.shape(given.value) if given is not None else ()) or np.any(sigma < 0):
+        what = f"the sigma of {key} must be one number or one for each component, and not negative"
+        raise VehicleError(sentence(what, got=given.sigma))
+    return sigma
 
 
 def _magnetometer(form: MagnetometerForm, facts: dict[str, v.Fact]) -> s.Magnetometer:

@@ -12,6 +12,7 @@ from sunspin.infer.rates_smooth import Observations
 from sunspin.measure.quality import panel_quality
 from sunspin.measure.sun import signals
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle_sensors import Gyro
 
 RADIAL_SIGMA = 0.02
 """Sigma given to a direction along itself, so that its covariance can be inverted; a chord is shorter than its arc."""
@@ -65,7 +66,9 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
     sensors = vehicle.sensors
     noise = sensors.magnetometer.noise if sensors.magnetometer is not None else None
     gyro_sigma = sensors.gyro.noise_rad_s if sensors.gyro is not None else 1.0
-    made = Observations(t_s=t, gyro=gyro, gyro_sigma=gyro_sigma, field=field, field_sigma=noise or np.inf, **parts)
+    parts |= {"gyro": gyro, "gyro_sigma": gyro_sigma, "gyro_common": _common_errors(sensors.gyro, gyro)}
+    parts |= {"field": field, "field_sigma": noise or np.inf}
+    made = Observations(t_s=t, momentum=np.zeros((n, 3)), **parts)
     late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
     why[late] = "dropped: a late or repeated frame (time does not increase)"
     return made, why, source
@@ -89,6 +92,15 @@ def _source(telemetry: xr.Dataset, wanted: str | None) -> str:
 
 def _or_nan(telemetry: xr.Dataset, name: str, n: int) -> np.ndarray:
     return np.asarray(telemetry[name], dtype=np.float64) if name in telemetry else np.full((n, 3), np.nan)
+
+
+def _common_errors(gyro: Gyro | None, rate: np.ndarray) -> np.ndarray:
+    """One sigma (n, 4, 3) rad/s of the gyro's zero, axis by axis, and of its scale."""
+    errors = np.zeros((len(rate), 4, 3))
+    if gyro is not None:
+        errors[:, :3] = np.diag(gyro.scale_rad_s * gyro.zero_sigma)
+        errors[:, 3] = np.nan_to_num(rate) * gyro.scale_sigma / abs(gyro.scale_rad_s)
+    return errors
 
 
 def _without_outliers(field: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.rates_motion import step, turn
+from sunspin.infer.rates_motion import nutation, step, turn
 from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, smooth
 
 ANGLES = 36
@@ -123,7 +123,7 @@ def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float) -
     low, high = max(0, index - WINDOW), min(len(o), index + 2 + WINDOW)
     o = o.part(low, high)
     dt = o.t_s[1 + index - low] - o.t_s[index - low]
-    precession = np.linalg.norm(motion.body.momentum) * dt  # the mean moment of inertia is the unit
+    precession = nutation(motion.body, o.momentum) * dt
     family = _wheel_family if precession > PRECESSION_RAD else _constant_family
     track = family(o, index - low, motion, rate_max)
     if track is None:
@@ -166,7 +166,7 @@ def _wheel_family(o: Observations, index: int, motion: Motion, rate_max: float) 
         first, last = (index, len(o) - 1) if way == 1 else (index, 0)
         for i in range(first, last, way):
             at = -1 if way == 1 else 0
-            made, rate = step(motion.body, omega[at], np.full(len(omega[at]), o.t_s[i + way] - o.t_s[i]))
+            made, rate = step(motion.body, omega[at], np.full(len(omega[at]), o.t_s[i + way] - o.t_s[i]), o.wheels(i, i + way))
             place = len(omega) if way == 1 else 0
             attitude.insert(place, made @ attitude[at])
             omega.insert(place, rate)
@@ -196,12 +196,14 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
         attitude, omega = track.attitude, track.omega
         for _ in range(max(1, (high - low) // GROW_SHARE)):
             if high < len(o):
-                made, rate = step(motion.body, omega[:, -1], np.full(len(omega), o.t_s[high] - o.t_s[high - 1]))
+                dt = np.full(len(omega), o.t_s[high] - o.t_s[high - 1])
+                made, rate = step(motion.body, omega[:, -1], dt, o.wheels(high - 1, high))
                 attitude = np.concatenate([attitude, (made @ attitude[:, -1])[:, None]], axis=1)
                 omega = np.concatenate([omega, rate[:, None]], axis=1)
                 high += 1
             if low > 0:
-                made, rate = step(motion.body, omega[:, 0], np.full(len(omega), o.t_s[low - 1] - o.t_s[low]))
+                dt = np.full(len(omega), o.t_s[low - 1] - o.t_s[low])
+                made, rate = step(motion.body, omega[:, 0], dt, o.wheels(low, low - 1))
                 attitude = np.concatenate([(made @ attitude[:, 0])[:, None], attitude], axis=1)
                 omega = np.concatenate([rate[:, None], omega], axis=1)
                 low -= 1

@@ -31,14 +31,15 @@ def sensor_columns(vehicle: Vehicle) -> list[str]:
     names = [name for s in sensors.sun_sensors for name in (s.x_column, s.y_column, s.light_column) if name]
     for part in (sensors.gyro, sensors.magnetometer):
         names += list(part.columns) if part is not None else []
-    return names
+    return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
 
 
 def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """Variables for a Dataset over `time` from the sensor columns that the table has (missing ones are left out).
 
     `sun_sensor_B` (time, axis) unit, body axes, with `sun_sensor_cov_B` (time, axis, axis2): NaN where no sensor sees the Sun;
-    `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in the column's unit, zero taken off. Cells without a number are NaN.
+    `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in the column's unit, zero taken off; `wheel_speed_rad_s` (time, wheel).
+    Cells without a number are NaN.
     """
     found: dict[str, Any] = {}
     sensors = vehicle.sensors
@@ -54,6 +55,12 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     if magnetometer is not None and all(name in table.header for name in magnetometer.columns):
         value = _numbers(table, magnetometer.columns) - magnetometer.zero
         found["field_B"] = (("time", "axis"), value, {"long_name": "magnetometer less its zero, body axes"})
+    speeds = [wheel.speed_column for wheel in vehicle.wheels]
+    if speeds and all(name in table.header for name in speeds if name) and any(speeds):
+        nothing = np.full(len(table.rows), np.nan)
+        value = [nothing if w.speed_column is None else w.speed_scale_rad_s * _numbers(table, [w.speed_column])[:, 0]
+                 for w in vehicle.wheels]  # fmt: skip
+        found["wheel_speed_rad_s"] = (("time", "wheel"), np.stack(value, axis=1), {"units": "rad s-1"})
     return found
 
 
