@@ -15,7 +15,7 @@ from sunspin.errors import InputError, sentence
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body
 from sunspin.infer.rates_observe import observations, passes
-from sunspin.infer.rates_seed import search
+from sunspin.infer.rates_seed import SEED_NOISE, cooled, search, seeds
 from sunspin.infer.rates_smooth import Motion, Observations, Track
 from sunspin.infer.rates_spread import with_spread
 from sunspin.infer.rates_wheels import wheel_momenta
@@ -27,7 +27,7 @@ MAX_MODES = 6
 LEAST_WEIGHT = 1e-3
 """Modes of less weight are not reported."""
 
-NOISE_LADDER = (2e-5, 1e-4, 3e-4)
+NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
 """Angular-acceleration noises (rad/s^1.5) tried where none is given; at 3e-4 a rate wanders by 0.3 deg/s in 5 minutes."""
 
 LADDER_PASSES = 2
@@ -152,24 +152,31 @@ def choose(
         name = next(iter(wheels))
         return noises[0], replace(o, momentum=wheels[name]), name
     longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
-    evidence = {
-        (level, name): sum(_evidence(replace(o, momentum=momentum).take(part), Motion(body, level, rate_max / 2), rate_max)
-                           for part in longest)
-        for name, momentum in wheels.items() for level in noises
-    }  # fmt: skip
+    evidence = {}
+    for what, momentum in wheels.items():
+        each = [_evidence(replace(o, momentum=momentum).take(part), body, noises, rate_max) for part in longest]
+        evidence |= {(noise, what): float(total) for noise, total in zip(noises, np.sum(each, axis=0), strict=True)}
     level, name = max(evidence, key=evidence.get)
     others = [value for (_, other), value in evidence.items() if other != name]
     told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name
     return level, replace(o, momentum=wheels[name]), told
 
 
-def _evidence(o: Observations, motion: Motion, rate_max: float) -> float:
-    """Log of the probability of a pass under a motion, up to a constant; minus infinity where nothing fits at all."""
+def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
+    """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
+
+    From the loosest to the stiffest, each from where the one before ended.
+    """
+    found = np.full(len(noises), -np.inf)
+    motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
     try:
-        track = search(o, motion, rate_max, pairs=1)
+        track, last = seeds(o, motion, rate_max, pairs=1), motion.noise
     except InputError:
-        return -np.inf
-    return float(np.logaddexp.reduce(track.log_weight)) - 6 * (len(o) - 1) * np.log(motion.noise)
+        return found
+    for k in np.argsort(noises)[::-1]:
+        track, last = cooled(o, track, last, replace(motion, noise=noises[k])), noises[k]
+        found[k] = np.logaddexp.reduce(track.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
+    return found
 
 
 def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> float:
@@ -213,6 +220,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "sphere (no inertia given)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
+        "attitude_used": int(np.isfinite(o.attitude[index]).any()),
         "sunspin_version": metadata.version("sunspin"),
     }  # fmt: skip
     result = xr.Dataset(
@@ -251,6 +259,6 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
     if decided + np.count_nonzero(bad) < len(best):
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
-    if not (result.attrs["gyro_used"] or result.attrs["field_used"]):
+    if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     return text

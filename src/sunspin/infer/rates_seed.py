@@ -14,6 +14,7 @@ import numpy as np
 from sunspin.errors import InputError, sentence
 from sunspin.infer.rates_motion import nutation, step, turn
 from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, smooth
+from sunspin.measure.panels import sphere
 
 ANGLES = 36
 """Turns tried in each full turn, 10 degrees apart: the smoother's basin is wider than that."""
@@ -39,6 +40,12 @@ PRECESSION_RAD = 0.5
 GRID_RAD, GRID_RATES = 0.35, 1500
 """Step of the grid of rates, as a turn between the first pair of samples, and about how many rates at most."""
 
+SEED_NOISE = 1e-4
+"""rad/s^1.5; hypotheses grow under at least this much of unknown torque, however well the motion is known."""
+
+COOLING = 1.7
+"""The unknown torque falls by exp(1.7) at each step from there to what is asked for."""
+
 GROW_SHARE = 6
 """The window grows by a sixth of its samples at either end: what is known then still carries."""
 
@@ -50,13 +57,6 @@ DROP = 18.0
 
 ALIKE_RAD = 0.25
 """Two hypotheses whose turns between neighbours differ by less everywhere are one."""
-
-
-def sphere(n: int) -> np.ndarray:
-    """About evenly spread directions (n, 3), by Fibonacci's spiral."""
-    z = 1 - (2 * np.arange(n) + 1) / n
-    longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
-    return np.stack([np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1)
 
 
 def facing(sun_B: np.ndarray) -> np.ndarray:
@@ -213,7 +213,21 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
 
 
 def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
-    """All modes of a pass, best first: from the `pairs` shortest intervals, grown over the whole pass and joined.
+    """All modes of a pass, best first."""
+    loose = replace(motion, noise=max(motion.noise, SEED_NOISE))
+    return cooled(o, seeds(o, loose, rate_max, pairs), loose.noise, motion)
+
+
+def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:
+    """Hypotheses of a loose motion (`noise`) brought to a stiffer one by steps: at once, they would stay where they are."""
+    steps = int(np.ceil(abs(np.log(noise / motion.noise)) / COOLING))
+    for level in np.geomspace(noise, motion.noise, steps + 1)[1:]:
+        track = distinct(smooth(o, track, replace(motion, noise=float(level)), steps=12), o.t_s)
+    return distinct(smooth(o, track, motion, steps=25), o.t_s)
+
+
+def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
+    """Modes under a loose motion: from the `pairs` shortest intervals, grown over the whole pass and joined.
 
     Default: three, or one where the samples begin so close together that no rate hides between them.
     """
@@ -231,6 +245,5 @@ def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None =
             )
         )  # fmt: skip
     joined = Track(*(np.concatenate(parts) for parts in zip(*((t.attitude, t.omega, t.cost) for t in tracks), strict=True)))
-    best = distinct(joined, o.t_s)
-    return distinct(smooth(o, best, motion, steps=25), o.t_s)
+    return distinct(joined, o.t_s)
 

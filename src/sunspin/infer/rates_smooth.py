@@ -30,7 +30,10 @@ SUN_N = np.array([0.0, 0.0, 1.0])
 """The Sun in the local frame N."""
 
 
-PER_SAMPLE = ("t_s", "sun_B", "sun_cov", "power", "power_sigma", "scale", "scale_sigma", "gyro", "gyro_common", "field", "momentum")
+PER_SAMPLE = (
+    "t_s", "sun_B", "sun_cov", "power", "power_sigma", "scale", "scale_sigma", "gyro", "gyro_common", "field", "momentum",
+    "attitude",
+)  # fmt: skip
 """What `Observations` holds for each sample."""
 
 
@@ -41,8 +44,9 @@ class Observations:
     `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel),
     `power_sigma` (n, n_panel), `rows` (n_panel, 3) gain times normal, `scale` (n) and `scale_sigma` (n): the factor of all
     powers of a sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one
-    sigma of errors that all samples share; `field` (n, 3) with `field_sigma`,
-    in any unit; `momentum` (n, 3) of the wheels, in the body's mean moment of inertia times rad/s.
+    sigma of errors that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in
+    the body's mean moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma`
+    (rad), of which only the turn from sample to sample is used.
     """
 
     t_s: np.ndarray
@@ -59,6 +63,8 @@ class Observations:
     field: np.ndarray
     field_sigma: float
     momentum: np.ndarray
+    attitude: np.ndarray
+    attitude_sigma: float
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -194,6 +200,21 @@ def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, 
     if pair.any() and np.isfinite(o.field_sigma):
         more = _field_residuals(o, relative, b0, b1, pair, dt)
         value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    known = np.isfinite(o.attitude[:, 0, 0])
+    if (pair := known[:-1] & known[1:]).any():
+        more = _attitude_residuals(o, relative, pair)
+        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    return value, first, second
+
+
+def _attitude_residuals(o, relative, pair):
+    """The turn between neighbours less that of the given attitudes, in sigma; small, so that turns add as vectors."""
+    given = np.where(pair[:, None, None], o.attitude[1:] @ np.swapaxes(o.attitude[:-1], -1, -2), np.eye(3))
+    inverse = np.where(pair, 1 / (np.sqrt(2) * o.attitude_sigma), 0.0)[:, None]
+    value = turn_between(np.broadcast_to(given, relative.shape), relative) * inverse
+    first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))
+    second[..., :3] = np.eye(3) * inverse[..., None]
+    first[..., :3] = -relative * inverse[..., None]
     return value, first, second
 
 
