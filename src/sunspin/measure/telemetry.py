@@ -164,9 +164,9 @@ def _parse_utc(text: str) -> datetime | None:
             start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
             text = start.date().isoformat() + (day[3] or "")
         moment = datetime.fromisoformat(text)
-    except (ValueError, OverflowError):
+        return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except (ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
         return None
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
 
 
 def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> tuple[np.ndarray, datetime]:
