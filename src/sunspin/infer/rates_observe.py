@@ -48,13 +48,14 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
     why = np.full(n, "used", dtype=object)
     parts: dict[str, Any] = {
         "sun_B": np.full((n, 3), np.nan), "sun_cov": np.full((n, 3, 3), np.nan), "power": np.zeros((n, 0)),
-        "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
+        "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)),
+        "row_errors": np.zeros((0, 0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
     }  # fmt: skip
     if source == "panels":
         quality = panel_quality(vehicle, telemetry)
         parts |= {
             "power": signals(telemetry), "power_sigma": quality["sigma"].values,
-            "rows": quality["gain"].values[:, None] * vehicle.panel_normals_B,
+            "rows": quality["gain"].values[:, None] * vehicle.panel_normals_B, "row_errors": _gain_errors(vehicle, quality),
             "scale": quality["scale"].values, "scale_sigma": quality["scale_sigma"].values,
         }  # fmt: skip
         why = quality["why"].values.astype(object)
@@ -94,6 +95,14 @@ def _source(telemetry: xr.Dataset, wanted: str | None) -> str:
 
 def _or_nan(telemetry: xr.Dataset, name: str, n: int) -> np.ndarray:
     return np.asarray(telemetry[name], dtype=np.float64) if name in telemetry else np.full((n, 3), np.nan)
+
+
+def _gain_errors(vehicle: Vehicle, quality: xr.Dataset) -> np.ndarray:
+    """One sigma (m, n_panel, 3) of each independent error of the estimated gains; gains that are not told have larger
+    sigmas of every reading instead."""
+    if not np.isfinite(quality.attrs["spread"]):
+        return np.zeros((0, len(vehicle.panels), 3))
+    return np.linalg.cholesky(quality["gain_cov"].values).T[:, :, None] * vehicle.panel_normals_B
 
 
 def _attitudes(telemetry: xr.Dataset, n: int) -> np.ndarray:

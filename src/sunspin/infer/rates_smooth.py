@@ -42,7 +42,8 @@ class Observations:
     """What a pass measured, at n samples. NaN or infinite sigma: nothing measured there.
 
     `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel),
-    `power_sigma` (n, n_panel), `rows` (n_panel, 3) gain times normal, `scale` (n) and `scale_sigma` (n): the factor of all
+    `power_sigma` (n, n_panel), `rows` (n_panel, 3) gain times normal with `row_errors` (m, n_panel, 3), one
+    sigma of errors that all samples share, `scale` (n) and `scale_sigma` (n): the factor of all
     powers of a sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one
     sigma of errors that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in
     the body's mean moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma`
@@ -55,6 +56,7 @@ class Observations:
     power: np.ndarray
     power_sigma: np.ndarray
     rows: np.ndarray
+    row_errors: np.ndarray
     scale: np.ndarray
     scale_sigma: np.ndarray
     gyro: np.ndarray

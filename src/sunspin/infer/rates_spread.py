@@ -1,7 +1,7 @@
-"""How far the answer of :mod:`sunspin.infer.rates` may be off: the mean rate of a pass, and what a gyro's own errors add.
+"""How far the answer of :mod:`sunspin.infer.rates` may be off: the mean rate of a pass, and what errors in common add.
 
-A gyro's zero and scale are wrong by the same amount in every sample of a pass, so that more samples do not help. They are
-"considered" and not estimated: the answer's shift for each of them, times its sigma, is added to the covariance.
+A gyro's zero and scale and the panels' gains are wrong by the same amount in every sample of a pass, so that more samples do not
+help. They are "considered" and not estimated here: the answer's shift for each, times its sigma, is added to the covariance.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.infer.rates_smooth import Motion, Observations, Track, normal_equations, solve, student
+from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, normal_equations, solve, student
 
 
 def with_spread(o: Observations, track: Track, motion: Motion) -> tuple[Track, np.ndarray]:
-    """Modes whose covariance counts the gyro's common errors, and the sigma (K, 3) of each one's rate averaged over the
+    """Modes whose covariance counts the common errors of gyro and gains, and the sigma (K, 3) of each one's rate averaged over the
     samples, with what their errors have in common."""
     diagonal, upper, slope, _ = normal_equations(o, track, motion)
     variance = np.empty((len(track.omega), 3))
@@ -23,7 +23,7 @@ def with_spread(o: Observations, track: Track, motion: Motion) -> tuple[Track, n
         average[..., 3 + axis] = -1 / len(o)
         variance[:, axis] = solve(diagonal, upper, average)[0][..., 3 + axis].mean(axis=1)
     covariance = track.covariance
-    for slope in _gyro_slopes(o, track):
+    for slope in [*_gyro_slopes(o, track), *_gain_slopes(o, track)]:
         shift = solve(diagonal, upper, slope)[0]
         covariance = covariance + shift[..., :, None] * shift[..., None, :]
         variance += shift[..., 3:].mean(axis=1) ** 2
@@ -43,3 +43,11 @@ def _gyro_slopes(o: Observations, track: Track) -> list[np.ndarray]:
         slope[..., 3:] = -weight[..., None] * error
         found.append(slope)
     return found
+
+
+def _gain_slopes(o: Observations, track: Track) -> list[np.ndarray]:
+    """What one sigma of each common error of the panels' gains adds to the gradient (K, n, 6)."""
+    if not len(o.row_errors):
+        return []
+    before = measured(o, track)[1]
+    return [measured(replace(o, rows=o.rows + error), track)[1] - before for error in o.row_errors]
