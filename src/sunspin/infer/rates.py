@@ -36,7 +36,7 @@ LADDER_PASSES = 2
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
 
-BAD_COST = 4.0
+BAD_COST = 3.7
 """Cost per sample beyond which even the best motion does not fit; sound ones, of skCUBE and of twins, stay below 3.6."""
 
 DECIDED = 0.9

@@ -16,7 +16,7 @@ from sunspin.measure.panels import arrangement, panel_power
 from sunspin.measure.sun import best_directions
 from sunspin.vehicle import Vehicle
 
-PRIOR_SIGMA = 0.1
+PRIOR_SIGMA = 0.05
 """Relative uncertainty of a gain whose sigma the vehicle file does not state: cells of one kind, assembled and aged."""
 
 FEWEST, MOST = 15, 1500
