@@ -80,7 +80,7 @@
       line(c, { mode: "lines+markers+text", line: { width: 5, color: colour("@gold") }, marker: { size: [0, 11], color: colour("@gold") }, text: ["", "Sun"], textposition: "top center", textfont: { color: colour("@gold"), size: 13 }, name: "to the Sun" }),
     ];
   }
-  const CAMERAS = { side: () => ({ x: 0.55, y: -1.45, z: 0.45 }), sun: () => { const s = motion.sun; return { x: 1.6 * s[0], y: 1.6 * s[1] - 0.01, z: 1.6 * s[2] }; }, top: () => ({ x: 0.01, y: -0.05, z: 1.7 }) };
+  const CAMERAS = { side: () => ({ x: 0.42, y: -1.08, z: 0.32 }), sun: () => { const s = motion.sun; return { x: 1.25 * s[0], y: 1.25 * s[1] - 0.01, z: 1.25 * s[2] }; }, top: () => ({ x: 0.01, y: -0.05, z: 1.3 }) };
   function layout() {
     const axis = { range: [-1.08 * reach, 1.08 * reach], visible: false, showspikes: false };
     return styled({ scene: { xaxis: { ...axis }, yaxis: { ...axis }, zaxis: { ...axis }, aspectmode: "cube", camera: { eye: CAMERAS.side(), projection: { type: "perspective" } }, dragmode: "orbit" },
@@ -126,9 +126,9 @@
     $("lander-about").textContent = motion.about ? motion.about[0].toUpperCase() + motion.about.slice(1) + "." : "";
     eventSelect.replaceChildren(new Option("an event", ""), ...motion.events.map((e) => new Option(`${e.what}, ${clockText(e.t).slice(motion.epoch === null ? 0 : 11)}`, e.t)));
     const ticks = $("lander-ticks");
-    ticks.replaceChildren(...motion.events.slice(1, -1).map((e) => {
+    ticks.replaceChildren(...motion.events.slice(1, -1).map((e, row) => {
       const mark = document.createElement("span");
-      mark.textContent = e.what; mark.style.left = `${(e.t - motion.t0) / (end - motion.t0) * 100}%`;
+      mark.textContent = e.what; if (row % 2) mark.className = "lower"; mark.style.left = `${(e.t - motion.t0) / (end - motion.t0) * 100}%`;
       return mark;
     }));
     if (ready) drawAll();

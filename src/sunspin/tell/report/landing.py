@@ -103,7 +103,7 @@ def _contacts(told: dict[str, dict[str, Any]]) -> Plot | None:
         return None
     data = [
         {"type": "bar", "orientation": "h", "y": labels, "x": packed(value), "name": KIND_NAMES[kind],
-         "marker": {"color": COLOURS[k], "pattern": {"shape": ("", "/", ".")[k], "fgcolor": "@paper", "solidity": 0.35}},
+         "marker": {"color": COLOURS[k], "pattern": {"shape": ("", "/", ".")[k], "fgcolor": "@paper", "fillmode": "overlay", "solidity": 0.3}},
          "error_x": {"type": "data", "array": packed(error), "color": "@ink", "thickness": 1.5},
          "hovertemplate": "%{y}: %{x:.3f}"}
         for k, (kind, (value, error)) in enumerate(bars.items())

@@ -15,7 +15,13 @@ MOST_SAMPLES = 4000
 """Samples drawn in one plot; more are thinned evenly, and the caption says so."""
 
 MODEL_STEP = 3
-"""Every so many-th instant of a candidate is drawn, and its dark half hidden under the axis stays."""
+"""Every so many-th instant of a motion drawn to its end."""
+
+WINDOW_S = 900.0
+"""A tumbling body turns some sixty times in it: as much as can be read at once."""
+
+WHOLE = ("Truth", "Descent")
+"""Motions that are drawn to their end; for the others the samples soon fall beside the line, which is the point."""
 
 PHASES = {
     "deployment": "legs folded", "descent": "descent", "first_rebound": "bounce to collision", "second_rebound": "collision to landing",
@@ -42,32 +48,21 @@ def powers(results: Results) -> Section | None:
     names = [str(name) for name in values["panel"].values]
     keep = thin(values.sizes["time"], MOST_SAMPLES)
     t, measured = samples["time"].values[keep], values.values[keep]
-    data = [
-        {"type": "scatter", "mode": "markers", "x": clock(t, epoch), "y": packed(measured[:, k]), "yaxis": _axis(k), "xaxis": "x",
-         "marker": {"size": 4.5, "color": "@ink"}, "name": "measured" + (" (synthetic)" if results.synthetic else ""),
-         "showlegend": k == 0, "legendgroup": "measured"}
-        for k in range(len(names))
-    ]  # fmt: skip
+    data: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
     for title, model in _models(results, names):
-        first = len(data)
-        factor = scale_of(samples["time"].values, values.values, model["time"].values, model["panel_signal"].values)
-        step = slice(None, None, MODEL_STEP if model.sizes["time"] > 2000 else 1)
-        for k in range(len(names)):
-            data.append({
-                "type": "scatter", "mode": "lines", "x": clock(model["time"].values[step], epoch),
-                "y": packed(factor * model["panel_signal"].values[step, k]), "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled",
-                "line": {"width": 1.3, "color": "@orange"}, "name": "modelled", "showlegend": k == 0, "visible": not views,
-            })  # fmt: skip
-        span = float(model["time"].values[0]), float(model["time"].values[-1])
-        margin = 0.01 * (span[1] - span[0])
-        limits = instants([span[0] - margin, span[1] + margin], epoch)
-        views.append({
-            "label": title, "show": [*range(len(names)), *range(first, len(data))], "range": limits,
-            "text": str(model.attrs.get("about", "")),
-        })  # fmt: skip
+        views += _modelled(data, title, model, samples, values, epoch)
+    dots = list(range(len(data), len(data) + len(names)))
+    data += [
+        {"type": "scatter", "mode": "markers", "x": clock(t, epoch), "y": packed(measured[:, k]), "yaxis": _axis(k), "xaxis": "x",
+         "marker": {"size": 8, "color": "@ink", "line": {"color": "@paper", "width": 1}},
+         "name": "measured" + (" (synthetic)" if results.synthetic else ""), "showlegend": k == 0, "legendgroup": "measured"}
+        for k in range(len(names))
+    ]  # fmt: skip
+    for view in views:
+        view["show"] = [*view["show"], *dots]
     if views:
-        views.append({"label": "Measured, the whole file", "show": list(range(len(names))), "range": instants([t[0], t[-1]], epoch), "text": ""})
+        views.append({"label": "Samples only, the whole file", "show": dots, "range": instants([t[0], t[-1]], epoch), "text": ""})
     top = 1.1 * float(np.nanmax(measured)) if np.isfinite(measured).any() else 1.0
     layout = _rows_layout(names, unit, epoch, top)
     if views:
@@ -92,12 +87,39 @@ def powers(results: Results) -> Section | None:
     return Section("powers", "Panel powers, measured and modelled" if unit == "W" else "Panel signals, measured and modelled", [], [plot])
 
 
+def _modelled(
+    data: list[dict[str, Any]], title: str, model: xr.Dataset, samples: xr.Dataset, values: xr.DataArray, epoch: str | None
+) -> list[dict[str, Any]]:
+    """Append a model's lines to the traces; the views that show them: a few minutes, and all of it where that can be read."""
+    t = model["time"].values
+    factor = scale_of(samples["time"].values, values.values, t, model["panel_signal"].values)
+    long = title in WHOLE
+    keep = np.arange(0, t.size, MODEL_STEP if t.size > 2000 else 1) if long else np.flatnonzero(t <= t[0] + WINDOW_S)
+    first = len(data)
+    for k in range(values.sizes["panel"]):
+        data.append({
+            "type": "scatter", "mode": "lines", "x": clock(t[keep], epoch), "y": packed(factor * model["panel_signal"].values[keep, k]),
+            "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled", "line": {"width": 1.4, "color": "@orange"}, "name": "modelled",
+            "showlegend": k == 0, "visible": first == 0,
+        })  # fmt: skip
+    show, about = list(range(first, len(data))), str(model.attrs.get("about", ""))
+    spans = [(f"{title}, the first {WINDOW_S / 60:g} min", min(t[0] + WINDOW_S, t[-1]))] if t[-1] > t[0] + 3 * WINDOW_S else []
+    spans += [(f"{title}, all of it", t[-1])] if long or not spans else []
+    if title == "Descent":
+        spans = spans[-1:]
+    return [
+        {"label": label, "show": show, "range": instants([t[0] - 0.01 * (end - t[0]), end + 0.01 * (end - t[0])], epoch), "text": about}
+        for label, end in spans
+    ]
+
+
 def _axis(k: int) -> str:
     return "y" if k == 0 else f"y{k + 1}"
 
 
 def _rows_layout(names: list[str], unit: str, epoch: str | None, top: float) -> dict[str, Any]:
-    n, layout = len(names), {"xaxis": {**time_axis(epoch), "anchor": "y" if n == 1 else f"y{n}"}}
+    n = len(names)
+    layout: dict[str, Any] = {"xaxis": {**time_axis(epoch), "anchor": "y" if n == 1 else f"y{n}"}}
     for k, name in enumerate(names):
         height = 1.0 / n
         layout["yaxis" if k == 0 else f"yaxis{k + 1}"] = {
@@ -174,7 +196,7 @@ def sun_path(results: Results) -> Section | None:
     layout = {
         "scene": {
             "xaxis": {**limits, "title": {"text": "x (1)"}}, "yaxis": {**limits, "title": {"text": "y (1)"}},
-            "zaxis": {**limits, "title": {"text": "z (1)"}}, "aspectmode": "cube", "camera": {"eye": {"x": 1.2, "y": -1.25, "z": 0.75}},
+            "zaxis": {**limits, "title": {"text": "z (1)"}}, "aspectmode": "cube", "camera": {"eye": {"x": 0.95, "y": -1.0, "z": 0.6}},
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip

@@ -47,7 +47,7 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
     data += _magnetometer(results, epoch, at, numbers)
     ticks = {
         "tickvals": [2 * np.pi / s for s, _ in TURNS], "ticktext": [text for _, text in TURNS], "type": "log",
-        "range": [np.log10(0.008), np.log10(2.2)],
+        "range": [np.log10(0.006), np.log10(2.2)],
     }  # fmt: skip
     zero = epoch_ms(epoch) or 0.0
     day = {"type": "date", "tickformat": "%H:%M", "hoverformat": "%H:%M:%S", "showgrid": False}

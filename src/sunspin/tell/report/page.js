@@ -6,7 +6,7 @@
   const narrowWindow = window.matchMedia("(max-width: 40rem)");
   const darkSystem = window.matchMedia("(prefers-color-scheme: dark)");
   const drawn = new Map(); // element -> function that draws it anew
-  const config = { displaylogo: false, responsive: true, plotlyServerURL: "", modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d", "tableRotation", "resetCameraLastSave3d"] };
+  const config = { displaylogo: false, displayModeBar: window.matchMedia("(hover: hover)").matches ? "hover" : false, responsive: true, plotlyServerURL: "", modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d", "tableRotation", "resetCameraLastSave3d"] };
 
   // ---- theme: "@blue" is the colour --blue of the style sheet, "@blue:0.2" the same, translucent
   function colour(token) {
@@ -36,10 +36,14 @@
     const ink = colour("@ink"), grid = colour("@grid"), line = colour("@line");
     layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
     layout.font = Object.assign({ family: "system-ui, sans-serif", size: 13, color: ink }, layout.font);
+    layout.modebar = { bgcolor: "rgba(0,0,0,0)", color: colour("@muted"), activecolor: ink };
     layout.hoverlabel = { bgcolor: colour("@panel"), bordercolor: line, font: { color: ink } };
     layout.colorway = ["@blue", "@orange", "@green", "@pink", "@gold"].map(colour);
     for (const key of Object.keys(layout)) {
-      if (/^[xy]axis\d*$/.test(key)) layout[key] = Object.assign({ gridcolor: grid, linecolor: line, zerolinecolor: line, automargin: true }, layout[key]);
+      if (/^[xy]axis\d*$/.test(key)) {
+        layout[key] = Object.assign({ gridcolor: grid, linecolor: line, zerolinecolor: line, automargin: true }, layout[key]);
+        if (layout[key].title) layout[key].title = Object.assign({}, layout[key].title, { font: Object.assign({ size: layout.font.size }, layout[key].title.font) });
+      }
       if (/^scene\d*$/.test(key))
         for (const axis of ["xaxis", "yaxis", "zaxis"])
           layout[key][axis] = Object.assign({ gridcolor: grid, zerolinecolor: line, linecolor: line, showbackground: false, color: ink }, layout[key][axis]);
@@ -166,17 +170,18 @@
     const select = document.getElementById("slices-volume"), slider = document.getElementById("slices-slider"), value = document.getElementById("slices-value");
     volumes.forEach((v) => { v.cells = bytes(v.values); });
     function show() {
-      const v = volumes[Number(select.value)], k = Math.min(Number(slider.value), v.z.length - 1), [nx, ny] = v.shape, z = [];
+      const v = volumes[Number(select.value)], k = Math.min(Number(slider.value), v.z.length - 1), [nx, ny] = v.shape, z = [], real = [];
       for (let j = 0; j < ny; j++) {
         const row = new Array(nx);
         for (let i = 0; i < nx; i++) { const cell = v.cells[k * nx * ny + i * ny + j]; row[i] = cell ? v.low + (cell - 1) / 254 * (v.high - v.low) : null; }
-        z.push(row);
+        z.push(row); real.push(row.map((x) => (x === null ? null : Math.pow(10, x))));
       }
       value.textContent = `${v.z[k].toFixed(3)} rad/s`;
+      const marks = [1e-6, 1e-5, 1e-4, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1];
       const here = v.best[2] === k;
       const traces = [
-        { type: "heatmap", x: v.x, y: v.y, z: z, zmin: v.low, zmax: v.high, colorscale: "Cividis", reversescale: true, colorbar: { title: { text: `${v.metric} (1)` }, thickness: 14 },
-          hovertemplate: `ωx %{x:.3f}<br>ωy %{y:.3f}<br>${v.metric} %{z:.4f}<extra></extra>` },
+        { type: "heatmap", x: v.x, y: v.y, z: z, zmin: v.low, zmax: v.high, colorscale: "Cividis", reversescale: true, colorbar: { title: { text: `${v.metric} (1)` }, thickness: 14, tickvals: marks.map(Math.log10), ticktext: marks.map(String) },
+          customdata: real, hovertemplate: `ωx %{x:.3f}<br>ωy %{y:.3f}<br>${v.metric} %{customdata:.4f}<extra></extra>` },
         { type: "scatter", mode: "markers", x: [v.x[v.best[0]]], y: [v.y[v.best[1]]], marker: { symbol: "x", size: 11, color: colour("@orange"), opacity: here ? 1 : 0.35 }, hoverinfo: "skip", showlegend: false },
       ];
       const layout = styled({ xaxis: { title: { text: "ωx (rad/s)" } }, yaxis: { title: { text: "ωy (rad/s)" } }, margin: { l: 64, r: 8, t: 8, b: 50 }, font: { size: isNarrow() ? 11 : 13 } });

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from sunspin.measure.sun import STATUS_TEXT, SunStatus, is_reconstructed
+from sunspin.measure.sun import SunStatus, is_reconstructed
 from sunspin.tell.report.measured import PHASES
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, clock, packed, thin, time_axis, utc_text
@@ -14,6 +14,12 @@ MOST_LINES = 1000
 """Samples listed one by one; of longer files the first are, and the counts cover all."""
 
 LEAST_DELTA = 1e-4
+
+SHORT = {
+    "OK": "direction, checked", "UNCHECKED": "direction, unchecked (three panels)", "IMPOSSIBLE": "impossible set of lit panels",
+    "RULE": "excluded by a rule", "ARC": "only an arc", "REGION": "only a region", "DARK": "no panel lit", "MISSING": "missing or flagged",
+}  # fmt: skip
+"""Verdicts in a few words, for the legend."""
 
 
 def section(results: Results) -> Section | None:
@@ -41,15 +47,14 @@ def _plot(results: Results, sun: xr.Dataset) -> Plot:
         if not at.size:
             continue
         delta = np.maximum(np.nan_to_num(sun["delta"].values[at], nan=LEAST_DELTA), LEAST_DELTA)
-        text = STATUS_TEXT[kind]
         data.append({
             "type": "scatter", "mode": "markers", "x": clock(sun["time"].values[at], results.epoch_utc), "y": packed(delta),
-            "marker": {"size": 7, "color": COLOURS[k % 8], "symbol": SYMBOLS[k % 8]}, "name": text if len(text) < 60 else text[:57] + "...",
+            "marker": {"size": 7, "color": COLOURS[k % 8], "symbol": SYMBOLS[k % 8]}, "name": SHORT.get(kind.name, kind.name.lower().replace("_", " ")),
             "hovertemplate": "%{x}<br>Delta %{y:.4f}",
         })  # fmt: skip
     layout = {
         "xaxis": time_axis(results.epoch_utc),
-        "yaxis": {"type": "log", "title": {"text": "misfit Delta (1)"}, "exponentformat": "none", "range": [np.log10(LEAST_DELTA) - 0.2, 0.1]},
+        "yaxis": {"type": "log", "title": {"text": "misfit Delta (1)"}, "dtick": 1, "exponentformat": "none", "range": [np.log10(LEAST_DELTA) - 0.2, 0.1]},
         "legend": {"orientation": "h", "y": -0.24, "yanchor": "top"}, "margin": {"l": 66, "r": 16, "t": 10, "b": 54},
     }  # fmt: skip
     return Plot(

@@ -17,7 +17,10 @@ DIMS = ("omega_x", "omega_y", "omega_z")
 MOST_POINTS = 6000
 DEFAULT_FACTOR = 1.1
 STEPS = 255
-"""Values of a volume are drawn in so many steps."""
+"""Values of a volume are drawn in so many steps of their logarithm."""
+
+LEAST = 1e-6
+"""Smaller misfits are drawn as this: the colours go with the logarithm."""
 
 MOST_CELLS = 3_000_000
 """Cells of a volume put into the page; larger ones are thinned evenly."""
@@ -103,7 +106,7 @@ def _line_traces(scan: xr.Dataset) -> list[dict[str, Any]]:
     found = []
     for points, directions, name, style in (
         ("point", "direction", "fitted line", {"width": 5, "color": "@ink"}),
-        ("published_point", "published_direction", "published line", {"width": 4, "color": "@orange", "dash": "dash"}),
+        ("published_point", "published_direction", "published line", {"width": 6, "color": "@grey", "dash": "dash"}),
     ):
         if points not in scan or scan[points].ndim != 2:
             continue
@@ -173,8 +176,10 @@ def _volume(name: str, scan: xr.Dataset, volume: xr.DataArray) -> dict[str, Any]
     stride = int(np.ceil((volume.size / MOST_CELLS) ** (1 / 3)))
     volume = volume[::stride, ::stride, ::stride]
     values = volume.values
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    scaled = np.nan_to_num(np.round((values - low) / max(high - low, 1e-12) * (STEPS - 1)) + 1, nan=0.0)
+    low = float(np.nanmin(values))
+    log = np.log10(np.maximum(values, LEAST))
+    ends = float(np.nanmin(log)), float(np.nanmax(log))
+    scaled = np.nan_to_num(np.round((log - ends[0]) / max(ends[1] - ends[0], 1e-9) * (STEPS - 1)) + 1, nan=0.0)
     axes = [volume[d].values for d in DIMS]
     best = np.unravel_index(np.nanargmin(values), values.shape)
     metric = "EMD" if volume.name == "emd" else "E"
@@ -184,7 +189,7 @@ def _volume(name: str, scan: xr.Dataset, volume: xr.DataArray) -> dict[str, Any]
         "slices": len(axes[2]), "start": int(best[2]),
         "packed": {
             "values": packed(np.moveaxis(scaled, 2, 0).reshape(len(axes[2]), -1), "u1")["bdata"], "shape": list(values.shape),
-            "low": low, "high": high, "x": axes[0].tolist(), "y": axes[1].tolist(), "z": axes[2].tolist(), "metric": metric,
+            "low": ends[0], "high": ends[1], "x": axes[0].tolist(), "y": axes[1].tolist(), "z": axes[2].tolist(), "metric": metric,
             "best": [int(i) for i in best],
         },
     }  # fmt: skip

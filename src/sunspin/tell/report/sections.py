@@ -64,8 +64,8 @@ LABELS = ["What happened", "How sure", "What it rests on"]
 
 def page(results: Results) -> Page:
     """The page of a results folder."""
-    sections = [part for name, build in BUILDERS if (part := guarded(results, name, build)) is not None]
     hero = guarded(results, "the first picture", overview.hero)
+    sections = [part for name, build in BUILDERS if (part := guarded(results, name, build)) is not None]
     told = guarded(results, "the summary", headline.sentences) or []
     return Page(
         title=headline.title(results),
