@@ -80,11 +80,11 @@
       line(c, { mode: "lines+markers+text", line: { width: 5, color: colour("@gold") }, marker: { size: [0, 11], color: colour("@gold") }, text: ["", "Sun"], textposition: "top center", textfont: { color: colour("@gold"), size: 13 }, name: "to the Sun" }),
     ];
   }
-  const CAMERAS = { side: () => ({ x: 0.42, y: -1.08, z: 0.32 }), sun: () => { const s = motion.sun; return { x: 1.25 * s[0], y: 1.25 * s[1] - 0.01, z: 1.25 * s[2] }; }, top: () => ({ x: 0.01, y: -0.05, z: 1.3 }) };
+  const CAMERAS = { side: () => ({ x: 0.47, y: -1.2, z: 0.34 }), sun: () => { const s = motion.sun; return { x: 1.25 * s[0], y: 1.25 * s[1] - 0.01, z: 1.25 * s[2] }; }, top: () => ({ x: 0.01, y: -0.05, z: 1.3 }) };
   function layout() {
     const axis = { range: [-1.08 * reach, 1.08 * reach], visible: false, showspikes: false };
-    return styled({ scene: { xaxis: { ...axis }, yaxis: { ...axis }, zaxis: { ...axis }, aspectmode: "cube", camera: { eye: CAMERAS.side(), projection: { type: "perspective" } }, dragmode: "orbit" },
-      legend: { orientation: "h", y: 0, yanchor: "bottom", font: { size: 11 } }, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "kept" });
+    return styled({ scene: { xaxis: { ...axis }, yaxis: { ...axis }, zaxis: { ...axis }, aspectmode: "cube", camera: { eye: CAMERAS.side(), center: { x: 0.05, y: 0, z: 0.08 }, projection: { type: "perspective" } }, dragmode: "orbit" },
+      showlegend: !window.sunspin.isNarrow(), legend: { orientation: "h", y: 0, yanchor: "bottom", font: { size: 11 } }, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "kept" });
   }
   function drawAll() {
     return Plotly.react(stage, traces(t), layout(), { ...config, displayModeBar: false }).then(() => {

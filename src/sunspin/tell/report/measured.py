@@ -180,7 +180,7 @@ def sun_path(results: Results) -> Section | None:
     for k, (title, path, note) in enumerate(_paths(results)):
         data.append({
             "type": "scatter3d", "mode": "lines", "x": packed(path[:, 0] * 1.004), "y": packed(path[:, 1] * 1.004),
-            "z": packed(path[:, 2] * 1.004), "line": {"width": 3, "color": "@orange"}, "name": f"path: {title}", "visible": k == 0,
+            "z": packed(path[:, 2] * 1.004), "line": {"width": 2.5, "color": "@ink"}, "name": f"path: {title}", "visible": k == 0,
             "hoverinfo": "name",
         })  # fmt: skip
         views.append({"label": title, "show": [*shown, len(data) - 1], "text": note})
@@ -206,7 +206,7 @@ def sun_path(results: Results) -> Section | None:
         "labels stand where a panel looks straight at the Sun.",
         "Where the Sun stood as seen from the body. Drag, or use the arrow keys, to turn; + and − to zoom. Directions are unit "
         "vectors without unit." + (" Synthetic telemetry." if results.synthetic and sun is not None else ""),
-        560, views, "Path of",
+        560, views, "Path of", narrow={"scene.camera.eye": {"x": 1.25, "y": -1.3, "z": 0.8}},
         numbers=Table(["phase", "directions", "range of z", "mean of z"], numbers, "In numbers", closed=True),
     )  # fmt: skip
     return Section("sun-path", "The Sun's path on the body's sphere", [], [plot])
@@ -215,7 +215,7 @@ def sun_path(results: Results) -> Section | None:
 def _points(sun: np.ndarray, label: str, colour: str, symbol: str) -> dict[str, Any]:
     return {
         "type": "scatter3d", "mode": "markers", "x": packed(sun[:, 0]), "y": packed(sun[:, 1]), "z": packed(sun[:, 2]), "name": label,
-        "marker": {"size": 4, "color": colour, "symbol": symbol}, "hovertemplate": "x %{x:.3f}<br>y %{y:.3f}<br>z %{z:.3f}",
+        "marker": {"size": 5, "color": colour, "symbol": symbol}, "hovertemplate": "x %{x:.3f}<br>y %{y:.3f}<br>z %{z:.3f}",
     }  # fmt: skip
 
 
@@ -253,7 +253,7 @@ def _normals(results: Results) -> list[dict[str, Any]]:
     }]  # fmt: skip
 
 
-PATH_S = 900.0
+PATH_S = 300.0
 """A candidate's path is drawn for so long; longer ones cover the sphere."""
 
 

@@ -75,7 +75,7 @@ def lines(results: Results) -> Section | None:
         "A cloud of points in the space of the three components of the initial body rate, strung along "
         + ("four straight lines that meet near one point." if families else "lines or sheets."),
         "Drag, or use the arrow keys, to turn; + and − to zoom. Rates in rad/s, body axes." + (" Synthetic telemetry." if results.synthetic else ""),
-        600, views, "Target",
+        600, views, "Target", narrow={"scene.camera.eye": {"x": 1.6, "y": 2.1, "z": 1.0}, "font.size": 11},
     )  # fmt: skip
     return Section("rate-space", "Four families of motions" if families else "Motions that fit, in rate space", lead, [plot, *tables])
 
