@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.infer.rates import BAD_COST
 from sunspin.tell.report.read import Results
 from sunspin.tell.text import counted, number_text
 
@@ -51,19 +52,24 @@ def _sentence(text: str) -> str:
 
 
 def _rates(results: Results) -> list[str]:
+    told = _verdict(results)[:1]
+    found = results.first("omega_B", "pass_of", "cost")
     passes = [p for p in results.summary.get("passes", []) if p.get("modes")]
-    told = _verdict(results)
-    if passes:
-        sure = max(passes, key=lambda p: (p["modes"][0]["weight"], -max(p["sigma_deg_s"])))
-        speed = float(np.linalg.norm(sure["modes"][0]["omega_deg_s"]))
-        told.append(
-            f"In the pass told best ({counted(int(sure['samples']), 'sample')}) it turned at {speed:.3g} deg/s, one turn in "
-            f"{360 / speed if speed else np.inf:.3g} s, each component known to {number_text(max(sure['sigma_deg_s']), 2)} deg/s "
-            f"(one sigma over all motions that fit); the best motion there has a weight of {sure['modes'][0]['weight']:.2f}."
-        )
-        times = [p["end_s"] - p["start_s"] for p in passes]
-        told.append(f"{counted(len(passes), 'pass')} of {min(times):.0f} to {max(times):.0f} s were used.".replace("passs", "passes"))
-    return told
+    if found is None or len(passes) != found.sizes["pass_id"]:
+        return told
+    fits = found["cost"].values[:, 0] <= BAD_COST * np.bincount(found["pass_of"].values, minlength=len(passes))
+    sound = [p for p, fit in zip(passes, fits, strict=True) if fit]
+    if not sound:
+        return [*told, "So the rates below describe no motion that the samples support, and should not be used."]
+    best = max(sound, key=lambda p: (p["modes"][0]["weight"], -max(p["sigma_deg_s"])))
+    speed = float(np.linalg.norm(best["modes"][0]["omega_deg_s"]))
+    return [
+        *told,
+        f"In the pass told best ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) it turned at "
+        f"{speed:.3g} deg/s, one turn in {360 / speed if speed else np.inf:.3g} s, each component known to "
+        f"{number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit); the best motion there has a weight of "
+        f"{best['modes'][0]['weight']:.2f}.",
+    ]
 
 
 def _sun(results: Results) -> list[str]:

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from sunspin.measure.panels import panel_power
+from sunspin.tell.report.passes import dense
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import Section, Special, epoch_ms
 from sunspin.vehicle import Vehicle
@@ -38,23 +39,26 @@ def section(results: Results) -> Section | None:
         "Its shape is the one in the vehicle's file, simplified." if drawn else "The vehicle's file gives no shape: panels are drawn as plates of equal size."
     )
     lead = [
-        "Fixed in space: the line to the Sun (gold) and the total angular momentum (blue arrow), about which the body swings and turns. "
+        ("Fixed in space: the line to the Sun (gold) and the total angular momentum (blue arrow), about which the body swings and turns. "
+         if any(m["momentum"] for m in motions) else "Fixed in space: the line to the Sun (gold). ") +
         f"Panels are coloured by the power that the Sun would give them, dark violet to yellow. {about}"
     ]
     content = {
-        "motions": [{"name": m["name"], "about": m["about"]} for m in motions], "panels": list(vehicle.panel_names),
+        "motions": [{"name": m["name"], "about": m["about"]} for m in motions], "measured": "pass_of" in next(iter(results.having("B_from_N")))[1], "panels": list(vehicle.panel_names),
         "wheels": [w.name for w in vehicle.wheels], "events": motions[0]["events"], "simulated": True,
         "synthetic": results.synthetic,
     }  # fmt: skip
     data = {"shape": shape(vehicle), "motions": motions, "panels": list(vehicle.panel_names), "wheels": [w.name for w in vehicle.wheels]}
-    return Section("lander", f"{vehicle.name.capitalize()} in motion", lead, [Special("lander", content, data)])
+    return Section("lander", f"{vehicle.name[:1].upper()}{vehicle.name[1:]} in motion", lead, [Special("lander", content, data)])
 
 
 ORDER = {"Truth": 0, "Best fit": 1, "Descent": 9}
 
 
 def _found(results: Results) -> list[tuple[str, xr.Dataset]]:
-    found = [(str(data.attrs.get("title", name)), data) for name, data in results.having("B_from_N", "sun_B", "omega_B")]
+    found = []
+    for name, data in results.having("B_from_N", "sun_B", "omega_B"):
+        found += dense(data) if "pass_of" in data else [(str(data.attrs.get("title", name)), data)]
     return sorted(found, key=lambda item: (ORDER.get(item[0], 5), item[0]))
 
 
@@ -146,7 +150,7 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
         vertices, faces, owner = _hull(vehicle)
     else:
         vertices, faces, owner = _plates(vehicle)
-    size = float(np.abs(vertices).max()) if len(vertices) else 1.0
+    size = float(np.linalg.norm(vertices, axis=1).max()) if len(vertices) else 1.0
     legs = []
     low = vertices[:, 2].min() if len(vertices) else 0.0
     for leg in vehicle.legs:

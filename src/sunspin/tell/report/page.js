@@ -5,6 +5,7 @@
   const root = document.documentElement;
   const narrowWindow = window.matchMedia("(max-width: 40rem)");
   const darkSystem = window.matchMedia("(prefers-color-scheme: dark)");
+  let printing = ""; // the theme to come back to
   const drawn = new Map(); // element -> function that draws it anew
   const config = { displaylogo: false, displayModeBar: window.matchMedia("(hover: hover)").matches ? "hover" : false, responsive: true, plotlyServerURL: "", modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d", "tableRotation", "resetCameraLastSave3d"] };
 
@@ -124,15 +125,45 @@
   setTheme(darkSystem.matches ? "dark" : "light");
   themeButton.addEventListener("click", () => setTheme(root.dataset.theme === "dark" ? "light" : "dark"));
   darkSystem.addEventListener("change", (event) => setTheme(event.matches ? "dark" : "light"));
-  narrowWindow.addEventListener("change", () => drawn.forEach((again) => again()));
+  narrowWindow.addEventListener("change", () => { if (!printing) drawn.forEach((again) => again()); });
 
-  // ---- printing: everything drawn, in light colours; WebGL canvases become pictures as soon as they are drawn
+  // ---- printing: all plots drawn, in light colours, scaled to the paper; WebGL canvases, which print blank, as pictures
+  function freeze(element) {
+    const box = element.querySelector(".svg-container");
+    if (!box || !box.offsetWidth) return;
+    const whole = box.getBoundingClientRect(), part = (x, of) => `${100 * x / of}%`;
+    element.style.setProperty("--ratio", `${whole.width} / ${whole.height}`);
+    box.querySelectorAll(":scope > svg.main-svg").forEach((svg) => svg.setAttribute("viewBox", `0 0 ${whole.width} ${whole.height}`));
+    const plot = element._fullLayout && element._fullLayout.scene && element._fullLayout.scene._scene && element._fullLayout.scene._scene.glplot;
+    if (plot && plot.canvas) {
+      const at = plot.canvas.getBoundingClientRect(), image = new Image();
+      plot.redraw();
+      image.src = plot.canvas.toDataURL();
+      image.className = "print-image";
+      image.alt = "";
+      Object.assign(image.style, { left: part(at.left - whole.left, whole.width), top: part(at.top - whole.top, whole.height), width: part(at.width, whole.width), height: part(at.height, whole.height) });
+      box.prepend(image);
+    }
+    element.classList.add("frozen");
+  }
+  function thaw(element) {
+    element.classList.remove("frozen");
+    element.querySelectorAll(".print-image").forEach((image) => image.remove());
+    element.querySelectorAll(".svg-container > svg.main-svg").forEach((svg) => svg.removeAttribute("viewBox"));
+  }
   window.addEventListener("beforeprint", () => {
-    root.dataset.before = root.dataset.theme;
+    if (printing) return;
+    printing = root.dataset.theme;
     setTheme("light");
-    document.querySelectorAll("[data-plot]").forEach((element) => { if (!drawn.has(element)) draw(element); });
+    document.querySelectorAll("[data-plot], #slices-plot, #lander-stage").forEach((element) => { if (!drawn.has(element)) (element.sunspinDraw || draw)(element); });
+    document.querySelectorAll(".js-plotly-plot").forEach(freeze);
   });
-  window.addEventListener("afterprint", () => setTheme(root.dataset.before || "light"));
+  window.addEventListener("afterprint", () => {
+    document.querySelectorAll(".js-plotly-plot").forEach(thaw);
+    const theme = printing;
+    printing = "";
+    setTheme(theme || "light");
+  });
 
   // ---- rows of the comparison
   const rowFilter = { verdict: "", text: "" };
