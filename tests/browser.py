@@ -20,9 +20,13 @@ from typing import Any
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
-    "--remote-debugging-pipe", "--no-first-run", "--disable-extensions", "--disable-component-update", "--disable-background-networking",
+    "--remote-debugging-pipe", "--no-first-run", "--disable-extensions", "--disable-component-update",
+    "--disable-background-networking",
     "--disable-sync", "--hide-scrollbars", "--mute-audio", "--window-size=1280,900",
 )  # fmt: skip
+
+HOSTILE = """<script>window.hacked=1</script> "x" & </script><!--"""
+"""A name that would run, or break the page, if it were taken for anything but text."""
 
 
 def found() -> str | None:
@@ -97,7 +101,9 @@ class Browser:
         """The value of an expression in the page; promises are awaited."""
         done = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in done:
-            raise RuntimeError(done["exceptionDetails"].get("exception", {}).get("description", "") or str(done["exceptionDetails"]))
+            raise RuntimeError(
+                done["exceptionDetails"].get("exception", {}).get("description", "") or str(done["exceptionDetails"])
+            )
         return done["result"].get("value")
 
     def until(self, condition: str, timeout_s: float = 30.0) -> None:
@@ -122,7 +128,13 @@ class Browser:
         text = {"text": key} if len(key) == 1 else {}
         codes = {"Tab": 9, "ArrowLeft": 37, "ArrowRight": 39, "Enter": 13, " ": 32}
         for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=codes.get(key, 0), **(text if kind == "keyDown" else {}))
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind,
+                key=key,
+                windowsVirtualKeyCode=codes.get(key, 0),
+                **(text if kind == "keyDown" else {}),
+            )
 
     def picture(self, path: Path | None = None, clip: dict[str, float] | None = None, whole: bool = False) -> bytes:
         """A PNG of the window, of a part of it, or of the whole page."""

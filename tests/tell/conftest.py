@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from browser import HOSTILE, Browser, found
 from sunspin.study import motions
 from sunspin.study import reproduce as rp
 from sunspin.tell import reproduction
@@ -36,7 +40,9 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     run = CliRunner()
 
     def sunspin(*arguments: str) -> None:
-        done = run.invoke(cli, arguments, catch_exceptions=False)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["sunspin", *arguments])  # kept with the results as the line that repeats them
+            done = run.invoke(cli, arguments, catch_exceptions=False)
         assert done.exit_code == 0, done.output
 
     sunspin("init", str(root / "mine"))
@@ -49,7 +55,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folders = {name: root / name for name in ("sun", "rates", "scan", "simulate", "outcomes")}
     data = str(vehicle), str(telemetry)
     sunspin("sun", *data, "--out", str(folders["sun"]))
-    sunspin("rates", *data, "--out", str(folders["rates"]))
+    sunspin("rates", *data, "--max-rate", "8", "--out", str(folders["rates"]))
     grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
     sunspin("scan", *data, *grid, "--lines", "0", "--out", str(folders["scan"]))
     motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
@@ -58,7 +64,16 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return folders
 
 
-SAMPLES = 24
+SAMPLES = 16
 """Lines of the telemetry that are kept: `rates` takes the longer the more samples there are."""
 
-HOSTILE = """<script>window.hacked=1</script> "x" & </script><!--"""
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One Chromium for all tests; where there is none they are skipped, but in CI (environment variable CI) they fail."""
+    if found() is None:
+        text = "no chromium on this machine: apt-get install chromium"
+        pytest.fail(text) if os.environ.get("CI") else pytest.skip(text)
+    one = Browser(tmp_path_factory.mktemp("browser"))
+    yield one
+    one.close()

@@ -44,7 +44,8 @@ def _how_sure(result: Reproduction) -> str:
     if "motions" in result.parts and "region" in result.parts["motions"].speed["set"]:
         low, high = (_set(result, "region", level) for level in ("low", "high"))
         text += (
-            f"; a wider one that keeps it in {result.parts['motions'].speed.attrs['confidence']:.0%} allows a turn in anything from "
+            f"; a wider one that keeps it in {result.parts['motions'].speed.attrs['confidence']:.0%} allows a turn in anything "
+            f"from "
             f"{turn_text(high)} to {turn_text(low)} just before the collision"
         )
     return text + "."

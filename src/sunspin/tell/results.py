@@ -99,7 +99,8 @@ def write_netcdf(target: Path, data: Any) -> Path:
     return write_whole(target, lambda part: data.to_netcdf(part, engine="h5netcdf"))
 
 
-def write_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None, pictures: Sequence[Picture] = ()) -> None:
+def write_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None,
+pictures: Sequence[Picture] = ()) -> None:
     """Write what a report of the run needs beside its results: `summary.json`, the vehicle's file, the samples, the captions.
 
     Parameters

@@ -65,9 +65,11 @@ def _rates(results: Results) -> list[str]:
     speed = float(np.linalg.norm(best["modes"][0]["omega_deg_s"]))
     return [
         *told,
-        f"In the pass told best ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) it turned at "
+        f"In the pass told best ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) it turned "
+        f"at "
         f"{speed:.3g} deg/s, one turn in {360 / speed if speed else np.inf:.3g} s, each component known to "
-        f"{number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit); the best motion there has a weight of "
+        f"{number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit); the best motion there has a "
+        f"weight of "
         f"{best['modes'][0]['weight']:.2f}.",
     ]
 
@@ -76,7 +78,9 @@ def _sun(results: Results) -> list[str]:
     s = results.summary
     told = [f"{s['reconstructed']} of {counted(int(s['samples']), 'sample')} give a direction to the Sun."]
     if s.get("median_sigma_deg") is not None:
-        told.append(f"Half of these directions are known to {s['median_sigma_deg']:.2g} degrees or better (noise: {s['noise_from']}).")
+        told.append(
+            f"Half of these directions are known to {s['median_sigma_deg']:.2g} degrees or better (noise: {s['noise_from']})."
+        )
     why = [f"{count} × {text}" for text, count in list(s.get("status", {}).items())[:3]]
     return [*told, "The most frequent verdicts on a sample: " + "; ".join(why) + "."] if why else told
 
@@ -87,7 +91,8 @@ def _simulate(results: Results) -> list[str]:
     if run is not None:
         speed = np.linalg.norm(run["omega_B"].values, axis=1)
         told.append(
-            f"A simulation, not a measurement: over {abs(s['t_s']):.6g} s the vehicle turns at {speed.min():.3g} to {speed.max():.3g} "
+            f"A simulation, not a measurement: over {abs(s['t_s']):.6g} s the vehicle turns at {speed.min():.3g} to "
+            f"{speed.max():.3g} "
             f"rad/s, and ends at {number_text(s['omega_B'], 3)} rad/s."
         )
     events = s.get("events", [])
@@ -101,7 +106,8 @@ def _scan(results: Results) -> list[str]:
     told = [
         f"Of {counted(int(s['rows']), 'simulated motion')} {worst} begins at {number_text(s['best_omega_B'], 3)} rad/s, with "
         f"{s['metric'].upper() if s['metric'] == 'emd' else 'E'} {s['minimum']:.4f} (0: its Sun stands as the panels saw it).",
-        f"{counted(int(s['near_minimum_points']), 'motion')} fit nearly as well; this set alone is no confidence region, and a threshold "
+        f"{counted(int(s['near_minimum_points']), 'motion')} fit nearly as well; this set alone is no confidence region, and a "
+        f"threshold "
         "that makes it one has to be calibrated on data of known truth.",
     ]
     lines = s.get("lines")
@@ -109,7 +115,10 @@ def _scan(results: Results) -> list[str]:
 
 
 def _outcomes(results: Results) -> list[str]:
-    told = [f"{counted(int(results.summary['runs']), 'simulated run')} per strategy, from {results.summary['candidates']} candidate motions."]
+    told = [
+        f"{counted(int(results.summary['runs']), 'simulated run')} per strategy, from {results.summary['candidates']} candidate "
+        f"motions."
+    ]
     parts = []
     for name, found in results.summary.get("strategies", {}).items():
         if "touch_leg" in found:

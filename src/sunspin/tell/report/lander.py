@@ -36,19 +36,31 @@ def section(results: Results) -> Section | None:
         return None
     drawn = bool(vehicle.hull)
     about = (
-        "Its shape is the one in the vehicle's file, simplified." if drawn else "The vehicle's file gives no shape: panels are drawn as plates of equal size."
+        "Its shape is the one in the vehicle's file, simplified."
+        if drawn
+        else "The vehicle's file gives no shape: panels are drawn as plates of equal size."
     )
     lead = [
-        ("Fixed in space: the line to the Sun (gold) and the total angular momentum (blue arrow), about which the body swings and turns. "
-         if any(m["momentum"] for m in motions) else "Fixed in space: the line to the Sun (gold). ") +
-        f"Panels are coloured by the power that the Sun would give them, dark violet to yellow. {about}"
+        (
+            "Fixed in space: the line to the Sun (gold) and the total angular momentum (blue arrow), about which the body swings "
+            "and turns. "
+            if any(m["momentum"] for m in motions)
+            else "Fixed in space: the line to the Sun (gold). "
+        )
+        + f"Panels are coloured by the power that the Sun would give them, dark violet to yellow. {about}"
     ]
     content = {
-        "motions": [{"name": m["name"], "about": m["about"]} for m in motions], "measured": "pass_of" in next(iter(results.having("B_from_N")))[1], "panels": list(vehicle.panel_names),
+        "motions": [{"name": m["name"], "about": m["about"]} for m in motions],
+        "measured": "pass_of" in next(iter(results.having("B_from_N")))[1], "panels": list(vehicle.panel_names),
         "wheels": [w.name for w in vehicle.wheels], "events": motions[0]["events"], "simulated": True,
         "synthetic": results.synthetic,
     }  # fmt: skip
-    data = {"shape": shape(vehicle), "motions": motions, "panels": list(vehicle.panel_names), "wheels": [w.name for w in vehicle.wheels]}
+    data = {
+        "shape": shape(vehicle),
+        "motions": motions,
+        "panels": list(vehicle.panel_names),
+        "wheels": [w.name for w in vehicle.wheels],
+    }
     return Section("lander", f"{vehicle.name[:1].upper()}{vehicle.name[1:]} in motion", lead, [Special("lander", content, data)])
 
 
@@ -74,7 +86,8 @@ def motion(vehicle: Vehicle, name: str, data: xr.Dataset, results: Results) -> d
     zero = epoch_ms(str(data.attrs.get("epoch_utc") or "")) if "epoch_utc" in data.attrs else None
     events = _events(data)
     return {
-        "name": name, "about": str(data.attrs.get("about", "")), "t0": float(t[0]), "dt": float(t[1] - t[0]), "n": len(t), "epoch": zero,
+        "name": name, "about": str(data.attrs.get("about", "")), "t0": float(t[0]), "dt": float(t[1] - t[0]), "n": len(t),
+        "epoch": zero,
         "q": _b64(to_scene.as_quat()), "omega": _b64(np.linalg.norm(omega, axis=1)),
         "momentum": None if momentum is None else _b64(to_scene.apply(momentum)),
         "momentum_max": 0.0 if momentum is None else float(np.linalg.norm(momentum, axis=1).max()),
@@ -99,7 +112,11 @@ def _even(data: xr.Dataset) -> tuple | None:
     step = float(np.median(np.diff(t)))
     names = ["B_from_N", "omega_B", "sun_B"] + (["momentum_B"] if "momentum_B" in data else [])
     columns = {name: np.asarray(data[name].values[order], dtype=np.float64) for name in names}
-    wheels = np.asarray(data["wheel_speed_rad_s"].values[order], dtype=np.float64) if "wheel_speed_rad_s" in data else np.zeros((t.size, 0))
+    wheels = (
+        np.asarray(data["wheel_speed_rad_s"].values[order], dtype=np.float64)
+        if "wheel_speed_rad_s" in data
+        else np.zeros((t.size, 0))
+    )
     if wheels.ndim == 1:
         wheels = wheels[:, None]
     good = np.all([np.isfinite(c).all(axis=1) for c in columns.values()], axis=0)
@@ -155,10 +172,19 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
     low = vertices[:, 2].min() if len(vertices) else 0.0
     for leg in vehicle.legs:
         foot = leg.tip_B_m
-        hip = np.array([0.35 * foot[0] / max(np.linalg.norm(foot[:2]), 1e-9), 0.35 * foot[1] / max(np.linalg.norm(foot[:2]), 1e-9), low])
+        hip = np.array(
+            [0.35 * foot[0] / max(np.linalg.norm(foot[:2]), 1e-9), 0.35 * foot[1] / max(np.linalg.norm(foot[:2]), 1e-9), low]
+        )
         legs.append([hip.tolist(), foot.tolist()])
         size = max(size, float(np.linalg.norm(foot)))
-    return {"vertices": vertices.tolist(), "faces": faces, "owner": owner, "legs": legs, "size": size, "wheel_axes": [w.axis_B.tolist() for w in vehicle.wheels]}
+    return {
+        "vertices": vertices.tolist(),
+        "faces": faces,
+        "owner": owner,
+        "legs": legs,
+        "size": size,
+        "wheel_axes": [w.axis_B.tolist() for w in vehicle.wheels],
+    }
 
 
 def _hull(vehicle: Vehicle) -> tuple[np.ndarray, list[list[int]], list[int]]:
@@ -168,7 +194,9 @@ def _hull(vehicle: Vehicle) -> tuple[np.ndarray, list[list[int]], list[int]]:
     except (QhullError, ValueError):
         return _plates(vehicle)
     corners = [
-        (list(vehicle.panel_names).index(part.panel), {tuple(p) for p in part.points_B_m.round(9)}) for part in vehicle.hull if part.panel in vehicle.panel_names
+        (list(vehicle.panel_names).index(part.panel), {tuple(p) for p in part.points_B_m.round(9)})
+        for part in vehicle.hull
+        if part.panel in vehicle.panel_names
     ]
     faces, owner = [], []
     for simplex, normal in zip(hull.simplices, hull.equations[:, :3], strict=True):

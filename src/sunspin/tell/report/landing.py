@@ -17,7 +17,8 @@ FINER = 2
 KIND_NAMES = {"leg": "a leg", "panel": "a solar panel", "body": "the bare body"}
 
 STRATEGY_NAMES = {
-    "off": "off at touchdown (as flown)", "held": "held at speed", "brake": "braked at touchdown", "after_rest": "held, off after rest",
+    "off": "off at touchdown (as flown)", "held": "held at speed", "brake": "braked at touchdown",
+    "after_rest": "held, off after rest",
 }  # fmt: skip
 
 QUANTITIES = (
@@ -55,7 +56,8 @@ def outcomes(results: Results) -> Section | None:
     items.append(_numbers(told))
     runs = found[0][1].sizes["run"]
     lead = [
-        f"{runs} simulated runs for each command to the wheel. Which leg hit the ground at the collision, from where the blow came, and how "
+        f"{runs} simulated runs for each command to the wheel. Which leg hit the ground at the collision, from where the blow "
+        f"came, and how "
         "the ground lay at the landing is not known, so it is drawn anew for every run: the spread is what that ignorance does."
     ]
     missing = str(found[0][1].attrs.get("not_told", ""))
@@ -70,7 +72,8 @@ def _heights(found: list[tuple[str, xr.Dataset]]) -> Plot:
         ring = np.concatenate([z, z[::-1]])
         data += [
             {"type": "scatter", "mode": "lines", "x": packed(ring), "y": packed(np.concatenate([y + error, (y - error)[::-1]])),
-             "fill": "toself", "fillcolor": f"{COLOURS[k % 7]}:0.25", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False},
+             "fill": "toself", "fillcolor": f"{COLOURS[k % 7]}:0.25", "line": {"width": 0}, "hoverinfo": "skip",
+             "showlegend": False},
             {"type": "scatter", "mode": "lines", "x": packed(z), "y": packed(y), "name": f"wheel {strategy_name(name)}",
              "line": {"color": COLOURS[k % 7], "width": 2.5, "shape": "hvh", "dash": ("solid", "dash", "dot", "dashdot")[k % 4]}},
         ]  # fmt: skip
@@ -81,7 +84,8 @@ def _heights(found: list[tuple[str, xr.Dataset]]) -> Plot:
     }  # fmt: skip
     return Plot(
         "heights", data, layout,
-        "Probability density of the height of the Sun over the lander between collision and landing, one curve per command to the wheel: "
+        "Probability density of the height of the Sun over the lander between collision and landing, one curve per command to the "
+        "wheel: "
         "with the wheel off the lander turns upside down far more often than with the wheel held.",
         "How the Sun stood between collision and landing; bands: one standard error.", 380,
     )  # fmt: skip
@@ -103,17 +107,20 @@ def _contacts(told: dict[str, dict[str, Any]]) -> Plot | None:
         return None
     data = [
         {"type": "bar", "orientation": "h", "y": labels, "x": packed(value), "name": KIND_NAMES[kind],
-         "marker": {"color": COLOURS[k], "pattern": {"shape": ("", "/", ".")[k], "fgcolor": "@paper", "fillmode": "overlay", "solidity": 0.3}},
+         "marker": {"color": COLOURS[k], "pattern": {"shape": ("", "/", ".")[k], "fgcolor": "@paper", "fillmode": "overlay",
+         "solidity": 0.3}},
          "error_x": {"type": "data", "array": packed(error), "color": "@ink", "thickness": 1.5},
          "hovertemplate": "%{y}: %{x:.3f}"}
         for k, (kind, (value, error)) in enumerate(bars.items())
     ]  # fmt: skip
     layout = {
         "barmode": "stack", "xaxis": {"title": {"text": "probability (1)"}, "range": [0, 1.05]}, "yaxis": {"automargin": True},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "traceorder": "normal"}, "margin": {"l": 10, "r": 16, "t": 30, "b": 54},
+        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "traceorder": "normal"}, "margin": {"l": 10, "r": 16,
+        "t": 30, "b": 54},
     }  # fmt: skip
     return Plot(
-        "contacts", data, layout, "Probabilities that a leg, a panel or the bare body touches the ground first, and of what it rests on.",
+        "contacts", data, layout, "Probabilities that a leg, a panel or the bare body touches the ground first, and of what it "
+        "rests on.",
         "Bars: one standard error of the simulation; the hull's own uncertainty is not in them.", 110 + 62 * len(labels),
         narrow={"font.size": 10},
     )  # fmt: skip
@@ -126,7 +133,12 @@ def _numbers(told: dict[str, dict[str, Any]]) -> Table:
         [q.replace("_", " "), *(f"{told[n][q].value:.4f} ± {told[n][q].error:.4f}" if q in told[n] else "–" for n in names)]
         for q in quantities
     ]
-    return Table(["quantity (probability or share: 1; speeds: m/s; rates: rad/s)", *map(strategy_name, names)], rows, "In numbers", closed=True)
+    return Table(
+        ["quantity (probability or share: 1; speeds: m/s; rates: rad/s)", *map(strategy_name, names)],
+        rows,
+        "In numbers",
+        closed=True,
+    )
 
 
 def strategies(results: Results) -> Section | None:
@@ -143,9 +155,7 @@ def strategies(results: Results) -> Section | None:
         f"The same {runs} draws for every command, so that differences are known better than the values. "
         "Switching the wheel off at the touchdown is what was flown."
     ]
-    rows = [
-        [text, *(_value(table, name, q) for name in names)] for q, text, _ in known
-    ]
+    rows = [[text, *(_value(table, name, q) for name in names)] for q, text, _ in known]
     numbers = Table(["quantity", *map(strategy_name, names)], rows, "In numbers (one standard error)")
     return Section("strategies", "What the wheel could have been told instead", lead, [_grid(table, names, known), numbers])
 
@@ -166,21 +176,25 @@ def _grid(table: xr.Dataset, names: list[str], known: list[tuple[str, str, str]]
         at = table.sel(quantity=quantity)
         suffix = "" if k == 0 else str(k + 1)
         data.append({
-            "type": "scatter", "mode": "markers", "x": packed(at["value"].values), "y": labels, "xaxis": f"x{suffix}", "yaxis": f"y{suffix}",
-            "error_x": {"type": "data", "array": packed(np.nan_to_num(at["error"].values)), "color": "@ink", "thickness": 1.5, "width": 4},
+            "type": "scatter", "mode": "markers", "x": packed(at["value"].values), "y": labels, "xaxis": f"x{suffix}",
+            "yaxis": f"y{suffix}",
+            "error_x": {"type": "data", "array": packed(np.nan_to_num(at["error"].values)), "color": "@ink", "thickness": 1.5,
+            "width": 4},
             "marker": {"size": 10, "color": COLOURS[0], "symbol": SYMBOLS[0]}, "hovertemplate": "%{y}: %{x:.3f}<extra></extra>",
         })  # fmt: skip
         top, bottom = 1 - row / lines, 1 - (row + 1) / lines
         domain_x, domain_y = ([0.0, 0.42], [0.58, 1.0])[column], [bottom + 0.13 / lines * 2, top - 0.1 / lines]
         layout[f"xaxis{suffix}"] = {
-            "domain": domain_x, "anchor": f"y{suffix}", "title": {"text": axis, "standoff": 4, "font": {"size": 12}}, "rangemode": "tozero", "nticks": 5,
+            "domain": domain_x, "anchor": f"y{suffix}", "title": {"text": axis, "standoff": 4, "font": {"size": 12}},
+            "rangemode": "tozero", "nticks": 5,
         }  # fmt: skip
         layout[f"yaxis{suffix}"] = {
             "domain": domain_y, "anchor": f"x{suffix}", "autorange": "reversed", "automargin": column == 0, "showticklabels": True,
             "type": "category", "tickfont": {"size": 11},
         }  # fmt: skip
         layout["annotations"].append({
-            "text": f"<b>{heading}</b>", "xref": f"x{suffix} domain", "yref": f"y{suffix} domain", "x": 0, "y": 1.0, "yanchor": "bottom",
+            "text": f"<b>{heading}</b>", "xref": f"x{suffix} domain", "yref": f"y{suffix} domain", "x": 0, "y": 1.0,
+            "yanchor": "bottom",
             "xanchor": "left", "showarrow": False, "font": {"size": 12.5},
         })  # fmt: skip
         height = 1 / len(known)
@@ -189,7 +203,8 @@ def _grid(table: xr.Dataset, names: list[str], known: list[tuple[str, str, str]]
     narrow["height"] = 210 * len(known)
     return Plot(
         "strategy-grid", data, layout,
-        "For each command to the wheel a dot with its standard error, for each quantity a small plot; the table below has the numbers.",
+        "For each command to the wheel a dot with its standard error, for each quantity a small plot; the table below has the "
+        "numbers.",
         "Dots: means over the runs; bars: one standard error.", 215 * lines, narrow=narrow,
     )  # fmt: skip
 

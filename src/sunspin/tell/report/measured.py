@@ -24,7 +24,8 @@ WHOLE = ("Truth", "Descent")
 """Motions that are drawn to their end; for the others the samples soon fall beside the line, which is the point."""
 
 PHASES = {
-    "deployment": "legs folded", "descent": "descent", "first_rebound": "bounce to collision", "second_rebound": "collision to landing",
+    "deployment": "legs folded", "descent": "descent", "first_rebound": "bounce to collision",
+    "second_rebound": "collision to landing",
     "settling": "settling", "rest": "at rest",
 }  # fmt: skip
 
@@ -69,22 +70,30 @@ def powers(results: Results) -> Section | None:
         layout["xaxis"]["range"] = views[0]["range"]
     caption = (
         f"Signal of each panel in {unit}. Dots: {'synthetic telemetry' if results.synthetic else 'measured'}"
-        + (f", every {-(-values.sizes['time'] // len(keep))}th of {values.sizes['time']} samples" if len(keep) < values.sizes["time"] else "")
+        + (
+            f", every {-(-values.sizes['time'] // len(keep))}th of {values.sizes['time']} samples"
+            if len(keep) < values.sizes["time"]
+            else ""
+        )
         + ". "
     )
     if views:
         caption += (
-            "Line: what the chosen motion makes of the panels' normals, with one common factor fitted to the samples. Different motions "
+            "Line: what the chosen motion makes of the panels' normals, with one common factor fitted to the samples. Different "
+            "motions "
             "share how often the Sun stands how high, not when: only one motion can meet the dots one by one."
         )
     plot = Plot(
         "powers", data, layout,
-        f"Signals of {len(names)} panels against time, measured as dots and modelled as lines; each panel rises and falls as it turns "
+        f"Signals of {len(names)} panels against time, measured as dots and modelled as lines; each panel rises and falls as it "
+        f"turns "
         "to the Sun and away.",
         caption, 90 * len(names) + 110, views, "Modelled motion", numbers=_power_numbers(names, values, unit),
         narrow={"margin": {"l": 48, "r": 12, "t": 30, "b": 50}, "font.size": 11},
     )  # fmt: skip
-    return Section("powers", "Panel powers, measured and modelled" if unit == "W" else "Panel signals, measured and modelled", [], [plot])
+    return Section(
+        "powers", "Panel powers, measured and modelled" if unit == "W" else "Panel signals, measured and modelled", [], [plot]
+    )
 
 
 def _modelled(
@@ -98,8 +107,10 @@ def _modelled(
     first = len(data)
     for k in range(values.sizes["panel"]):
         data.append({
-            "type": "scatter", "mode": "lines", "x": clock(t[keep], epoch), "y": packed(factor * model["panel_signal"].values[keep, k]),
-            "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled", "line": {"width": 1.4, "color": "@orange"}, "name": "modelled",
+            "type": "scatter", "mode": "lines", "x": clock(t[keep], epoch), "y": packed(factor * model["panel_signal"].values[keep,
+            k]),
+            "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled", "line": {"width": 1.4, "color": "@orange"},
+            "name": "modelled",
             "showlegend": k == 0, "visible": first == 0,
         })  # fmt: skip
     show, about = list(range(first, len(data))), str(model.attrs.get("about", ""))
@@ -108,7 +119,12 @@ def _modelled(
     if title == "Descent":
         spans = spans[-1:]
     return [
-        {"label": label, "show": show, "range": instants([t[0] - 0.01 * (end - t[0]), end + 0.01 * (end - t[0])], epoch), "text": about}
+        {
+            "label": label,
+            "show": show,
+            "range": instants([t[0] - 0.01 * (end - t[0]), end + 0.01 * (end - t[0])], epoch),
+            "text": about,
+        }
         for label, end in spans
     ]
 
@@ -157,7 +173,9 @@ def _power_numbers(names: list[str], values: xr.DataArray, unit: str) -> Table:
         known = column[np.isfinite(column)]
         if known.size:
             rows.append([name, f"{known.mean():.4g}", f"{known.max():.4g}", f"{np.mean(known <= 0):.0%}"])
-    return Table(["panel", f"mean ({unit})", f"largest ({unit})", "share of samples at or below zero"], rows, "In numbers", closed=True)
+    return Table(
+        ["panel", f"mean ({unit})", f"largest ({unit})", "share of samples at or below zero"], rows, "In numbers", closed=True
+    )
 
 
 def sun_path(results: Results) -> Section | None:
@@ -196,13 +214,15 @@ def sun_path(results: Results) -> Section | None:
     layout = {
         "scene": {
             "xaxis": {**limits, "title": {"text": "x (1)"}}, "yaxis": {**limits, "title": {"text": "y (1)"}},
-            "zaxis": {**limits, "title": {"text": "z (1)"}}, "aspectmode": "cube", "camera": {"eye": {"x": 0.95, "y": -1.0, "z": 0.6}},
+            "zaxis": {**limits, "title": {"text": "z (1)"}}, "aspectmode": "cube", "camera": {"eye": {"x": 0.95, "y": -1.0,
+            "z": 0.6}},
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
     plot = Plot(
         "sphere", data, layout,
-        "A sphere in body axes. Each dot is the direction in which the panels say that the Sun stood; a line is its path in one motion; "
+        "A sphere in body axes. Each dot is the direction in which the panels say that the Sun stood; a line is its path in one "
+        "motion; "
         "labels stand where a panel looks straight at the Sun.",
         "Where the Sun stood as seen from the body. Drag, or use the arrow keys, to turn; + and − to zoom. Directions are unit "
         "vectors without unit." + (" Synthetic telemetry." if results.synthetic and sun is not None else ""),
@@ -214,7 +234,8 @@ def sun_path(results: Results) -> Section | None:
 
 def _points(sun: np.ndarray, label: str, colour: str, symbol: str) -> dict[str, Any]:
     return {
-        "type": "scatter3d", "mode": "markers", "x": packed(sun[:, 0]), "y": packed(sun[:, 1]), "z": packed(sun[:, 2]), "name": label,
+        "type": "scatter3d", "mode": "markers", "x": packed(sun[:, 0]), "y": packed(sun[:, 1]), "z": packed(sun[:, 2]),
+        "name": label,
         "marker": {"size": 5, "color": colour, "symbol": symbol}, "hovertemplate": "x %{x:.3f}<br>y %{y:.3f}<br>z %{z:.3f}",
     }  # fmt: skip
 
@@ -236,7 +257,8 @@ def _sphere() -> list[dict[str, Any]]:
     return [
         {"type": "surface", "x": packed(ball[0]), "y": packed(ball[1]), "z": packed(ball[2]), "opacity": 1.0,
          "surfacecolor": packed(np.zeros_like(ball[0])), "colorscale": [[0, "@ball"], [1, "@ball"]],
-         "lighting": {"ambient": 0.95, "diffuse": 0.1, "specular": 0.0}, "contours": {k: {"highlight": False} for k in "xyz"}, **flat},
+         "lighting": {"ambient": 0.95, "diffuse": 0.1, "specular": 0.0}, "contours": {k: {"highlight": False} for k in "xyz"},
+         **flat},
         {"type": "scatter3d", "mode": "lines", "x": packed(lines[:, 0]), "y": packed(lines[:, 1]), "z": packed(lines[:, 2]),
          "line": {"width": 1, "color": "@muted"}, "connectgaps": False, "hoverinfo": "skip", "showlegend": False},
     ]  # fmt: skip
@@ -287,7 +309,8 @@ def picture(results: Results) -> Plot | None:
         for k, axis in enumerate("xyz")
     ]  # fmt: skip
     layout = {
-        "xaxis": time_axis(results.epoch_utc), "yaxis": {"title": {"text": "direction to the Sun, body axes (1)"}, "range": [-1.1, 1.1]},
+        "xaxis": time_axis(results.epoch_utc), "yaxis": {"title": {"text": "direction to the Sun, body axes (1)"}, "range": [-1.1,
+        1.1]},
         "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 30, "b": 54},
     }  # fmt: skip
     return Plot(

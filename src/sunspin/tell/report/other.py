@@ -10,7 +10,20 @@ from sunspin.tell.report.section import Section, Special, Table
 from sunspin.tell.results import CITE
 from sunspin.tell.text import number_text
 
-SEEN = {"version", "title", "seed", "synthetic_telemetry", "seconds", "missing", "headline", "conclusions", "command", "inputs", "cite", "figures"}
+SEEN = {
+    "version",
+    "title",
+    "seed",
+    "synthetic_telemetry",
+    "seconds",
+    "missing",
+    "headline",
+    "conclusions",
+    "command",
+    "inputs",
+    "cite",
+    "figures",
+}
 """Keys of a summary that have a place of their own."""
 
 MOST_TEXT = 400
@@ -32,7 +45,14 @@ def unknown(results: Results) -> Section | None:
         items.append(Table(["entry", "value"], rows, "Entries of the summary", closed=len(rows) > 12))
     for name, data in results.data.items():
         if name not in results.used:
-            items.append(Table(["variable", "over", "unit", "values"], [_line(data, v) for v in data.data_vars], f"{name}: variables", closed=True))
+            items.append(
+                Table(
+                    ["variable", "over", "unit", "values"],
+                    [_line(data, v) for v in data.data_vars],
+                    f"{name}: variables",
+                    closed=True,
+                )
+            )
     return Section("more", "More results in this folder", [], items) if items else None
 
 
@@ -78,5 +98,7 @@ def provenance(results: Results) -> Section:
         items.append(Table(["source"], [[source] for source in sources], "Where the vehicle's numbers come from", closed=True))
     lines = ["Please cite the model's source: " + str(s.get("cite", CITE)) + "; and sunspin with its version."]
     command = s.get("command")
-    items.append(Special("command", {"command": str(command) if command else "", "report": f"sunspin report {results.folder.name}"}))
+    items.append(
+        Special("command", {"command": str(command) if command else "", "report": f"sunspin report {results.folder.name}"})
+    )
     return Section("provenance", "Where this comes from", lines, items)

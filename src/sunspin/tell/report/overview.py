@@ -15,7 +15,8 @@ from sunspin.tell.text import turn_text
 
 NAMES = {
     "separation": "Separation", "unfolding_begins": "Legs begin to unfold", "descent_fit_begins": "First clean sample",
-    "unfolding_ends": "Legs unfolded", "first_touchdown": "First touchdown", "first_sample_after_touchdown": "First sample afterwards",
+    "unfolding_ends": "Legs unfolded", "first_touchdown": "First touchdown",
+    "first_sample_after_touchdown": "First sample afterwards",
     "collision": "Collision", "second_touchdown": "Second touchdown", "rest": "At rest",
 }  # fmt: skip
 """Events in plain words."""
@@ -74,8 +75,10 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
     }  # fmt: skip
     return Plot(
         "speed", data, layout,
-        "How fast Philae turned, against time: one slow turn in 8.5 minutes during the descent, then after the first touchdown a broad "
-        "band of faster rates that holds until the collision, and again after it until the second touchdown. The numbers are in the "
+        "How fast Philae turned, against time: one slow turn in 8.5 minutes during the descent, then after the first touchdown a "
+        "broad "
+        "band of faster rates that holds until the collision, and again after it until the second touchdown. The numbers are in "
+        "the "
         "table below the picture.",
         _caption(speed), 430, narrow=narrow,
         numbers=Table(["when", "what", "angular speed (rad/s)", "one turn takes"], numbers, "The picture in numbers", closed=True),
@@ -84,16 +87,19 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
 
 def _caption(speed: xr.Dataset) -> str:
     text = (
-        "How fast Philae turned. Dark band: every motion on the four lines that the paper finds, from the slowest to the fastest, and "
+        "How fast Philae turned. Dark band: every motion on the four lines that the paper finds, from the slowest to the fastest, "
+        "and "
         "their median. "
     )
     if "region" in speed["set"].values:
         text += (
-            f"Pale band: the {float(speed.attrs.get('confidence', 0.9)):.0%} confidence region of this run, calibrated on synthetic "
+            f"Pale band: the {float(speed.attrs.get('confidence', 0.9)):.0%} confidence region of this run, calibrated on "
+            f"synthetic "
             "flights; every motion in it fits, none is preferred. "
         )
     return text + (
-        "After the collision: 95 % of the simulated collisions of the same motions. Diamonds: what the magnetometer said, which was not "
+        "After the collision: 95 % of the simulated collisions of the same motions. Diamonds: what the magnetometer said, which "
+        "was not "
         "used."
     )
 
@@ -127,10 +133,15 @@ def _bands(speed: xr.Dataset, epoch: str, at: dict[str, float]) -> tuple[list[di
         if name == "lines":
             for k, (x, y) in enumerate([(t, before["middle"]), (after, np.full(2, then["middle"]))]):
                 data.append({
-                    "type": "scatter", "mode": "lines", "x": clock(x, epoch), "y": packed(y), "line": {"width": 2, "color": "@blue"},
+                    "type": "scatter", "mode": "lines", "x": clock(x, epoch), "y": packed(y), "line": {"width": 2,
+                    "color": "@blue"},
                     "name": "their median", "showlegend": k == 0, "legendgroup": "median", "xaxis": "x2", "yaxis": "y",
                 })  # fmt: skip
-        for when, found in (("first sample", {k: v[0] for k, v in before.items()}), ("before the collision", {k: v[-1] for k, v in before.items()}), ("after the collision", then)):
+        for when, found in (
+            ("first sample", {k: v[0] for k, v in before.items()}),
+            ("before the collision", {k: v[-1] for k, v in before.items()}),
+            ("after the collision", then),
+        ):
             numbers.append([when, f"{label}: slowest, median, fastest", *_three(found)])
     return data, numbers
 
@@ -144,9 +155,12 @@ def _descent(speed: xr.Dataset, epoch: str, numbers: list[list[str]]) -> list[di
     if "descent_speed" not in speed:
         return []
     rate = speed["descent_speed"].values
-    numbers.insert(0, ["descent", "fitted rate, smallest to largest", f"{rate.min():.4g} to {rate.max():.4g}", turn_text(rate.mean())])
+    numbers.insert(
+        0, ["descent", "fitted rate, smallest to largest", f"{rate.min():.4g} to {rate.max():.4g}", turn_text(rate.mean())]
+    )
     return [{
-        "type": "scatter", "mode": "lines", "x": clock(speed["descent_time"].values, epoch), "y": packed(rate), "xaxis": "x", "yaxis": "y",
+        "type": "scatter", "mode": "lines", "x": clock(speed["descent_time"].values, epoch), "y": packed(rate), "xaxis": "x",
+        "yaxis": "y",
         "line": {"width": 3, "color": "@green"}, "name": "fit of the descent",
     }]  # fmt: skip
 
@@ -157,7 +171,8 @@ def _magnetometer(results: Results, epoch: str, at: dict[str, float], numbers: l
     published = load_case("philae").published
     mean = (at["separation"] + at["first_touchdown"]) / 2
     points = [
-        (mean, published["descent_rate_romap"].value, "x"), (at["collision"] - 240, 2 * np.pi / published["romap_period_before"].value, "x2"),
+        (mean, published["descent_rate_romap"].value, "x"), (at["collision"] - 240,
+        2 * np.pi / published["romap_period_before"].value, "x2"),
         (at["collision"] + 600, 2 * np.pi / published["romap_period_after"].value, "x2"),
     ]  # fmt: skip
     data = []
@@ -168,7 +183,9 @@ def _magnetometer(results: Results, epoch: str, at: dict[str, float], numbers: l
             "marker": {"symbol": "diamond", "size": 12, "color": "@orange", "line": {"color": "@paper", "width": 1.5}},
             "name": "magnetometer (not used)", "legendgroup": "romap", "showlegend": k == 0,
         })  # fmt: skip
-    data.append({"type": "scatter", "x": [None], "y": [None], "xaxis": "x2", "yaxis": "y2", "showlegend": False, "hoverinfo": "skip"})
+    data.append(
+        {"type": "scatter", "x": [None], "y": [None], "xaxis": "x2", "yaxis": "y2", "showlegend": False, "hoverinfo": "skip"}
+    )
     return data
 
 
@@ -186,12 +203,15 @@ def _marks(at: dict[str, float], zero: float) -> list[dict[str, Any]]:
 def _labels(at: dict[str, float], zero: float) -> list[dict[str, Any]]:
     texts = {"first_touchdown": "bounce", "collision": "hits crater rim", "second_touchdown": "lands", "rest": "at rest"}
     found = [
-        {"xref": "x2", "yref": "paper", "x": zero + 1e3 * at[name], "y": 1.0, "yanchor": "bottom", "showarrow": False, "text": texts[name],
-         "xanchor": {"first_touchdown": "left", "rest": "left", "second_touchdown": "right"}.get(name, "center"), "font": {"size": 12}}
+        {"xref": "x2", "yref": "paper", "x": zero + 1e3 * at[name], "y": 1.0, "yanchor": "bottom", "showarrow": False,
+        "text": texts[name],
+         "xanchor": {"first_touchdown": "left", "rest": "left", "second_touchdown": "right"}.get(name, "center"),
+         "font": {"size": 12}}
         for name in MARKED
     ]  # fmt: skip
     found.append({
-        "xref": "x domain", "yref": "paper", "x": 0.5, "y": 1.0, "yanchor": "bottom", "showarrow": False, "text": "descent", "font": {"size": 12},
+        "xref": "x domain", "yref": "paper", "x": 0.5, "y": 1.0, "yanchor": "bottom", "showarrow": False, "text": "descent",
+        "font": {"size": 12},
     })  # fmt: skip
     return found
 

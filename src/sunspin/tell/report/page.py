@@ -22,7 +22,8 @@ MAX_PICTURES = 5_000_000
 
 
 REDRAWN = {
-    "fig03_measured", "fig04_phases", "fig08_maps", "fig09_lines", "fig09_telemetry", "fig13_after_collision", "strategies", "sun", "rates",
+    "fig03_measured", "fig04_phases", "fig08_maps", "fig09_lines", "fig09_telemetry", "fig13_after_collision", "strategies", "sun",
+    "rates",
     "sun-height", "first-contact",
 }  # fmt: skip
 """Figures that the page draws itself, to be turned and looked into; the files stay in the folder."""
@@ -35,7 +36,8 @@ def write_report(folder: str | Path) -> Path:
     pictures, left_out = _pictures(results.pictures)
     text = _template().render(
         page=page, pictures=pictures, left_out=left_out, problems=results.problems,
-        style=Markup(_asset("page.css")), scripts=[Markup(_script(text)) for text in (_plotly(), _asset("page.js"), _asset("lander.js"))],
+        style=Markup(_asset("page.css")), scripts=[Markup(_script(text)) for text in (_plotly(), _asset("page.js"),
+        _asset("lander.js"))],
         data=Markup(_json(_data(page))), licence=_licence(),
     )  # fmt: skip
     return write_whole(results.folder / "report.html", lambda part: part.write_text(text, "utf-8"))

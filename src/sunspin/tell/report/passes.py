@@ -55,7 +55,8 @@ def _dense(part: xr.Dataset, rates: xr.Dataset) -> xr.Dataset:
         coords={"time": when},
         attrs={
             "epoch_utc": str(rates.attrs.get("epoch_utc", "")),
-            "about": f"the likeliest motion of {t.size} samples; between samples carried on at the rates found there, and the turn about the "
+            "about": f"the likeliest motion of {t.size} samples; between samples carried on at the rates found there, and the "
+            f"turn about the "
             "line to the Sun at its start is arbitrary",
         },
     )

@@ -61,8 +61,10 @@ def _cloud(draws: xr.Dataset) -> Plot:
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
     return Plot(
-        "posterior", data, layout, "Draws of the posterior in the space of the three components of the initial body rate, marked by mode.",
-        "Draws of the rate at the first sample, body axes; unweighted, so look at each mode's weight. Drag or use the arrow keys to turn.", 560,
+        "posterior", data, layout, "Draws of the posterior in the space of the three components of the initial body rate, marked "
+        "by mode.",
+        "Draws of the rate at the first sample, body axes; unweighted, so look at each mode's weight. Drag or use the arrow keys "
+        "to turn.", 560,
     )  # fmt: skip
 
 
@@ -80,10 +82,19 @@ def picture(results: Results) -> Plot | None:
         for j, axis in enumerate("xyz"):
             data.append({
                 "type": "box", "x": [f"ω{axis}"] * at.size, "y": packed(omega[at, j]), "name": f"mode {number}, weight {share:.2g}",
-                "legendgroup": str(number), "showlegend": j == 0, "marker": {"color": COLOURS[k]}, "offsetgroup": str(number), "boxpoints": False,
+                "legendgroup": str(number), "showlegend": j == 0, "marker": {"color": COLOURS[k]}, "offsetgroup": str(number),
+                "boxpoints": False,
             })  # fmt: skip
     layout = {
-        "boxmode": "group", "yaxis": {"title": {"text": "rate at the first sample (deg/s)"}}, "xaxis": {"title": {"text": "component, body axes"}},
+        "boxmode": "group", "yaxis": {"title": {"text": "rate at the first sample (deg/s)"}},
+        "xaxis": {"title": {"text": "component, body axes"}},
         "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 30, "b": 54},
     }  # fmt: skip
-    return Plot("rates-by-mode", data, layout, "Boxes of each component of the rate for the heaviest modes.", "Quartiles and range of each mode.", 400)
+    return Plot(
+        "rates-by-mode",
+        data,
+        layout,
+        "Boxes of each component of the rate for the heaviest modes.",
+        "Quartiles and range of each mode.",
+        400,
+    )

@@ -49,7 +49,8 @@ def lines(results: Results) -> Section | None:
         about = str(scan.attrs.get("about", name))
         views.append({
             "label": f"Scan {about}" if "about" in scan.attrs else name, "show": list(range(first, len(data))),
-            "text": f"{len(points)} motions with {volume.name} below {factor:g} times the smallest, {float(np.nanmin(volume)):.4f}.",
+            "text": f"{len(points)} motions with {volume.name} below {factor:g} times the smallest, "
+            f"{float(np.nanmin(volume)):.4f}.",
         })  # fmt: skip
         tables += _line_table(scan, about)
     if not data:
@@ -66,18 +67,23 @@ def lines(results: Results) -> Section | None:
     }  # fmt: skip
     families = "published_point" in results.data.get("scan_published_lines", {})
     lead = [
-        "Each dot is a motion: the three components of its body rate at the first sample. Those shown make the Sun stand as high as often "
-        "as it was seen to. They lie along lines, because a distribution of heights says nothing about timing: along a line the body turns "
+        "Each dot is a motion: the three components of its body rate at the first sample. Those shown make the Sun stand as high "
+        "as often "
+        "as it was seen to. They lie along lines, because a distribution of heights says nothing about timing: along a line the "
+        "body turns "
         "through the same angles, only faster."
     ]
     plot = Plot(
         "lines", data, layout,
         "A cloud of points in the space of the three components of the initial body rate, strung along "
         + ("four straight lines that meet near one point." if families else "lines or sheets."),
-        "Drag, or use the arrow keys, to turn; + and − to zoom. Rates in rad/s, body axes." + (" Synthetic telemetry." if results.synthetic else ""),
+        "Drag, or use the arrow keys, to turn; + and − to zoom. Rates in rad/s, body axes." + (" Synthetic "
+        "telemetry." if results.synthetic else ""),
         600, views, "Target", narrow={"scene.camera.eye": {"x": 1.6, "y": 2.1, "z": 1.0}, "font.size": 11},
     )  # fmt: skip
-    return Section("rate-space", "Four families of motions" if families else "Motions that fit, in rate space", lead, [plot, *tables])
+    return Section(
+        "rate-space", "Four families of motions" if families else "Motions that fit, in rate space", lead, [plot, *tables]
+    )
 
 
 def _set(scan: xr.Dataset, volume: xr.DataArray) -> tuple[np.ndarray, float]:
@@ -115,7 +121,8 @@ def _line_traces(scan: xr.Dataset) -> list[dict[str, Any]]:
         gap = np.full((1, 3), np.nan)
         path = np.concatenate([part for pair in ends if len(pair) for part in (pair, gap)] or [gap])
         found.append({
-            "type": "scatter3d", "mode": "lines", "x": packed(path[:, 0]), "y": packed(path[:, 1]), "z": packed(path[:, 2]), "line": style,
+            "type": "scatter3d", "mode": "lines", "x": packed(path[:, 0]), "y": packed(path[:, 1]), "z": packed(path[:, 2]),
+            "line": style,
             "name": name, "connectgaps": False, "hoverinfo": "name",
         })  # fmt: skip
     return found
@@ -128,7 +135,9 @@ def _clipped(point: np.ndarray, along: np.ndarray, box: list[np.ndarray]) -> np.
         if abs(d) > 1e-12:
             a, b = sorted(((axis.min() - p) / d, (axis.max() - p) / d))
             low, high = max(low, a), min(high, b)
-    return np.array([point + low * along, point + high * along]) if np.isfinite([low, high]).all() and low < high else np.zeros((0, 3))
+    return (
+        np.array([point + low * along, point + high * along]) if np.isfinite([low, high]).all() and low < high else np.zeros((0, 3))
+    )
 
 
 def _marks(results: Results, scan: xr.Dataset) -> list[dict[str, Any]]:
@@ -161,13 +170,17 @@ def maps(results: Results) -> Section | None:
     items: list[Any] = []
     volumes = [_volume(name, scan, volume) for name, scan, volume in _volumes(results)]
     if volumes:
-        items.append(Special("slices", {"volumes": volumes, "synthetic": results.synthetic}, {"volumes": [v.pop("packed") for v in volumes]}))
+        items.append(
+            Special("slices", {"volumes": volumes, "synthetic": results.synthetic}, {"volumes": [v.pop("packed") for v in volumes]})
+        )
     items += _flat(results)
     if not items:
         return None
     lead = [
-        "EMD compares how often the Sun stands at each height, E where it stands at each sample; both are 0 for a perfect fit and have no "
-        "unit. EMD changes slowly with the rate and has valleys wide enough to scan. E has many narrow ones: it cannot be fitted directly."
+        "EMD compares how often the Sun stands at each height, E where it stands at each sample; both are 0 for a perfect fit and "
+        "have no "
+        "unit. EMD changes slowly with the rate and has valleys wide enough to scan. E has many narrow ones: it cannot be fitted "
+        "directly."
     ]
     return Section("maps", "Maps of the misfit", lead, items)
 
@@ -220,7 +233,8 @@ def _flat(results: Results) -> list[Plot]:
         }  # fmt: skip
         low, high = float(np.nanmin(field)), float(np.nanmax(field))
         found.append(Plot(
-            f"map-{name}", [trace], layout, f"Map of E over {x} and {y}: many slanted, narrow valleys between {low:.2f} and {high:.2f}.",
+            f"map-{name}", [trace], layout, f"Map of E over {x} and {y}: many slanted, narrow valleys between {low:.2f} and "
+            f"{high:.2f}.",
             f"E over {xt} and {yt}; darker is worse, and a perfect fit is 0, far below the smallest value here, {low:.2f}."
             + (" Synthetic telemetry." if results.synthetic else ""), 420, narrow={"margin.l": 58, "font.size": 11},
         ))  # fmt: skip
@@ -245,10 +259,13 @@ def picture(results: Results) -> Plot | None:
          "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f} rad/s<extra></extra>"},
     ]  # fmt: skip
     layout = {
-        "xaxis": {"title": {"text": "ωx (rad/s)"}}, "yaxis": {"title": {"text": "ωy (rad/s)"}}, "margin": {"l": 70, "r": 10, "t": 10, "b": 54},
+        "xaxis": {"title": {"text": "ωx (rad/s)"}}, "yaxis": {"title": {"text": "ωy (rad/s)"}}, "margin": {"l": 70, "r": 10,
+        "t": 10, "b": 54},
     }  # fmt: skip
     return Plot(
-        "scan", data, layout, f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: all {len(points)} motions within {factor:g} times the smallest {metric}: any of them may be "
+        "scan", data, layout, f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit "
+        f"nearly as well as the best.",
+        f"The smallest {metric} over ωz. Circles: all {len(points)} motions within {factor:g} times the smallest {metric}: any of "
+        f"them may be "
         "the true one." + (" Synthetic telemetry." if results.synthetic else ""), 430, narrow={"margin.l": 56},
     )  # fmt: skip

@@ -33,7 +33,10 @@ def section(results: Results) -> Section | None:
             f"{counts['open']} stand without a verdict because the two are not of the same thing; the note says why. "
         ]
     if counts["contradicted"]:
-        lead.append(f"{counts['contradicted']} statements of the paper contradict its own figures or public facts; they judge the paper, not this run.")
+        lead.append(
+            f"{counts['contradicted']} statements of the paper contradict its own figures or public facts; they judge the paper, "
+            f"not this run."
+        )
     content = {"parts": [{"title": title, "rows": part} for title, part in parts.items()], "counts": counts}
     title = "The paper against this run, row by row" if compared else "Figures of this run"
     return Section("comparison", title, lead, [Special("comparison", content)])

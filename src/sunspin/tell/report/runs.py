@@ -62,11 +62,14 @@ def _rates_plot(results: Results, found: xr.Dataset, id: str) -> Plot:
             edge = np.concatenate([omega[part, k] + SIGMAS * sigma[part, k], (omega[part, k] - SIGMAS * sigma[part, k])[::-1]])
             data.append({
                 "type": "scatter", "mode": "lines", "x": clock(ring, results.epoch_utc), "y": packed(edge), "fill": "toself",
-                "fillcolor": f"{COLOURS[k]}:0.2", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False, "legendgroup": axis,
+                "fillcolor": f"{COLOURS[k]}:0.2", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False,
+                "legendgroup": axis,
             })  # fmt: skip
         data.append({
-            "type": "scatter", "mode": "lines+markers", "x": clock(when, results.epoch_utc), "y": packed(middle), "name": f"ω{axis}",
-            "legendgroup": axis, "line": {"color": COLOURS[k], "width": 2, "dash": ("solid", "dash", "dot")[k]}, "marker": {"size": 3},
+            "type": "scatter", "mode": "lines+markers", "x": clock(when, results.epoch_utc), "y": packed(middle),
+            "name": f"ω{axis}",
+            "legendgroup": axis, "line": {"color": COLOURS[k], "width": 2, "dash": ("solid", "dash", "dot")[k]},
+            "marker": {"size": 3},
             "connectgaps": False,
         })  # fmt: skip
         del wide
@@ -77,7 +80,8 @@ def _rates_plot(results: Results, found: xr.Dataset, id: str) -> Plot:
     sure = int((weight >= 0.9).sum())
     return Plot(
         id, data, layout, "The three components of the body rate against time, each with a band of two standard deviations.",
-        f"Body rate of the likeliest motion of each pass, body axes; bands: {SIGMAS:g} standard deviations of that motion. It holds at "
+        f"Body rate of the likeliest motion of each pass, body axes; bands: {SIGMAS:g} standard deviations of that motion. It "
+        f"holds at "
         f"least 90 % of the weight in {sure} of {weight.size} passes; in the others look at the list of motions too."
         + (" Synthetic telemetry." if results.synthetic else ""), 400, narrow={"margin.l": 48},
     )  # fmt: skip
@@ -110,7 +114,8 @@ def _rate_plot(results: Results, run: xr.Dataset, name: str) -> Plot:
         for k, axis in enumerate("xyz")
     ]  # fmt: skip
     data.append({
-        "type": "scatter", "mode": "lines", "x": packed(t, "f8"), "y": packed(np.linalg.norm(run["omega_B"].values[keep], axis=1)), "name": "|ω|",
+        "type": "scatter", "mode": "lines", "x": packed(t, "f8"), "y": packed(np.linalg.norm(run["omega_B"].values[keep], axis=1)),
+        "name": "|ω|",
         "line": {"color": "@ink", "width": 2.2},
     })  # fmt: skip
     layout = {
@@ -128,7 +133,8 @@ def _wheel_plot(results: Results, run: xr.Dataset, name: str) -> list[Plot]:
         return []
     keep = thin(run.sizes["time"], MOST)
     data = [
-        {"type": "scatter", "mode": "lines", "x": packed(run["time"].values[keep], "f8"), "y": packed(run["wheel_speed_rad_s"].values[keep, k]),
+        {"type": "scatter", "mode": "lines", "x": packed(run["time"].values[keep], "f8"),
+        "y": packed(run["wheel_speed_rad_s"].values[keep, k]),
          "name": str(wheel), "line": {"color": COLOURS[k % 7], "width": 2}, "showlegend": True}
         for k, wheel in enumerate(run["wheel"].values)
     ]  # fmt: skip
