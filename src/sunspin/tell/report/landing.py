@@ -80,7 +80,7 @@ def _heights(found: list[tuple[str, xr.Dataset]]) -> Plot:
     layout = {
         "xaxis": {"title": {"text": "r<sub>z</sub>: 1 Sun overhead, −1 Sun underneath (1)"}, "range": [-1, 1]},
         "yaxis": {"title": {"text": "probability density (1)"}, "rangemode": "tozero"},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 30, "b": 54},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
     }  # fmt: skip
     return Plot(
         "heights", data, layout,
@@ -115,8 +115,8 @@ def _contacts(told: dict[str, dict[str, Any]]) -> Plot | None:
     ]  # fmt: skip
     layout = {
         "barmode": "stack", "xaxis": {"title": {"text": "probability (1)"}, "range": [0, 1.05]}, "yaxis": {"automargin": True},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "traceorder": "normal"}, "margin": {"l": 10, "r": 16,
-        "t": 30, "b": 54},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "traceorder": "normal"}, "margin": {"l": 10, "r": 16,
+        "t": 46, "b": 54},
     }  # fmt: skip
     return Plot(
         "contacts", data, layout, "Probabilities that a leg, a panel or the bare body touches the ground first, and of what it "

@@ -88,7 +88,7 @@ def picture(results: Results) -> Plot | None:
     layout = {
         "boxmode": "group", "yaxis": {"title": {"text": "rate at the first sample (deg/s)"}},
         "xaxis": {"title": {"text": "component, body axes"}},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 30, "b": 54},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
     }  # fmt: skip
     return Plot(
         "rates-by-mode",

@@ -75,7 +75,7 @@ def _rates_plot(results: Results, found: xr.Dataset, id: str) -> Plot:
         del wide
     layout = {
         "xaxis": time_axis(results.epoch_utc), "yaxis": {"title": {"text": "body rate (deg/s)"}},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 30, "b": 54},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
     }  # fmt: skip
     sure = int((weight >= 0.9).sum())
     return Plot(
@@ -120,7 +120,7 @@ def _rate_plot(results: Results, run: xr.Dataset, name: str) -> Plot:
     })  # fmt: skip
     layout = {
         "xaxis": {"title": {"text": "time (s)"}}, "yaxis": {"title": {"text": "body rate (rad/s)"}},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 30, "b": 54},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
     }  # fmt: skip
     return Plot(
         f"run-{name}", data, layout, "Components and size of the body rate against time.",
@@ -140,6 +140,6 @@ def _wheel_plot(results: Results, run: xr.Dataset, name: str) -> list[Plot]:
     ]  # fmt: skip
     layout = {
         "xaxis": {"title": {"text": "time (s)"}}, "yaxis": {"title": {"text": "wheel speed (rad/s)"}},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 30, "b": 54},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
     }  # fmt: skip
     return [Plot(f"wheel-{name}", data, layout, "Speed of each wheel against time.", "Wheel speeds relative to the body.", 280)]

@@ -123,7 +123,13 @@ def time_axis(epoch_utc: str | None, title: str = "") -> dict[str, Any]:
     if epoch_ms(epoch_utc) is None:
         return {"title": {"text": title or "time (s)"}}
     day = str(epoch_utc)[:10]
-    return {"type": "date", "title": {"text": title or f"UTC, {day}"}, "tickformat": "%H:%M", "hoverformat": "%H:%M:%S"}
+    return {
+        "type": "date", "title": {"text": title or f"UTC, {day}"}, "hoverformat": "%H:%M:%S",
+        "tickformatstops": [
+            {"dtickrange": [None, 59_999], "value": "%H:%M:%S"}, {"dtickrange": [60_000, 43_199_999], "value": "%H:%M"},
+            {"dtickrange": [43_200_000, None], "value": "%d %b %H:%M"},
+        ],
+    }  # fmt: skip
 
 
 def thin(count: int, most: int) -> np.ndarray:

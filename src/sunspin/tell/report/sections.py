@@ -18,6 +18,7 @@ from sunspin.tell.report import (
     rate_space,
     rows,
     runs,
+    sphere,
 )
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import Plot, Section
@@ -44,7 +45,7 @@ BUILDERS: tuple[tuple[str, Callable[[Results], Section | None]], ...] = (
     ("the trajectory", runs.trajectory),
     ("the posterior", posterior.section),
     ("powers", measured.powers),
-    ("the Sun's path", measured.sun_path),
+    ("the Sun's path", sphere.sun_path),
     ("rate space", rate_space.lines),
     ("maps", rate_space.maps),
     ("outcomes", landing.outcomes),
