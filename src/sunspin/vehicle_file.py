@@ -126,12 +126,17 @@ def read_vehicle(source: object) -> v.Vehicle:
     """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
     if isinstance(source, v.Vehicle):
         return source
+    where = f"built-in vehicle {source!r}" if isinstance(source, str) and source in builtin_names() else str(source)
+    return parse_vehicle(vehicle_text(source), where)
+
+
+def vehicle_text(source: object) -> str:
+    """The text of a built-in vehicle's file, by name, or of a vehicle file, by path."""
     if isinstance(source, str) and source in builtin_names():
-        text = resources.files("sunspin").joinpath("cases", source, "vehicle.toml").read_text(encoding="utf-8")
-        return parse_vehicle(text, f"built-in vehicle {source!r}")
+        return resources.files("sunspin").joinpath("cases", source, "vehicle.toml").read_text(encoding="utf-8")
     if not isinstance(source, str | Path):
         raise VehicleError(sentence("a vehicle is named by a text or a path", got=type(source).__name__))
-    return parse_vehicle(_read_text(Path(source)), str(source))
+    return _read_text(Path(source))
 
 
 def builtin_names() -> list[str]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +26,7 @@ COMMANDS = {
     "simulate": "sunspin.cli.motion:simulate",
     "scan": "sunspin.cli.motion:scan",
     "outcomes": "sunspin.cli.outcomes:outcomes",
+    "report": "sunspin.cli.study:report_page",
     "export": "sunspin.cli.export:export",
     "compare": "sunspin.cli.export:compare",
 }
@@ -40,6 +43,7 @@ SUMMARIES = {
     "simulate": "One trajectory of a vehicle with its wheels.",
     "scan": "Which initial rates fit the Sun's measured heights, and the lines they lie on.",
     "outcomes": "What a motion leads to: collision, first contact, antenna, wheel strategies.",
+    "report": "A results folder as one page to look into.",
     "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
     "compare": "Rates against somebody's SPICE attitude kernels.",
 }
@@ -139,6 +143,17 @@ def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool
     elif not quiet:
         for line in lines:
             click.echo(line)
+
+
+def store_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None) -> str:
+    """Write what repeats a run and what its report needs; the line to print."""
+    from sunspin.tell.results import write_run
+
+    command = shlex.join(["sunspin", *sys.argv[1:]])
+    said = {} if telemetry is None else telemetry.attrs
+    inputs = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}] if "sha256" in said else []
+    write_run(folder, summary | {"command": command, "inputs": inputs}, vehicle, telemetry)
+    return f"A page to look into it: sunspin report {folder}"
 
 
 def on_terminal(quiet: bool) -> bool:

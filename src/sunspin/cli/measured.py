@@ -8,7 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import data_option, find_telemetry, output_options, report
+from sunspin.cli.common import data_option, find_telemetry, output_options, report, store_run
 
 
 @click.command()
@@ -48,7 +48,8 @@ def sun(vehicle, telemetry, out, as_json, quiet, data, noise, lit_threshold) -> 
     if summary["median_sigma_deg"] is not None:
         lines.append(f"  median uncertainty {summary['median_sigma_deg']:.2f} deg (noise: {summary['noise_from']})")
     if out is not None:
-        lines.append(f"Results: {write(out, directions, samples)}")
+        folder = write(out, directions, samples)
+        lines += [f"Results: {folder}", store_run(folder, summary, vehicle, samples)]
     report(summary, lines, as_json, quiet)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options
+from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options, store_run
 from sunspin.errors import InputError, sentence
 
 MAX_SAMPLES = 10_000_000
@@ -65,7 +65,8 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     if out is not None:
         from sunspin.tell.results import results_folder, write_netcdf
 
-        lines.append(f"Results: {write_netcdf(results_folder(out, 'simulate') / 'trajectory.nc', run)}")
+        folder = results_folder(out, "simulate")
+        lines += [f"Results: {write_netcdf(folder / 'trajectory.nc', run)}", store_run(folder, summary, vehicle)]
     report(summary, lines, as_json, quiet)
 
 
@@ -128,11 +129,13 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     from sunspin.infer.lines import fit_lines
     from sunspin.infer.scan import below, near_minimum
     from sunspin.infer.scan import scan as run_scan
+    from sunspin.measure.telemetry import read_telemetry
     from sunspin.tell.results import results_folder, write_netcdf
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
-    track = _track(craft, find_telemetry(telemetry, data), begin, end)
+    samples = read_telemetry(find_telemetry(telemetry, data), craft)
+    track = _track(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     target = track if metric == "E" else track["sun_B"].values[:, 2]
     axes = [_grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")]
@@ -168,8 +171,15 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         ]
         lines += [f"  line through {_vector(x['point'])} along {_vector(x['direction'])}" for x in summary["lines"]]
     if folder is not None:
-        lines.append(f"Results: {write_netcdf(folder / 'scan.nc', volume.to_dataset())}")
+        lines.append(f"Results: {write_netcdf(folder / 'scan.nc', _stored(volume, points, factor, threshold))}")
+        lines.append(store_run(folder, summary | {"seed": seed}, vehicle, samples))
     report(summary, lines, as_json, quiet)
+
+
+def _stored(volume, points: np.ndarray, factor: float, threshold: float | None):
+    """The scan with the points that were chosen from it."""
+    said = {"units": "rad/s"} | ({"factor": factor} if threshold is None else {"threshold": threshold})
+    return volume.to_dataset().assign(near_minimum=(("near_point", "rate_axis"), points, said))
 
 
 def _at(point: np.ndarray) -> dict[str, float]:
@@ -187,12 +197,11 @@ def _grid(text: str, name: str) -> np.ndarray:
     return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
 
 
-def _track(craft, path: Path, begin: float | None, end: float | None):
+def _track(craft, samples, begin: float | None, end: float | None):
     """The directions in the window, time counted from the first."""
     from sunspin.measure.sun import is_reconstructed, sun_directions
-    from sunspin.measure.telemetry import read_telemetry
 
-    sun = sun_directions(craft, read_telemetry(path, craft))
+    sun = sun_directions(craft, samples)
     time = sun["time"].values
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end
     use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
@@ -202,7 +211,7 @@ def _track(craft, path: Path, begin: float | None, end: float | None):
                 "fewer than two samples in this window give a direction of the Sun",
                 got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
                 do="widen --from and --to; `sunspin sun` says why samples give none",
-                where=str(path),
+                where=str(samples.attrs.get("file", "")),
             )
         )
     track = sun[["sun_B"]].isel(time=np.flatnonzero(use))

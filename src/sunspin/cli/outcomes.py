@@ -9,7 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import numbers, on_terminal, output_options, report, run_options
+from sunspin.cli.common import numbers, on_terminal, output_options, report, run_options, store_run
 from sunspin.errors import InputError, sentence
 
 SHOWN = (
@@ -102,7 +102,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
         lines += more
     lines += [table.attrs["not_told"]] if table.attrs["not_told"] else []
     if folder is not None:
-        lines.append(f"Results: {_write(folder, table, found, best, weighted)}")
+        lines += [f"Results: {_write(folder, table, found, best, weighted)}", store_run(folder, summary, vehicle)]
     report(summary, lines, as_json, quiet)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import data_option, find_telemetry, output_options, report
+from sunspin.cli.common import data_option, find_telemetry, output_options, report, store_run
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
@@ -53,7 +53,8 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     )  # fmt: skip
     summary, lines = _summary(result)
     if out is not None:
-        lines.append(f"Results: {write(out, result, samples)}")
+        folder = write(out, result, samples)
+        lines += [f"Results: {folder}", store_run(folder, summary, vehicle, samples)]
     report(summary, lines, as_json, quiet)
 
 

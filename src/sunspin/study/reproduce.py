@@ -24,6 +24,7 @@ from sunspin.study import (
     landing,
     level_set,
     mechanics,
+    motions,
     phases,
     precession,
     sensitivity,
@@ -99,6 +100,7 @@ PARTS = (
     ),
     Part("landing", "Sections 3.3 and 4: after the collision", _landing, landing.rows),
     Part("worth", "What the answer is worth", _worth, lambda r: worth_told.rows(*r)),
+    Part("motions", "The motion to look at", lambda i: motions.compute(i.case, i.done, i.seed, i.workers), motions.rows),
     Part("inputs", "Taken over from the paper", lambda i: taken.Taken(i.case, i.sun), taken.rows, True),
     Part(
         "contradictions", "Where the paper is ambiguous or contradicts itself",
@@ -158,7 +160,8 @@ def compute(case: Case, *, seed: int = 0, coarser: int = 1, workers: int | None 
                 raise
             missing[part.name] = f"{part.title}: not reproduced, as {error}"
             continue
-        rows[part.name] = part.rows(inputs.done[part.name])
+        if found := part.rows(inputs.done[part.name]):
+            rows[part.name] = found
     return Reproduction(case, seed, sun, inputs.done, rows, missing)
 
 
