@@ -25,7 +25,7 @@ def run(quick: bool) -> Table:
         say(f"accuracy: {name}, reference")
         exact = np.array([last_sun(vehicle, rows, i, window) for i in range(n)])
         for asked in DIRECTION_ERRORS[1:3] if quick else DIRECTION_ERRORS:
-            found = k.run_rows(vehicle, rows, window, direction_error=asked).track[:, 0, -3:]
+            found = k.run_rows(vehicle, rows, window, direction_error=asked).sun_B[:, 0]
             error = np.linalg.norm(found - exact, axis=1)
             work = {"run": lambda v=vehicle, r=rows, w=window, e=asked: k.run_rows(v, r, w, direction_error=e)}
             seconds = medians(work, 1 if quick else 3)["run"]

@@ -91,7 +91,7 @@ class Problem:
             wheel.friction.coulomb_N_m,
             wheel.friction.viscous_N_m_s,
         )
-        return g.Parameters(g.inverse_elements(g.free_inertia(self.vehicle, [free])), (0.0, 0.0, 0.0), (turning,))
+        return g.Parameters(tuple(g.inverse_elements(g.free_inertia(self.vehicle, [free])).tolist()), (0.0, 0.0, 0.0), (turning,))
 
 
 @cache

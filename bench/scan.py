@@ -141,7 +141,7 @@ def our_direction_error(problem: Problem, axes: dict[str, np.ndarray], n: int) -
     """The same of the kernel, asked for DIRECTION_ERROR."""
     rates = grid_sample(axes, n, seed=2)
     rows = k.Rows(rates, np.tile(problem.sun_B, (n, 1)), np.tile(problem.wheel_speed_rad_s, (n, 1)))
-    ends = k.run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR).track[:, 0, -3:]
+    ends = k.run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR).sun_B[:, 0]
     return float(max(np.linalg.norm(end - last_sun(problem, omega)) for end, omega in zip(ends, rates, strict=True)))
 
 

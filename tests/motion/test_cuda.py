@@ -102,7 +102,7 @@ def assert_compiles(structure, monkeypatch):
     monkeypatch.setattr(dispatcher, "get_current_device", lambda: SimpleNamespace(compute_capability=(9, 0)))
     real, single, whole = numba.float64, numba.float32, numba.int64
     signature = (
-        real[:, ::1], whole[::1], whole[::1], real[::1], single[::1], whole[::1], real[::1], whole[::1],
+        real[:, ::1], whole[::1], whole[::1], real[:, :, ::1], single[::1], whole[::1], real[::1], whole[::1],
         single[:, ::1], real[:, :, ::1], whole[::1], real[::1],
     )  # fmt: skip
     text, _ = compile_ptx(cuda.cuda_kernel(structure).run.py_func, signature, cc=(9, 0))

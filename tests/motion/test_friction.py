@@ -91,6 +91,6 @@ def test_the_speed_of_a_coasting_wheel_is_the_curve_it_was_fitted_to():
     c1, c2, c3 = PUBLISHED
     friction = Friction.from_spin_down(c1, c2, c3, J)
     t = np.linspace(0, 3000, 301)
-    speed = spin_down_speed(friction, J, c1 + c3, t)
+    speed = spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, J, c1 + c3, t)
     np.testing.assert_allclose(speed, np.maximum(published_curve(t), 0.0), atol=1e-9)
     assert speed[t > spin_down_time(friction, J, c1 + c3)].max() == 0.0

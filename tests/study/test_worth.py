@@ -57,10 +57,14 @@ def test_rates_at_the_end_are_those_of_the_reference():
         np.testing.assert_allclose(found, run["omega_B"].values[-1], atol=1e-9)
 
 
-def test_rates_at_the_end_refuse_a_wheel_that_stops():
-    states = Rows(np.array([[0.1, 0.0, 0.0]]), rb.first_sun(CASE)[None], np.array([[865.0]]))
-    with pytest.raises(MotionError, match="may stop or start.*propagate"):
-        end_rates(CASE.vehicle, states, 2700.0)
+def test_rates_at_the_end_follow_a_wheel_that_stops_but_not_back_into_one_that_is_stuck():
+    omega, sun = np.array([[0.1, 0.0, 0.0]]), rb.first_sun(CASE)
+    run = propagate(CASE.vehicle, omega[0], sun, 865.0, [0.0, 3000.0])
+    assert run["wheel_speed_rad_s"].values[-1] == 0
+    found = end_rates(CASE.vehicle, Rows(omega, sun[None], np.array([[865.0]])), 3000.0)
+    np.testing.assert_allclose(found, run["omega_B"].values[-1:], atol=1e-8)
+    with pytest.raises(MotionError, match="its past is not determined"):
+        end_rates(CASE.vehicle, Rows(found, sun[None], np.array([[0.0]])), -60.0)
 
 
 def test_a_twin_without_noise_and_with_dense_samples_fits_its_truth():

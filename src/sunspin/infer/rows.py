@@ -18,7 +18,6 @@ from sunspin.infer.identity import code, plain
 from sunspin.infer.mask import reconstructible_mask
 from sunspin.infer.metrics import direction_error
 from sunspin.motion import kernel as k
-from sunspin.motion.kernel import RowLayout as Layout
 from sunspin.motion.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
 from sunspin.vehicle import Vehicle
 
@@ -191,8 +190,7 @@ class TrackRows:
             direction_error=self.direction_error,
             device=self.device,
         )
-        first = Layout(len(self.vehicle.wheels)).r
-        simulated = result.track[:, :, first : first + 3]
+        simulated = result.sun_B
         return {"E": direction_error(simulated, self.measured), "outcome": result.outcome.astype(np.int8)}
 
 

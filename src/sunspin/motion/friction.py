@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -90,18 +91,18 @@ def spin_down_curve(t: FloatArray, c1: float, c2: float, c3: float) -> FloatArra
     return c1 * np.exp(c2 * t) + c3
 
 
-def spin_down_speed(friction: Friction, inertia_kg_m2: float, speed_rad_s: FloatArray, t: FloatArray) -> FloatArray:
+def spin_down_speed(
+    coulomb_N_m: Any, viscous_N_m_s: Any, inertia_kg_m2: Any, speed_rad_s: npt.ArrayLike, t: npt.ArrayLike
+) -> FloatArray:
     """Speed (rad/s) at times t (s) of a wheel begun at `speed_rad_s` on a fixed body; zero once it has stopped.
 
-    Speeds and times are broadcast; a time before the beginning gives the speed that the wheel came from.
-    `Friction.from_spin_down` turned round: c2 = -mu1 / J and c3 = -mu0 / mu1.
+    J dW/dt = -mu0 - mu1 W (paper, eq. 5) in closed form. All arguments are broadcast; a time before the beginning gives the
+    speed that the wheel came from.
     """
-    speed = np.abs(speed_rad_s)
-    if friction.viscous_N_m_s == 0.0:
-        left = speed - friction.coulomb_N_m / inertia_kg_m2 * t
-    else:
-        rest = friction.coulomb_N_m / friction.viscous_N_m_s
-        left = spin_down_curve(t, speed + rest, -friction.viscous_N_m_s / inertia_kg_m2, -rest)
+    decay = np.asarray(viscous_N_m_s / inertia_kg_m2 * np.asarray(t, dtype=np.float64))
+    small = np.abs(decay) < 1e-8
+    relaxed = np.where(small, 1.0 - 0.5 * decay, -np.expm1(-decay) / np.where(small, 1.0, decay))
+    left = np.abs(speed_rad_s) * np.exp(-decay) - coulomb_N_m / inertia_kg_m2 * np.asarray(t) * relaxed
     return np.sign(speed_rad_s) * np.maximum(left, 0.0)
 
 

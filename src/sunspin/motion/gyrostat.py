@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sunspin.motion.bodies import Bodies
 from sunspin.vehicle import Vehicle
 
 Scalar = Any  # a float, a heyoka expression or a SymPy symbol
@@ -133,43 +134,40 @@ def holding_torque(
 # ---- what is computed with numbers only --------------------------------------------------------------------------------
 
 
-def free_inertia(vehicle: Vehicle, free: Sequence[bool]) -> np.ndarray:
-    """A (3, 3) in kg m2: the vehicle's inertia less the axial inertia of each free wheel."""
-    tensor = np.array(vehicle.require_inertia())
-    for wheel, is_free in zip(vehicle.wheels, free, strict=True):
+def free_inertia(vehicle: Vehicle | Bodies, free: Sequence[bool]) -> np.ndarray:
+    """A (..., 3, 3) in kg m2: the vehicle's inertia less the axial inertia of each free wheel."""
+    bodies = Bodies.of(vehicle)
+    tensor = np.array(bodies.inertia_kg_m2)
+    for k, is_free in enumerate(free):
         if is_free:
-            tensor -= wheel.inertia_kg_m2 * np.outer(wheel.axis_B, wheel.axis_B)
+            axis = bodies.axes_B[k]
+            tensor -= bodies.wheel_inertia_kg_m2[..., k, None, None] * np.outer(axis, axis)
     return tensor
 
 
-def inverse_elements(tensor: np.ndarray) -> tuple[float, ...]:
-    """The inverse of a symmetric tensor as (xx, xy, xz, yy, yz, zz)."""
+def inverse_elements(tensor: np.ndarray) -> np.ndarray:
+    """The inverse of symmetric tensors (..., 3, 3) as (xx, xy, xz, yy, yz, zz) (..., 6)."""
     inverse = np.linalg.inv(tensor)
-    return tuple(float(inverse[i, j]) for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)))
+    return np.stack([inverse[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=-1)
 
 
-def total_momentum(vehicle: Vehicle, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
+def total_momentum(vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
     """H = Theta omega + sum J W u (..., 3) in N m s, from omega_B (..., 3) and wheel speeds (..., n_wheel)."""
-    momentum = omega_B @ vehicle.require_inertia()
-    for k, wheel in enumerate(vehicle.wheels):
-        momentum = momentum + wheel.inertia_kg_m2 * wheel_speed_rad_s[..., k, None] * wheel.axis_B
-    return momentum
+    bodies = Bodies.of(vehicle)
+    spins = bodies.wheel_inertia_kg_m2 * wheel_speed_rad_s
+    return np.einsum("...i,...ij->...j", omega_B, bodies.inertia_kg_m2) + spins @ bodies.axes_B
 
 
-def axial_momenta(vehicle: Vehicle, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
+def axial_momenta(vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
     """h = J (W + u.omega) (..., n_wheel) in N m s."""
-    columns = [
-        wheel.inertia_kg_m2 * (wheel_speed_rad_s[..., k] + omega_B @ wheel.axis_B)
-        for k, wheel in enumerate(vehicle.wheels)
-    ]
-    return np.stack(columns, axis=-1) if columns else np.zeros((*omega_B.shape[:-1], 0))
+    bodies = Bodies.of(vehicle)
+    return bodies.wheel_inertia_kg_m2 * (wheel_speed_rad_s + omega_B @ bodies.axes_B.T)
 
 
-def kinetic_energy(vehicle: Vehicle, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
+def kinetic_energy(vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
     """Rotational kinetic energy (...) in J, wheels included: omega.A omega / 2 + sum h^2 / (2 J)."""
-    body = free_inertia(vehicle, [True] * len(vehicle.wheels))
-    energy = np.einsum("...i,ij,...j->...", omega_B, body, omega_B) / 2
-    h = axial_momenta(vehicle, omega_B, wheel_speed_rad_s)
-    for k, wheel in enumerate(vehicle.wheels):
-        energy = energy + h[..., k] ** 2 / (2 * wheel.inertia_kg_m2)
-    return energy
+    bodies = Bodies.of(vehicle)
+    tensor = free_inertia(bodies, [True] * bodies.n_wheels)
+    h = axial_momenta(bodies, omega_B, wheel_speed_rad_s)
+    body = np.einsum("...i,...ij,...j->...", omega_B, tensor, omega_B) / 2
+    return body + (h**2 / (2 * bodies.wheel_inertia_kg_m2)).sum(axis=-1)

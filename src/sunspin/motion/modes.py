@@ -104,9 +104,9 @@ def switch_times(all_schedules: Sequence[Schedule], t_from: float, t_to: float) 
     return sorted(times, reverse=bool(t_to < t_from))
 
 
-def state_under(wheel: Wheel, command: str, speed: float) -> WheelState:
+def state_under(wheel: Wheel, command: str, speed: float, coulomb_N_m: float | None = None) -> WheelState:
     """How a wheel of this speed turns under a command; one at rest counts as stuck until `settle` has judged it."""
-    limit = friction_limit(wheel, command)
+    limit = float(friction_limit(wheel, command, coulomb_N_m))
     if command == "hold":
         return WheelState(Turning.HELD, command, speed, 0.0, 0.0)
     if speed == 0.0 and limit > 0:
@@ -114,9 +114,10 @@ def state_under(wheel: Wheel, command: str, speed: float) -> WheelState:
     return WheelState(Turning.FREE, command, speed, float(np.sign(speed)), limit)
 
 
-def friction_limit(wheel: Wheel, command: str) -> float:
-    """Dry torque (N m) that opposes the wheel: Coulomb friction, and the brake where it is on."""
-    return wheel.friction.coulomb_N_m + (wheel.brake_torque_N_m or 0.0 if command == "brake" else 0.0)
+def friction_limit(wheel: Wheel, command: str, coulomb_N_m: Any = None) -> Any:
+    """Dry torque (N m) that opposes the wheel: Coulomb friction (the wheel's, or another), and the brake where it is on."""
+    coulomb = wheel.friction.coulomb_N_m if coulomb_N_m is None else coulomb_N_m
+    return coulomb + (wheel.brake_torque_N_m or 0.0 if command == "brake" else 0.0)
 
 
 def parameters(vehicle: Vehicle, states: Sequence[WheelState]) -> g.Parameters:
@@ -136,7 +137,7 @@ def parameters(vehicle: Vehicle, states: Sequence[WheelState]) -> g.Parameters:
                 wheel.friction.viscous_N_m_s,
             )
         )
-    return g.Parameters(g.inverse_elements(g.free_inertia(vehicle, free)), tuple(held.tolist()), tuple(wheels))
+    return g.Parameters(tuple(g.inverse_elements(g.free_inertia(vehicle, free)).tolist()), tuple(held.tolist()), tuple(wheels))
 
 
 def settle(vehicle: Vehicle, H: np.ndarray, states: Sequence[WheelState], h: np.ndarray) -> tuple[WheelState, ...]:

@@ -15,7 +15,6 @@ from sunspin.infer.identity import code, plain
 from sunspin.infer.metrics import direction_error
 from sunspin.infer.rows import TRACK_DIRECTION_ERROR, Start, TrackRows
 from sunspin.motion import kernel as k
-from sunspin.motion.kernel import RowLayout as Layout
 from sunspin.vehicle import Vehicle
 
 INERTIA = {"theta_xx": (0, 0), "theta_yy": (1, 1), "theta_zz": (2, 2), "theta_xy": (0, 1), "theta_xz": (0, 2), "theta_yz": (1, 2)}
@@ -68,8 +67,7 @@ def nominal(vehicle: Vehicle, name: str) -> float:
 class ParameterRows:
     """Row -> E of one start with two parameters of the vehicle replaced; rows in C order of the grid of their values.
 
-    `measured` (n, 3) are directions at `times` (n, s after the start). Each row has a vehicle of its own, so each fills a block of
-    lanes alone: some milliseconds a row, enough for a map.
+    `measured` (n, 3) are directions at `times` (n, s after the start).
     """
 
     vehicle: Vehicle
@@ -98,16 +96,20 @@ class ParameterRows:
         }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        error, outcome = np.empty(len(index)), np.empty(len(index), dtype=np.int8)
-        state, first = self.start.take(np.zeros(1, dtype=np.int64)), Layout(len(self.vehicle.wheels)).r
-        for place, where in enumerate(zip(*np.unravel_index(index, tuple(map(len, self.values))), strict=True)):
-            craft = self.vehicle
-            for name, values, i in zip(self.names, self.values, where, strict=True):
-                craft = varied(craft, name, float(values[i]))
-            run = k.run_rows(craft, state, self.times, direction_error=TRACK_DIRECTION_ERROR)
-            error[place] = direction_error(run.track[0, :, first : first + 3], self.measured)
-            outcome[place] = run.outcome[0]
-        return {"E": error, "outcome": outcome}
+        crafts = [self.craft(*where) for where in zip(*np.unravel_index(index, self.shape), strict=True)]
+        rows = replace(self.start.take(np.zeros(len(index), dtype=np.int64)), bodies=k.Bodies.stack(crafts))
+        run = k.run_rows(self.vehicle, rows, self.times, direction_error=TRACK_DIRECTION_ERROR)
+        error = np.array([direction_error(sun, self.measured) for sun in run.sun_B])
+        return {"E": error, "outcome": run.outcome.astype(np.int8)}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.values[0]), len(self.values[1])
+
+    def craft(self, i: int, j: int) -> Vehicle:
+        """The vehicle at a point of the grid."""
+        first = varied(self.vehicle, self.names[0], float(self.values[0][i]))
+        return varied(first, self.names[1], float(self.values[1][j]))
 
 
 def rate_map(
@@ -140,7 +142,7 @@ def parameter_map(
     for name, axis in zip(parameters, values, strict=True):
         varied(vehicle, name, float(axis[0]))  # a name or value that will not do is refused before the work
     rows = ParameterRows(vehicle, tuple(parameters), values, start, measured, times)
-    out = ensemble(rows, workers=workers, chunk=64)
+    out = ensemble(rows, workers=workers, chunk=1024)
     return xr.DataArray(
         out["E"].reshape(tuple(map(len, values))), dims=tuple(parameters), coords=dict(zip(parameters, values, strict=True)),
         name="E", attrs={"units": "1"},

@@ -11,20 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
-from sunspin.motion.kernel import RowLayout as Layout
-from sunspin.motion.modes import Schedule, command_at, friction_limit, switch_times
+from sunspin.motion.modes import Schedule, command_at, switch_times
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-2
 """Error (rad) wanted of each leg of a chain, for statistics over motions that are uncertain by much more."""
-
-GLANCE_S = 0.5
-"""Time before the end of a leg at which the wheels' momenta are looked at: a wheel at rest keeps the number it stopped with."""
-
-SLOWEST_RAD_S = 1e-8
-"""A coasting wheel slower than this is at rest."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +46,10 @@ def fly(vehicle: Vehicle, rows: k.Rows, schedule: Schedule, begin_s: float, time
     pieces, outcome = [], np.zeros(len(rows), dtype=np.int64)
     for begin, end, command in legs_of(schedule, begin_s, times[-1]):
         wanted = times[(times > begin) & (times <= end)] if end > begin else times[(times < begin) & (times >= end)]
-        glance = end - np.sign(end - begin) * min(GLANCE_S, abs(end - begin) / 2)
-        stops = np.unique(np.concatenate([wanted, [glance, end]]))
+        stops = np.unique(np.concatenate([wanted, [end]]))
         stops = stops if end > begin else stops[::-1]
         result = k.run_rows(vehicle, rows, stops - begin, wheel_mode=command, direction_error=DIRECTION_ERROR)
-        piece = _track(vehicle, rows, result, command)
+        piece = Track(result.momentum_B, result.sun_B, result.omega_B, result.wheel_speed_rad_s, result.outcome)
         outcome = np.where(outcome == 0, result.outcome, outcome)
         rows = piece.at(-1)
         pieces.append((piece, np.isin(stops, wanted)))
@@ -80,46 +71,6 @@ def sun_height_shares(
         if end != end_s:
             rows = fly(vehicle, rows, ((begin, command),), begin, np.array([end])).at(-1)
     return total, outcome
-
-
-def _track(vehicle: Vehicle, start: k.Rows, result: k.BlockResult, command: str) -> Track:
-    layout = Layout(len(vehicle.wheels))
-    momentum, h, sun = result.track[..., :3], result.track[..., 3 : layout.r], result.track[..., layout.r : layout.n_state]
-    speeds = np.zeros_like(h)
-    if command == "hold":
-        speeds[:] = start.wheel_speed_rad_s[:, None]
-        omega = _rates(vehicle, momentum, h, speeds, np.ones_like(h, dtype=bool))
-    else:
-        stuck = _at_rest(vehicle, h, command)
-        omega = _rates(vehicle, momentum, h, speeds, stuck)
-        for i, wheel in enumerate(vehicle.wheels):
-            free = h[..., i] / wheel.inertia_kg_m2 - omega @ wheel.axis_B
-            speeds[..., i] = np.where(stuck[..., i] | (np.abs(free) < SLOWEST_RAD_S), 0.0, free)
-    return Track(momentum, sun, omega, speeds, result.outcome)
-
-
-def _at_rest(vehicle: Vehicle, h: np.ndarray, command: str) -> np.ndarray:
-    """Which wheels are stuck (n, n_t, n_wheel): friction always changes the momentum of one that turns."""
-    same = h[:, 1:] == h[:, :-1]
-    rest = np.concatenate([same[:, :1], same], axis=1)
-    return rest & np.array([friction_limit(wheel, command) > 0 for wheel in vehicle.wheels], dtype=bool)
-
-
-def _rates(vehicle: Vehicle, momentum: np.ndarray, h: np.ndarray, speeds: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """omega (n, n_t, 3) from momenta: a wheel that turns freely counts with h, one held or at rest (`still`) with its speed."""
-    n = len(vehicle.wheels)
-    code = still @ (1 << np.arange(n)) if n else np.zeros(momentum.shape[:-1], dtype=int)
-    modes = np.unique(code)
-    omega = np.empty_like(momentum)
-    for mode in modes:
-        here = ... if len(modes) == 1 else code == mode  # no copies where all wheels of all runs do the same
-        free = [not mode >> i & 1 for i in range(n)]
-        rest = momentum[here]
-        for i, wheel in enumerate(vehicle.wheels):
-            axial = h[..., i][here] if free[i] else wheel.inertia_kg_m2 * speeds[..., i][here]
-            rest = rest - axial[..., None] * wheel.axis_B
-        omega[here] = rest @ np.linalg.inv(g.free_inertia(vehicle, free))
-    return omega
 
 
 def triad(momentum_B: np.ndarray, sun_B: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def spin_down(case: Case) -> dict[str, Any]:
         "t_s": t,
         "record": record,
         "fit": fit,
-        "printed": spin_down_speed(printed, wheel.inertia_kg_m2, record[0], t),
+        "printed": spin_down_speed(printed.coulomb_N_m, printed.viscous_N_m_s, wheel.inertia_kg_m2, record[0], t),
         "stop_printed_s": spin_down_time(printed, wheel.inertia_kg_m2, wheel.speed_rad_s),
     }
 

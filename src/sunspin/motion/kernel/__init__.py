@@ -1,20 +1,22 @@
 """The ensemble kernels: 10^4 to 10^5 trajectories a second.
 
-run.py takes rows of initial states through a compiled kernel; steps.py says how many steps each needs for the accuracy asked
-for. The source of a kernel is generated from the equations of :mod:`sunspin.motion.gyrostat` (codegen.py, series.py) for lanes
-that advance together (lanes.py), by one of two methods: series_lanes.py for directions, split_lanes.py with the numbers of
-principal.py for distributions (deposit.py). compiled.py puts it into the hand-written text of the *_template.py files and has
-it compiled, once for each structure. cuda.py puts the same text, for one lane, on a GPU.
+run.py takes initial states (rows.py) through a compiled kernel; steps.py says how many steps each needs for what is asked for
+(tolerance.py). The source of a kernel is generated from the equations of :mod:`sunspin.motion.gyrostat` (codegen.py, series.py)
+for lanes that advance together (lanes.py), by one of two methods: series_lanes.py for directions, split_lanes.py with the
+numbers of principal.py for distributions (deposit.py). compiled.py puts it into the hand-written text of the *_template.py
+files and has it compiled, once for each structure. cuda.py puts the same text, for one lane, on a GPU.
 """
 
+from sunspin.motion.bodies import Bodies
 from sunspin.motion.kernel.codegen import RowLayout
 from sunspin.motion.kernel.compiled import OUTCOME_TEXT, Outcome, kernel, vector_bits
 from sunspin.motion.kernel.cuda import check_device, device_identity, require_device
-from sunspin.motion.kernel.run import BlockResult, Mask, check_commands, run_rows, structure_of, work_array
-from sunspin.motion.kernel.steps import EMD_ERROR, Rows, accuracy, rate_scale
+from sunspin.motion.kernel.rows import Rows, mode_table, work_array
+from sunspin.motion.kernel.run import BlockResult, Mask, check_commands, run_rows, structure_of
+from sunspin.motion.kernel.tolerance import EMD_ERROR, accuracy
 
 __all__ = [
-    "EMD_ERROR", "OUTCOME_TEXT", "BlockResult", "Mask", "Outcome", "RowLayout", "Rows", "accuracy", "check_commands",
-    "check_device", "device_identity", "kernel", "rate_scale", "require_device", "run_rows", "structure_of", "vector_bits",
-    "work_array",
+    "EMD_ERROR", "OUTCOME_TEXT", "BlockResult", "Bodies", "Mask", "Outcome", "RowLayout", "Rows", "accuracy", "check_commands",
+    "check_device", "device_identity", "kernel", "mode_table", "require_device", "run_rows", "structure_of",
+    "vector_bits", "work_array",
 ]  # fmt: skip

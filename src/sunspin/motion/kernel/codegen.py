@@ -65,9 +65,14 @@ class RowLayout:
         return 2 * self.n_state
 
     @property
+    def body(self) -> int:
+        """Which of the tables of modes is the row's."""
+        return self.dt + 1
+
+    @property
     def spin(self) -> int:
         """The share of H in omega that is taken out, 1/(kg m2)."""
-        return self.dt + 1
+        return self.body + 1
 
     @property
     def inverse(self) -> int:
@@ -91,6 +96,11 @@ class RowLayout:
         return self.wheel(i) + WHEEL_ROWS.index(name)
 
     @property
+    def n_output(self) -> int:
+        """What is told of a trajectory at an instant: its state, omega, and the wheels' speeds."""
+        return self.n_state + 3 + self.n_wheels
+
+    @property
     def count(self) -> int:
         return self.wheel(self.n_wheels)
 
@@ -101,6 +111,7 @@ WHEEL_ROWS = (
     "watch",  # sign of the speed while a stop must be watched for, else 0
     "inverse_limit2",  # 1 / limit^2 while stuck, else 0
     "dry",  # friction limit in N m (Coulomb and brake)
+    "kept",  # speed of a wheel that is not free
     "speed",  # output: W
     "torque",  # output: holding torque
 )  # fmt: skip
@@ -236,3 +247,14 @@ def omega_body(structure: Structure) -> list[str]:
     lines += load_parameters(structure, _in_row(RowLayout(n)))
     omega = g.body_rate(H, h, parameter_symbols(structure))
     return lines + assignments([f"omega[{k}]" for k in range(3)], list(omega), "c")
+
+
+def speeds_body(structure: Structure) -> list[str]:
+    """The wheels' speeds of the committed state of the row, which turns at omega, into speeds."""
+    n = len(structure.axes)
+    layout, p = RowLayout(n), parameter_symbols(structure)
+    lines = [f"h{i} = w[{3 + i}]" for i in range(n)] + [f"o{k} = omega[{k}]" for k in range(3)]
+    lines += load_parameters(structure, _in_row(layout))
+    free = [g.wheel_speed(sp.Symbol(f"h{i}"), sp.symbols("o0:3"), p.wheels[i]) for i in range(n)]
+    lines += assignments([f"turning{i}" for i in range(n)], free, "c")
+    return lines + [f"speeds[{i}] = turning{i} if free{i} > 0.5 else w[{layout.of(i, 'kept')}]" for i in range(n)]

@@ -101,6 +101,7 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
         "    pass  # SPIN_ONE": c.spin_one_body(structure),
         "    pass  # OBSERVE_ONE": c.observe_one_body(structure),
         "    pass  # OMEGA_ONE": c.omega_body(structure),
+        "    pass  # SPEEDS_ONE": c.speeds_body(structure),
     }
     deposits = []
     for node in range(o.nodes if structure.bins else 0):
@@ -148,7 +149,9 @@ def _constants(structure: c.Structure, o: Lanes) -> dict[str, object]:
         "ROWS": rows.count,
         "NEW": rows.new,
         "DT": rows.dt,
+        "BODY": rows.body,
         "SPIN": rows.spin,
+        "COMMON": rows.spin if structure.method == "series" else rows.frame + 1,
         "MODE_NUMBERS": rows.held - rows.spin,
         "INVERSE": rows.inverse,
         "FRAME": rows.frame,

@@ -9,7 +9,7 @@ def run(work, plans, begins, modes, normals, steps, dts, output, hist, track, ou
     """Advance the rows of `work` (n, ROWS), each by the plan plans[i] (n) of its own.
 
     Plan p is the segments begins[p] to begins[p + 1] of steps, dts and output, which are, like modes and normals, as in the
-    driver. hist (n, BINS), track (n, n_output, N_STATE), outcome (n) and evenness (n) are written, with zeros first.
+    driver. hist (n, BINS), track (n, n_output, what is told), outcome (n) and evenness (n) are written, with zeros first.
     """
     i = cuda.grid(1)
     if i >= plans.size:

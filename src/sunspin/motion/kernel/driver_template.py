@@ -18,10 +18,12 @@ N_STATE = "N_STATE"
 ROWS = "ROWS"
 NEW = "NEW"
 DT = "DT"
+BODY = "BODY"
 MODE_NUMBERS = "MODE_NUMBERS"
 SPIN = "SPIN"  # first of the numbers that depend on which wheels are free
 INVERSE = "INVERSE"
 FRAME = "FRAME"
+COMMON = "COMMON"  # the share of H in omega that is taken out, by this method
 HELD = "HELD"
 WHEEL = "WHEEL"  # first wheel row
 PER_WHEEL = "PER_WHEEL"
@@ -33,6 +35,7 @@ INERTIA = "INERTIA"
 WATCH = "WATCH"
 INVERSE_LIMIT2 = "INVERSE_LIMIT2"
 DRY = "DRY"
+KEPT = "KEPT"
 SPEED = "SPEED"
 TORQUE = "TORQUE"
 # the work array of the lanes: first rows
@@ -76,6 +79,21 @@ estimate = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract
 
 
 "EVENTS"
+
+
+@jit
+def load_turn(one, w, j):
+    """By how much r turns about H up to each node of the step DT, because of the common share of omega."""
+    r = 3 + N_WHEELS
+    square = one[0] * one[0] + one[1] * one[1] + one[2] * one[2]
+    along = one[0] * one[r] + one[1] * one[r + 1] + one[2] * one[r + 2]
+    size = math.sqrt(square)
+    for node in range(NODES):
+        angle = one[COMMON] * size * one[DT] * (node + 1) / NODES
+        at = S_TURN + 3 * node
+        w[at * LANES + j] = math.cos(angle)
+        w[(at + 1) * LANES + j] = math.sin(angle) / size if size > 0.0 else 0.0
+        w[(at + 2) * LANES + j] = (1.0 - math.cos(angle)) * along / square if size > 0.0 else 0.0
 
 
 "METHOD"
@@ -185,6 +203,21 @@ def prepare(work, index, modes, dt, rows, w, v, outcome):
 
 
 @jit
+def tell(one, out):
+    """The state of a row, its body rate and the speeds of its wheels."""
+    omega = np.empty(3)
+    speeds = np.empty(N_WHEELS)
+    body_rate(one, omega)
+    wheel_speeds(one, omega, speeds)
+    for k in range(N_STATE):
+        out[k] = one[k]
+    for k in range(3):
+        out[N_STATE + k] = omega[k]
+    for i in range(N_WHEELS):
+        out[N_STATE + 3 + i] = speeds[i]
+
+
+@jit
 def run_block(work, index, modes, normals, steps, dts, output, rows, w, v, bins, weights, hist, track, outcome, evenness):
     """Advance one block of at most LANES rows of `work`; see `run`."""
     stuck = prepare(work, index, modes, dts[-1], rows, w, v, outcome)
@@ -212,8 +245,7 @@ def run_block(work, index, modes, normals, steps, dts, output, rows, w, v, bins,
         if output[s] >= 0 and track.shape[1] > 0:
             for j in range(index.size):
                 unload(w, S_STATE, rows[j], j)
-                for k in range(N_STATE):
-                    track[index[j], output[s], k] = rows[j, k]
+                tell(rows[j], track[index[j], output[s]])
     for j in range(LANES):
         if S_SPEEDS and w[(S_SPEEDS + 1) * LANES + j] > 0.0:
             evenness[j] = w[S_SPEEDS * LANES + j] / w[(S_SPEEDS + 1) * LANES + j]
@@ -226,9 +258,10 @@ def run_block(work, index, modes, normals, steps, dts, output, rows, w, v, bins,
 def run(work, index, modes, normals, steps, dts, output, hist, track, outcome, evenness):
     """Advance the rows `index` of `work` (n, ROWS), all with the same steps.
 
-    modes (2^n * MODE_NUMBERS): what depends on which wheels are free; steps and dts (n_segment): each segment is steps[s]
+    modes (n_body, 2^n, MODE_NUMBERS): what depends on which wheels are free, for each body; steps and dts (n_segment): each segment is steps[s]
     steps of dts[s] seconds, after which the output output[s] is due if it is not negative; hist (n, BINS) gets the time that
-    counts, in s, by r_z; track (n, n_output, N_STATE), if it has room, takes the states in body axes;
+    counts, in s, by r_z; track (n, n_output, N_STATE + 3 + N_WHEELS), if it has
+    room, takes the states in body axes, the body rates and the wheels' speeds;
     outcome (n); evenness (n): smallest over largest speed squared of H.
     """
     rows = np.zeros((LANES, ROWS))

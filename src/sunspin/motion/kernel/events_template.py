@@ -48,7 +48,7 @@ def set_modes(w, modes):
         if w[WHEEL + PER_WHEEL * i + FREE] > 0.5:
             free |= 1 << i
     for k in range(MODE_NUMBERS):
-        w[SPIN + k] = modes[free * MODE_NUMBERS + k]
+        w[SPIN + k] = modes[int(w[BODY]), free, k]
 
 
 @jit
@@ -57,6 +57,7 @@ def stick(w, i):
     w[at + FREE] = 0.0
     w[at + COULOMB] = 0.0
     w[at + WATCH] = 0.0
+    w[at + KEPT] = 0.0
     w[at + INVERSE_LIMIT2] = 1.0 / (w[at + DRY] * w[at + DRY])
 
 
@@ -80,6 +81,12 @@ def rest_momentum(w, i, omega):
 def body_rate(w, omega):
     """omega at the committed state, from the parameters in force."""
     pass  # OMEGA_ONE
+
+
+@jit
+def wheel_speeds(w, omega, speeds):
+    """The wheels' speeds at the committed state, which turns at omega."""
+    pass  # SPEEDS_ONE
 
 
 @jit

@@ -7,20 +7,21 @@ chunks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sunspin.errors import InputError, sentence
-from sunspin.motion import gyrostat as g
 from sunspin.motion import modes as m
 from sunspin.motion.kernel import codegen as c
 from sunspin.motion.kernel import principal
 from sunspin.motion.kernel.compiled import Outcome, kernel
 from sunspin.motion.kernel.cuda import Group, require_device
 from sunspin.motion.kernel.cuda import launch as launch_cuda
-from sunspin.motion.kernel.steps import SEGMENTS, UNEVEN, Accuracy, Rows, accuracy, common_spin, free_inertias, plan, segments
+from sunspin.motion.kernel.rows import Rows, mode_table, work_array
+from sunspin.motion.kernel.steps import SEGMENTS, UNEVEN, Scales, plan, segments
+from sunspin.motion.kernel.tolerance import Accuracy, accuracy
 from sunspin.vehicle import Vehicle
 
 
@@ -32,64 +33,16 @@ class Mask:
     clauses: tuple[c.Literals, ...]
 
 
-def structure_of(vehicle: Vehicle, mask: Mask | None, bins: int, method: str = "series") -> c.Structure:
-    """What the source of the kernel for these rows depends on."""
+def structure_of(
+    vehicle: Vehicle, mask: Mask | None, bins: int, method: str = "series", own_bodies: bool = False
+) -> c.Structure:
+    """What the source of the kernel depends on, for rows with the vehicle's own numbers or with theirs."""
     axes = tuple(tuple(c.component(x) for x in wheel.axis_B) for wheel in vehicle.wheels)
-    oblique = method == "split" and principal.is_oblique(vehicle)
+    oblique = method == "split" and (own_bodies or principal.is_oblique(vehicle))
     if mask is None or not bins:
         return c.Structure(axes, bins=bins, method=method, oblique=oblique)
     normals = tuple(tuple(c.component(x) for x in normal) for normal in mask.normals_B)
     return c.Structure(axes, normals, mask.clauses, bins, method, oblique)
-
-
-def _wheel_modes(vehicle: Vehicle, rows: Rows, commands: Sequence[str]) -> Iterator[tuple[np.ndarray, list[m.WheelState]]]:
-    """Rows that begin with their wheels in the same mode, and that mode."""
-    speeds = np.asarray(rows.wheel_speed_rad_s, dtype=np.float64)
-    held = np.array([command == "hold" for command in commands], dtype=bool)
-    keys = np.where(held, speeds, np.sign(speeds))
-    _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(group.ravel(), kind="stable")
-    edges = np.searchsorted(group.ravel()[order], np.arange(1, len(first)))
-    for row, members in zip(first, np.split(order, edges), strict=True):
-        wheels = zip(vehicle.wheels, commands, speeds[row], strict=True)
-        yield members, [m.state_under(wheel, command, float(speed)) for wheel, command, speed in wheels]
-
-
-def _wheel_rows(vehicle: Vehicle, states: list[m.WheelState], p: g.Parameters, dry: Sequence[float]) -> list[float]:
-    values: list[float] = []
-    for wheel, state, w, limit in zip(vehicle.wheels, states, p.wheels, dry, strict=True):
-        free = state.turning is m.Turning.FREE
-        watch = state.sign if free and limit > 0 else 0.0
-        inverse_limit2 = 1.0 / limit**2 if state.turning is m.Turning.STUCK else 0.0
-        values += [*w.axis, w.inverse_inertia, w.free, w.coulomb, w.viscous]
-        values += [wheel.inertia_kg_m2, watch, inverse_limit2, limit, 0.0, 0.0]
-    return values
-
-
-def work_array(vehicle: Vehicle, rows: Rows, commands: Sequence[str]) -> np.ndarray:
-    """The kernel's row of numbers for each trajectory, (n, rows)."""
-    layout = c.RowLayout(len(vehicle.wheels))
-    work = np.zeros((len(rows), layout.count))
-    work[:, :3] = g.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    work[:, 3 : layout.r] = g.axial_momenta(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    work[:, layout.r : layout.n_state] = rows.sun_B
-    dry = [m.friction_limit(wheel, command) for wheel, command in zip(vehicle.wheels, commands, strict=True)]
-    modes = mode_table(vehicle)
-    for members, states in _wheel_modes(vehicle, rows, commands):
-        p = m.parameters(vehicle, states)
-        free = sum(1 << i for i, state in enumerate(states) if state.turning is m.Turning.FREE)
-        values = [*modes[free], *p.held_momentum, *_wheel_rows(vehicle, states, p, dry)]
-        work[np.ix_(members, np.arange(layout.spin, layout.count))] = values
-    return work
-
-
-def mode_table(vehicle: Vehicle) -> np.ndarray:
-    """For every set of free wheels, (2^n, 19): spin, inverse inertia, principal inverse moments and axes."""
-    table = []
-    for inertia, frame in zip(free_inertias(vehicle), principal.frames(vehicle), strict=True):
-        inverse = g.inverse_elements(inertia)
-        table.append([common_spin(inverse), *inverse, *frame.inverse, *frame.axes.ravel()])
-    return np.array(table)
 
 
 def check_commands(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> tuple[str, ...]:
@@ -104,7 +57,8 @@ def check_commands(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> tuple[s
 class BlockResult:
     """What the kernels return for some rows.
 
-    hist (n, bins): time that counts, in s, by r_z over [-1, 1]; track (n, n_out, n_state): H, h, r;
+    hist (n, bins): time that counts, in s, by r_z over [-1, 1]; track (n, n_out, ...): what `RowLayout` tells at the output
+    times, in body axes, told apart by the properties;
     outcome (n); steps (n) and method (n) as planned; evenness (n): smallest over largest speed squared of H in body axes.
     """
 
@@ -114,6 +68,35 @@ class BlockResult:
     steps: np.ndarray
     method: np.ndarray
     evenness: np.ndarray
+    n_wheels: int
+
+    def _part(self, begin: int, count: int) -> np.ndarray:
+        return self.track[..., begin : begin + count]
+
+    @property
+    def momentum_B(self) -> np.ndarray:
+        """H (n, n_out, 3) in N m s."""
+        return self._part(0, 3)
+
+    @property
+    def axial_momenta(self) -> np.ndarray:
+        """h (n, n_out, n_wheel) in N m s."""
+        return self._part(3, self.n_wheels)
+
+    @property
+    def sun_B(self) -> np.ndarray:
+        """r (n, n_out, 3)."""
+        return self._part(3 + self.n_wheels, 3)
+
+    @property
+    def omega_B(self) -> np.ndarray:
+        """Body rates (n, n_out, 3) in rad/s."""
+        return self._part(6 + self.n_wheels, 3)
+
+    @property
+    def wheel_speed_rad_s(self) -> np.ndarray:
+        """Relative to the body (n, n_out, n_wheel); exactly zero where friction holds the wheel."""
+        return self._part(9 + self.n_wheels, self.n_wheels)
 
 
 def _launch(
@@ -171,15 +154,17 @@ def run_rows(
     wanted = accuracy(direction_error, emd_error)
     commands = check_commands(vehicle, wheel_mode)
     n, layout = len(rows), c.RowLayout(len(vehicle.wheels))
-    work, modes = work_array(vehicle, rows, commands), mode_table(vehicle).ravel()
+    modes = mode_table(vehicle, rows.bodies_of(vehicle))
+    work = work_array(vehicle, rows, commands, modes)
     normals = np.zeros(0, np.float32) if mask is None else np.asarray(mask.normals_B, dtype=np.float32).ravel()
     result = BlockResult(
-        np.zeros((n, bins), dtype=np.float32), np.zeros((n, 0 if bins else ends.size, layout.n_state)),
-        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, "series"), np.ones(n),
+        np.zeros((n, bins), dtype=np.float32), np.zeros((n, 0 if bins else ends.size, layout.n_output)),
+        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, "series"), np.ones(n), len(vehicle.wheels),
     )  # fmt: skip
 
     def go(which: np.ndarray, accuracy: Accuracy) -> None:
-        todo = plan(vehicle, rows.take(which), commands, float(ends[-1]), accuracy, bool(bins), min_steps)
+        scales = Scales(vehicle, rows.take(which), commands)
+        todo = plan(scales, float(ends[-1]), accuracy, bool(bins), min_steps)
         result.steps[which], result.method[which] = todo.steps, todo.method
         by_method: dict[str, list[Group]] = {}
         for group, method, steps, ratio in todo.groups():
@@ -187,7 +172,7 @@ def run_rows(
             by_method.setdefault(method, []).append((which[group], parts))
         for method, groups in by_method.items():
             launch = launch_cuda if device == "cuda" else _launch
-            launch(structure_of(vehicle, mask, bins, method), work, groups, modes, normals, result)
+            launch(structure_of(vehicle, mask, bins, method, rows.bodies is not None), work, groups, modes, normals, result)
 
     go(np.arange(n), wanted)
     sensitive = np.flatnonzero((result.method == "split") & ~(result.evenness > UNEVEN) & (result.outcome == Outcome.FINE))

@@ -16,7 +16,6 @@ SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260)
 perturbed systems, BIT 35 (1995), table 2; main first and last, SIDE[-1] is the middle one."""
 
 
-
 def _first_half() -> list[tuple[str, float, float]]:
     flows, time = [], 0.0
     for main, side in zip(MAIN, SIDE, strict=True):
@@ -43,7 +42,7 @@ ROUNDING = 3e-8
 
 
 class SplitLanes(Lanes):
-    """State: H (3), h, r (3) in the principal axes (p, q, m), in single precision; the second node is in the middle of the step."""
+    """State: H (3), h, r (3) in the principal axes (p, q, m), in single precision; the first node is in the middle of a step."""
 
     lanes = 32
 

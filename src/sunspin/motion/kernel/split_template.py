@@ -5,21 +5,6 @@
 
 
 @jit
-def load_turn(one, w, j):
-    """By how much r turns about H up to each node of the step DT, because of the common share of omega."""
-    r = 3 + N_WHEELS
-    square = one[0] * one[0] + one[1] * one[1] + one[2] * one[2]
-    along = one[0] * one[r] + one[1] * one[r + 1] + one[2] * one[r + 2]
-    size = math.sqrt(square)
-    for node in range(NODES):
-        angle = one[FRAME + 1] * size * one[DT] * (node + 1) / NODES
-        at = S_TURN + 3 * node
-        w[at * LANES + j] = math.cos(angle)
-        w[(at + 1) * LANES + j] = math.sin(angle) / size if size > 0.0 else 0.0
-        w[(at + 2) * LANES + j] = (1.0 - math.cos(angle)) * along / square if size > 0.0 else 0.0
-
-
-@jit
 def relaxed(x):
     """(1 - exp(-x)) / x."""
     return -math.expm1(-x) / x if abs(x) > 1e-6 else 1.0 - 0.5 * x

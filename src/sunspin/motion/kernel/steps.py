@@ -1,4 +1,4 @@
-"""Initial states, and how many steps each needs for the accuracy asked for.
+"""How many steps each row needs for the accuracy asked for.
 
 The step of a row is a function of that row alone, taken from a fixed ladder, so that rows of one rung can share a block.
 """
@@ -7,127 +7,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from sunspin.errors import InputError, MotionError, sentence
+from sunspin.errors import MotionError, sentence
 from sunspin.motion import gyrostat as g
 from sunspin.motion import modes as m
 from sunspin.motion.friction import spin_down_speed
 from sunspin.motion.kernel import principal
 from sunspin.motion.kernel.lanes import NODES_PER_STEP
+from sunspin.motion.kernel.rows import Rows
 from sunspin.motion.kernel.series_lanes import ORDER
 from sunspin.motion.kernel.split_lanes import MAX_MAIN_ANGLE, MAX_SIDE_ANGLE
+from sunspin.motion.kernel.tolerance import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.vehicle import Vehicle
 
 MAX_STEPS = 10**8
 LADDER = 2.0**0.125
 """Ratio of neighbouring step counts: at most 9 % more steps than asked for, few enough rungs to fill blocks."""
-
-@dataclass(frozen=True)
-class Rows:
-    """Initial states of n trajectories: omega_B (n, 3) rad/s, sun_B (n, 3), wheel speeds (n, n_wheel) rad/s."""
-
-    omega_B: np.ndarray
-    sun_B: np.ndarray
-    wheel_speed_rad_s: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.omega_B)
-
-    def take(self, index: np.ndarray) -> Rows:
-        return Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index])
-
-
-def rates_of_turning(vehicle: Vehicle, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """How fast each row turns (n), rad/s: at the beginning, and once the wheels' momentum is the body's."""
-    momentum = g.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    later = np.linalg.solve(vehicle.require_inertia(), momentum.T).T
-    return np.linalg.norm(rows.omega_B, axis=1), np.linalg.norm(later, axis=1)
-
-
-def rate_scale(vehicle: Vehicle, rows: Rows) -> np.ndarray:
-    """The larger of the rates of turning (n), rad/s."""
-    return np.maximum(*rates_of_turning(vehicle, rows))
-
-
-def free_inertias(vehicle: Vehicle) -> list[np.ndarray]:
-    """The inertia (3, 3) for every set of free wheels (bit i: wheel i is free)."""
-    n = len(vehicle.wheels)
-    return [g.free_inertia(vehicle, [bool(bits >> i & 1) for i in range(n)]) for bits in range(2**n)]
-
-
-def common_spin(inverse: Sequence[float]) -> float:
-    """The share of H in omega, 1/(kg m2), without which the rest is slowest: half way between the extreme 1 / moments.
-
-    `inverse` is A^-1 as (xx, xy, xz, yy, yz, zz).
-    """
-    xx, xy, xz, yy, yz, zz = inverse
-    extreme = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))[[0, -1]]
-    return float(extreme.mean())
-
-
-# ---- accuracy --------------------------------------------------------------------------------------------------------------
-
-DIRECTION_ERROR = 1e-5
-"""Default error of the Sun's direction at the end of a run, rad."""
-
-SMALLEST_DIRECTION_ERROR = 1e-11
-"""What double precision can promise over some thousand radians."""
-
-EMD_ERROR = 1e-3
-SMALLEST_EMD_ERROR = 2e-4
-"""Below it the histogram's bins, and the two points that stand for a way, set a limit."""
-
-NODE_ANGLE = 0.9
-"""rad turned between nodes of the histogram where an EMD may err by EMD_ERROR; the error goes with its third power."""
-
-PHASE_ERROR = 0.1
-"""Error of the direction at the end (rad) where an EMD may err by EMD_ERROR: the same path, run through early or late."""
-
-MIN_WAYS = 1024
-"""Ways between nodes in a run: the distribution of a slow motion would be coarse otherwise."""
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """What a run must reach: direction at the end (rad), longest way between nodes (rad), and whether only the EMD counts."""
-
-    direction_error: float
-    node_angle: float
-    distribution_only: bool
-
-    @classmethod
-    def of_direction(cls, error: float | None) -> Accuracy:
-        """For an error (rad) of the Sun's direction at the end; a histogram is then as good as EMD_ERROR."""
-        error = DIRECTION_ERROR if error is None else error
-        return cls(_checked("direction_error", error, SMALLEST_DIRECTION_ERROR), NODE_ANGLE, False)
-
-    @classmethod
-    def of_emd(cls, error: float) -> Accuracy:
-        """For an error of the EMD."""
-        share = _checked("emd_error", error, SMALLEST_EMD_ERROR) / EMD_ERROR
-        return cls(PHASE_ERROR * share, NODE_ANGLE * min(1.0, share) ** (1 / 3), share >= 1.0)
-
-
-    def with_true_phase(self) -> Accuracy:
-        """The same with the direction as good as it must be for the distribution of a motion that hangs on it."""
-        return replace(self, direction_error=0.1 * self.direction_error, distribution_only=False)
-
-
-def accuracy(direction_error: float | None, emd_error: float | None) -> Accuracy:
-    """What is asked for, checked: one of the two errors, or none for the default of the direction's."""
-    if direction_error is not None and emd_error is not None:
-        raise InputError(sentence("ask for an error of the direction or of the EMD", got="both", do="give one of them"))
-    return Accuracy.of_direction(direction_error) if emd_error is None else Accuracy.of_emd(emd_error)
-
-
-def _checked(name: str, error: float, smallest: float) -> float:
-    if not smallest <= error < np.inf:
-        raise InputError(sentence(f"{name} must be at least {smallest:g}", got=error, do="ask for less"))
-    return float(error)
-
 
 SERIES_GROWTH = 2.1
 MAX_SLOW_ANGLE = 0.8
@@ -147,38 +46,69 @@ PROFILES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
 """Rates at the slow end of a run, in units of that at the fast one, to which a row's is rounded up."""
 
 
-def uneven_rate(vehicle: Vehicle, rows: Rows) -> np.ndarray:
-    """A bound (n), rad/s, of how fast H turns in body axes because the moments of inertia differ."""
-    spread = max(np.ptp(np.linalg.eigvalsh(np.linalg.inv(inertia))) for inertia in free_inertias(vehicle))
-    momentum = g.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    return 0.5 * spread * np.linalg.norm(momentum, axis=1)
+@dataclass(frozen=True)
+class Scales:
+    """How large and how fast everything is in the motions that begin in these rows (n), with one command per wheel."""
+
+    vehicle: Vehicle
+    rows: Rows
+    commands: Sequence[str]
+
+    @cached_property
+    def inertias(self) -> np.ndarray:
+        """A (n_set, n or 1, 3, 3) for every set of free wheels."""
+        return principal.free_inertias(self.rows.bodies_of(self.vehicle))
+
+    @cached_property
+    def momentum(self) -> np.ndarray:
+        """H (n, 3)."""
+        return g.total_momentum(self.rows.bodies_of(self.vehicle), self.rows.omega_B, self.rows.wheel_speed_rad_s)
+
+    @cached_property
+    def momentum_size(self) -> np.ndarray:
+        """|H| (n)."""
+        return np.linalg.norm(self.momentum, axis=1)
+
+    @cached_property
+    def turning(self) -> tuple[np.ndarray, np.ndarray]:
+        """How fast each row turns (n), rad/s: at the beginning, and once the wheels' momentum is the body's."""
+        later = np.linalg.solve(self.rows.bodies_of(self.vehicle).inertia_kg_m2, self.momentum[..., None])[..., 0]
+        return np.linalg.norm(self.rows.omega_B, axis=1), np.linalg.norm(later, axis=1)
+
+    @property
+    def rate(self) -> np.ndarray:
+        """The larger of the rates of turning (n), rad/s."""
+        return np.maximum(*self.turning)
+
+    def uneven(self) -> np.ndarray:
+        """A bound (n), rad/s, of how fast H turns in body axes because the moments of inertia differ."""
+        moments = np.linalg.eigvalsh(self.inertias)
+        spread = (1.0 / moments[..., 0] - 1.0 / moments[..., -1]).max(axis=0)
+        return 0.5 * spread * self.momentum_size
+
+    def wheel_rate(self, t: float) -> np.ndarray:
+        """A bound (n), rad/s, of what the wheels' momenta make of omega at the time t (s)."""
+        bodies, rate = self.rows.bodies_of(self.vehicle), np.zeros(len(self.rows))
+        for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, self.commands, strict=True)):
+            inertia, speed = bodies.wheel_inertia_kg_m2[:, i], np.abs(self.rows.wheel_speed_rad_s[:, i])
+            if command != "hold":
+                dry = m.friction_limit(wheel, command, bodies.coulomb_N_m[:, i])
+                speed = spin_down_speed(dry, bodies.viscous_N_m_s[:, i], inertia, speed, t)
+            axis = np.broadcast_to(bodies.axes_B[i][:, None], (*self.inertias.shape[:-1], 1))
+            response = np.linalg.norm(np.linalg.solve(self.inertias, axis)[..., 0], axis=-1).max(axis=0)
+            rate += response * inertia * (speed + self.rate)
+        return rate
 
 
-def wheel_rate(vehicle: Vehicle, rows: Rows, commands: Sequence[str], t: float) -> np.ndarray:
-    """A bound (n), rad/s, of what the wheels' momenta make of omega at the time t (s)."""
-    rate, body = np.zeros(len(rows)), rate_scale(vehicle, rows)
-    inertias = free_inertias(vehicle)
-    for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):
-        speed = np.abs(rows.wheel_speed_rad_s[:, i])
-        if command != "hold":
-            dry = m.friction_limit(wheel, command)
-            speed = spin_down_speed(replace(wheel.friction, coulomb_N_m=dry), wheel.inertia_kg_m2, speed, t)
-        response = max(np.linalg.norm(np.linalg.solve(inertia, wheel.axis_B)) for inertia in inertias)
-        rate += response * wheel.inertia_kg_m2 * (speed + body)
-    return rate
-
-
-def series_steps(
-    vehicle: Vehicle, rows: Rows, commands: Sequence[str], duration_s: float, accuracy: Accuracy
-) -> tuple[np.ndarray, np.ndarray]:
+def series_steps(scales: Scales, duration_s: float, accuracy: Accuracy) -> tuple[np.ndarray, np.ndarray]:
     """Number of steps (n) by Taylor series if all were as short as the shortest, and ratio (n) of the slow end to the fast.
 
     At the rate s of omega less its common share, coefficients of order k fall like (SERIES_GROWTH s h)^k / k!, and at the rate
     u of unevenness like (u h / CONVERGENCE)^k; the error left out adds up over all steps. Between its ends s is taken to
     change in proportion to time.
     """
-    uneven = np.maximum(uneven_rate(vehicle, rows), 1e-12)
-    ends = [uneven + wheel_rate(vehicle, rows, commands, t) for t in (0.0, duration_s)]
+    uneven = np.maximum(scales.uneven(), 1e-12)
+    ends = [uneven + scales.wheel_rate(t) for t in (0.0, duration_s)]
     allowed = SAFETY * accuracy.direction_error / (0.5 * (ends[0] + ends[1]) * abs(duration_s))
     angle = (allowed * math.factorial(ORDER + 1)) ** (1 / ORDER) / SERIES_GROWTH ** (1 + 1 / ORDER)
     angle = np.minimum(angle, MAX_SLOW_ANGLE)
@@ -191,17 +121,18 @@ SPLIT_CONSTANT = 7e-4
 """Measured on Philae, where the wheel's part of the law counts, and on random bodies of very unequal moments."""
 
 
-def split_steps(vehicle: Vehicle, rows: Rows, duration_s: float, accuracy: Accuracy) -> np.ndarray:
+def split_steps(scales: Scales, duration_s: float, accuracy: Accuracy) -> np.ndarray:
     """Number of steps (n) by splitting, not yet on the ladder.
 
     With m and s the rates of the main part and of the others, and m' and s' those without wheels, the phase errs by about
     SPLIT_CONSTANT (s' (m' + s')^4 + s^2 m^3) h^4 T: what the wheels add is constant in body axes, and errors of first order
     in s average out over its turns.
     """
-    momentum = np.linalg.norm(g.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s), axis=1)
-    axial = g.axial_momenta(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    main, *side = principal.part_rates(vehicle, momentum, axial)
-    plain_main, *plain_side = principal.part_rates(vehicle, momentum, 0.0 * axial)
+    vehicle, rows = scales.vehicle, scales.rows
+    bodies = rows.bodies_of(vehicle)
+    axial, frame = g.axial_momenta(bodies, rows.omega_B, rows.wheel_speed_rad_s), principal.frames(vehicle, bodies)
+    main, *side = principal.part_rates(bodies, frame, scales.momentum_size, axial)
+    plain_main, *plain_side = principal.part_rates(bodies, frame, scales.momentum_size, 0.0 * axial)
     others, plain = np.sum(side, axis=0), np.sum(plain_side, axis=0)
     law = (plain * (plain_main + plain) ** 4 + others**2 * main**3).max(axis=0)
     duration = abs(duration_s)
@@ -234,24 +165,20 @@ class Plan:
                 yield index, str(self.method[first]), int(self.steps[first]), PROFILES[self.profile[first]]
 
 
-def plan(
-    vehicle: Vehicle, rows: Rows, commands: Sequence[str], duration_s: float, accuracy: Accuracy, histogram: bool,
-    min_steps: int,
-) -> Plan:  # fmt: skip
+def plan(scales: Scales, duration_s: float, accuracy: Accuracy, histogram: bool, min_steps: int) -> Plan:
     """The plan of each row, a function of the row alone."""
-    rate = rate_scale(vehicle, rows)
-    least = np.full(len(rows), float(max(min_steps, 1)))
+    least = np.full(len(scales.rows), float(max(min_steps, 1)))
     if histogram:
-        typical = 0.5 * sum(rates_of_turning(vehicle, rows))
+        typical = 0.5 * sum(scales.turning)
         ways = np.maximum(typical * abs(duration_s), MIN_WAYS * NODE_ANGLE) / accuracy.node_angle
         least = np.maximum(least, ways / NODES_PER_STEP)
-    wanted, ratio = series_steps(vehicle, rows, commands, duration_s, accuracy)
+    wanted, ratio = series_steps(scales, duration_s, accuracy)
     ratio = np.maximum(ratio, np.minimum(least / wanted, 1.0))
     profile = len(PROFILES) - np.searchsorted(PROFILES[::-1], ratio * (1 - 1e-12), side="left") - 1
-    steps = on_ladder(np.maximum(wanted, least), rate, duration_s)
-    method = np.full(len(rows), "series")
+    steps = on_ladder(np.maximum(wanted, least), scales.rate, duration_s)
+    method = np.full(len(scales.rows), "series")
     if accuracy.distribution_only and histogram:
-        split = on_ladder(np.maximum(split_steps(vehicle, rows, duration_s, accuracy), least), rate, duration_s)
+        split = on_ladder(np.maximum(split_steps(scales, duration_s, accuracy), least), scales.rate, duration_s)
         use = split < SPLIT_ADVANTAGE * steps
         return Plan(np.where(use, "split", method), np.where(use, split, steps), np.where(use, 0, profile))
     return Plan(method, steps, profile)

@@ -1,0 +1,64 @@
+"""The numbers of a vehicle that its motion depends on: for one vehicle, or one set for each of many trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from sunspin.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Inertia and friction of the same vehicle in n variants (leading shape (n,)), or of the vehicle as it is (leading shape ()).
+
+    inertia_kg_m2 (..., 3, 3), locked; wheel_inertia_kg_m2 (..., n_wheel), axial; coulomb_N_m and viscous_N_m_s (..., n_wheel).
+    The directions of the wheels' axes, axes_B (n_wheel, 3), are the same in all variants.
+    """
+
+    inertia_kg_m2: np.ndarray
+    wheel_inertia_kg_m2: np.ndarray
+    coulomb_N_m: np.ndarray
+    viscous_N_m_s: np.ndarray
+    axes_B: np.ndarray
+
+    @classmethod
+    def of(cls, vehicle: Vehicle | Bodies, n: int | None = None) -> Bodies:
+        """The vehicle's own numbers, `n` times over or (None) once, without a leading dimension."""
+        if isinstance(vehicle, Bodies):
+            return vehicle
+        wheels = vehicle.wheels
+        body = cls(
+            np.array(vehicle.require_inertia()),
+            np.array([wheel.inertia_kg_m2 for wheel in wheels]),
+            np.array([wheel.friction.coulomb_N_m for wheel in wheels]),
+            np.array([wheel.friction.viscous_N_m_s for wheel in wheels]),
+            np.array([wheel.axis_B for wheel in wheels]).reshape(-1, 3),
+        )
+        return body if n is None else body.take(np.zeros(n, dtype=np.int64))
+
+    @classmethod
+    def stack(cls, vehicles: Sequence[Vehicle]) -> Bodies:
+        """The numbers of vehicles (n) that differ in inertia and friction only."""
+        variants = [cls.of(vehicle) for vehicle in vehicles]
+        columns = zip(*([getattr(body, field.name) for field in fields(cls)[:-1]] for body in variants), strict=True)
+        return cls(*map(np.stack, columns), variants[0].axes_B)
+
+    def take(self, index: np.ndarray) -> Bodies:
+        """The variants of these numbers; a single one is repeated."""
+        changes = {}
+        for field in fields(self)[:-1]:
+            value = getattr(self, field.name)
+            changes[field.name] = (value[None] if not self.shape else value)[index]
+        return replace(self, **changes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """() or (n,)."""
+        return self.inertia_kg_m2.shape[:-2]
+
+    @property
+    def n_wheels(self) -> int:
+        return len(self.axes_B)
