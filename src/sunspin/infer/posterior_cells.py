@@ -85,6 +85,16 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
     return kept
 
 
+def shortfall(model: Model, data: Readings, sun: np.ndarray, angle: float, scale: float) -> np.ndarray:
+    """How far (n) readings of samples (K) speak against any direction within `angle` rad of `sun` (n, K, 3)."""
+    gains = scale * model.vehicle.panel_gains
+    off = np.arccos(np.clip(sun @ model.vehicle.panel_normals_B.T, -1.0, 1.0))
+    low = gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0) * (1 - SCALE_SHARE)
+    high = gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0) * (1 + SCALE_SHARE)
+    beyond = np.maximum(np.maximum(low - data.value, data.value - high) / data.sigma - SIGMAS, 0.0)
+    return np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=(1, 2))
+
+
 def grid_edge(times: np.ndarray) -> float:
     """Step of the grid, rad/s, for samples at `times` (s from the reference)."""
     return TURN / (AMPLIFIED * float(np.abs(times).max()))
@@ -145,8 +155,9 @@ class Attitudes:
         frame = np.stack([along, across, np.cross(along, across)], axis=2)
         turns = np.empty((len(omega), len(self.times), 4), dtype=np.float32)
         for i, t in enumerate(self.times):
-            track = k.run_rows(model.vehicle, rows, [t], wheel_mode=model.wheel_mode, direction_error=TRIAL_ERROR).track[:, 0]
-            h, r = track[:, :3] / np.linalg.norm(track[:, :3], axis=1, keepdims=True), track[:, -3:]
+            run = k.run_rows(model.vehicle, rows, [t], wheel_mode=model.wheel_mode, direction_error=TRIAL_ERROR)
+            h, r = run.momentum_B[:, 0], run.sun_B[:, 0]
+            h = h / np.linalg.norm(h, axis=1, keepdims=True)
             reached = np.stack([h, r, np.cross(h, r)], axis=2)
             with np.errstate(invalid="ignore"):
                 turn = np.einsum("nij,nkj->nik", reached, frame)

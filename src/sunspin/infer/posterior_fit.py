@@ -39,7 +39,8 @@ class Fit:
     """Row -> the best fit that its start leads to.
 
     `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
-    `still`: leave the unknowns of the motion as they are. `curved`: give the curvature too, and fit the noise.
+    `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
+    and of rate and direction what these columns do not span. `curved`: give the curvature too, and fit the noise.
     """
 
     likelihood: Likelihood
@@ -47,6 +48,7 @@ class Fit:
     levels: tuple[tuple[float, int], ...]
     still: bool = False
     curved: bool = False
+    free: np.ndarray | None = None
 
     @property
     def n_rows(self) -> int:
@@ -62,7 +64,8 @@ class Fit:
         return {**code(*FILES), "fit": plain(self)}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        search = _Search(self.likelihood, self.start.take(index), self.still)
+        search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None)
+        search.free = self.free
         for factor, steps in self.levels:
             search.widen(factor)
             for _ in range(steps):
@@ -84,6 +87,7 @@ class _Search:
         self.likelihood, self.state, self.still = likelihood, state, still
         self._prior = np.concatenate([np.zeros(5), np.ones(state.u.shape[1])])
         self._factor = 1.0
+        self.free: np.ndarray | None = None
         self._load(state)
 
     def _load(self, state: State) -> None:
@@ -113,10 +117,15 @@ class _Search:
         normal = np.einsum("nri,nrj->nij", self._scaled, self._scaled) + np.diag(self._prior)
         gradient = np.einsum("nri,nr->ni", self._scaled, self._residual)
         gradient[:, 5:] += self.state.u
+        if self.free is not None:
+            normal = np.einsum("ai,nij,jb->nab", self.free.T, normal[:, :5, :5], self.free)
+            gradient = gradient[:, :5] @ self.free
         diagonal = np.einsum("nii->ni", normal)
         floor = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
-        damped = normal + np.einsum("ni,ij->nij", self._damping[:, None] * diagonal + floor, np.eye(len(self._prior)))
+        damped = normal + np.einsum("ni,ij->nij", self._damping[:, None] * diagonal + floor, np.eye(normal.shape[1]))
         move = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
+        if self.free is not None:
+            move = np.concatenate([move @ self.free.T, np.zeros_like(self.state.u)], axis=1)
         trial = self._moved(move)
         fine, raw, extra, jacobian = self._look(trial)
         cost = self.likelihood.weigh(raw, extra, self._sigma(trial))[0] + 0.5 * np.sum(trial.u**2, axis=1)

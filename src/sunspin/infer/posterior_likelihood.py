@@ -15,7 +15,6 @@ from scipy.special import log_ndtr
 
 from sunspin.infer.posterior_data import Readings
 from sunspin.infer.posterior_model import Model, State
-from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
 
 OUTLIERS = 0.02
@@ -34,8 +33,8 @@ UNIT_STEP = 1e-4
 
 UNIT_STEP_S, LARGEST_UNIT_STEP = 2700.0, 3e-3
 
-DERIVATIVE_ERROR = 1e-8
-"""Error of directions (rad) in runs that are subtracted from each other."""
+DERIVATIVE_ERROR, ROUGH_ERROR = 1e-8, 1e-6
+"""Error of directions (rad) in runs that are subtracted from each other, and while many starts are still far away."""
 
 NODES = 7
 """Nodes of the quadrature over the error of a time tag."""
@@ -106,18 +105,18 @@ class Likelihood:
     def predict(self, state: State, error: float | None = None) -> Prediction:
         """Where the Sun is at the samples, and the rates at the times of other observations."""
         times, samples, others = self._times
-        rows, wheels = self.model.rows(state), len(self.model.vehicle.wheels)
-        tracks, fine = [], np.ones(len(state), dtype=bool)
+        rows = self.model.rows(state)
+        parts, fine = [], np.ones(len(state), dtype=bool)
         for part in (times[times < 0][::-1], times[times >= 0]):
             if len(part):
                 result = k.run_rows(
                     self.model.vehicle, rows, part, wheel_mode=self.model.wheel_mode, direction_error=error or self.direction_error
                 )
-                tracks.append(result.track[:, ::-1] if part[0] < 0 else result.track)
+                back = slice(None, None, -1 if part[0] < 0 else 1)
+                parts.append((result.sun_B[:, back], result.omega_B[:, back]))
                 fine &= result.outcome == k.Outcome.FINE
-        track = np.concatenate(tracks, axis=1)
-        sun = track[:, samples, 3 + wheels :]
-        return Prediction(sun, _rates(self.model, rows, track[:, others]), track[:, others, 3 + wheels :], fine)
+        sun, omega = (np.concatenate(every, axis=1) for every in zip(*parts, strict=True))
+        return Prediction(sun[:, samples], omega[:, others], sun[:, others], fine)
 
     def power(self, sun: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Expected readings (n, K, m, P) of directions (n, K, m, 3)."""
@@ -237,7 +236,7 @@ class Likelihood:
         runs = [state] + [State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)]
         runs.append(State(state.omega, e1, state.u))
         runs += [State(state.omega, state.sun, state.u + own * np.eye(state.u.shape[1])[i]) for i in moving]
-        every = self.predict(State.joined(runs), DERIVATIVE_ERROR)
+        every = self.predict(State.joined(runs), ROUGH_ERROR if still else DERIVATIVE_ERROR)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         raw, extra = self.misfit(base, state.u)
         turned = parts[3]
@@ -279,26 +278,3 @@ class Likelihood:
         power = self.power(base.sun[:, :, self.middle, None], u)[:, :, 0]
         more = np.zeros((len(u), sum(o.value.size for o in self.data.others)))
         return np.concatenate([self._counting(base, u, power * share * unknown.sigma), more], axis=1)
-
-
-def _rates(model: Model, rows: k.Rows, track: np.ndarray) -> np.ndarray:
-    """Body rates (n, times, 3) from tracks (n, times, state).
-
-    H = A omega + sum h u holds in every mode; the kernel leaves h of a wheel at rest as it was when it stopped, which is
-    wrong by the change of the body's own rate times J: a part J / Theta of it, 4e-4 for Philae.
-    """
-    vehicle, wheels = model.vehicle, len(model.vehicle.wheels)
-    if not track.shape[1]:
-        return np.zeros((len(track), 0, 3))
-    commands = k.check_commands(vehicle, model.wheel_mode)
-    momentum = np.array(track[:, :, :3])
-    for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):
-        held = wheel.inertia_kg_m2 * rows.wheel_speed_rad_s[:, None, i]
-        axial = np.broadcast_to(held, track.shape[:2]) if command == "hold" else track[:, :, 3 + i]
-        momentum -= axial[:, :, None] * np.array(wheel.axis_B)
-    inertia = np.tile(g.free_inertia(vehicle, [command != "hold" for command in commands]), (len(track), 1, 1))
-    bodies = getattr(rows, "bodies", None)
-    if bodies is not None:
-        inertia += bodies.inertia_kg_m2 - vehicle.require_inertia()
-    assert wheels == len(commands)
-    return np.linalg.solve(inertia[:, None], momentum[..., None])[..., 0]

@@ -14,8 +14,8 @@ import numpy as np
 
 from sunspin.errors import InputError, sentence
 from sunspin.motion import kernel as k
+from sunspin.motion.friction import spin_down_speed
 from sunspin.motion.modes import friction_limit
-from sunspin.motion.friction import spin_down_curve
 from sunspin.vehicle import Vehicle
 
 DEFAULT_MAX_RATE = 1.0
@@ -116,13 +116,12 @@ class Model:
             speeds[:, self.unknowns[i].index] = self.unknowns[i].centre + self.unknowns[i].sigma * u[:, i]
         if not self.after_s:
             return speeds
-        factor = {x: np.exp(self.relative(u, x, speeds.shape[1])) for x in ("coulomb", "viscous", "wheel_inertia")}
-        for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, k.check_commands(self.vehicle, self.wheel_mode), strict=True)):
+        bodies, commands = self.bodies(u), k.check_commands(self.vehicle, self.wheel_mode)
+        for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, commands, strict=True)):
             if command != "hold":
-                dry = friction_limit(wheel, command) * factor["coulomb"][:, i]
-                viscous = wheel.friction.viscous_N_m_s * factor["viscous"][:, i]
-                inertia = wheel.inertia_kg_m2 * factor["wheel_inertia"][:, i]
-                speeds[:, i] = run_down(speeds[:, i], dry, viscous, inertia, self.after_s)
+                brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
+                dry, viscous, inertia = bodies.coulomb_N_m[:, i] + brake, bodies.viscous_N_m_s[:, i], bodies.wheel_inertia_kg_m2[:, i]
+                speeds[:, i] = spin_down_speed(dry, viscous, inertia, speeds[:, i], self.after_s)
         return speeds
 
     def rows(self, state: State) -> k.Rows:
@@ -132,7 +131,7 @@ class Model:
             return rows
         return replace(rows, bodies=self.bodies(state.u))
 
-    def bodies(self, u: np.ndarray) -> Any:
+    def bodies(self, u: np.ndarray) -> k.Bodies:
         """Inertia, wheel inertia and friction of each hypothesis."""
         wheels = len(self.vehicle.wheels)
         body = k.Bodies.of(self.vehicle, len(u))
@@ -157,17 +156,6 @@ class Model:
             moments = np.linalg.eigvalsh(self.bodies(state.u).inertia_kg_m2)
             allowed &= (moments[:, 0] > 0) & (moments[:, 2] <= moments[:, 0] + moments[:, 1])
         return np.where(allowed, out, -np.inf)
-
-
-def run_down(speed: np.ndarray, dry: np.ndarray, viscous: np.ndarray, inertia: np.ndarray, t: float) -> np.ndarray:
-    """Speeds (n) after t s of wheels that each have a friction of their own, as if on a fixed body.
-
-    As :func:`sunspin.motion.friction.spin_down_speed` for arrays of frictions; a free body's wheel differs by parts in 1e4.
-    """
-    size = np.abs(speed)
-    some = np.maximum(viscous, 1e-9 * np.maximum(dry, 1e-12) / np.maximum(size, 1.0))  # as good as none, without dividing by it
-    rest = dry / some
-    return np.sign(speed) * np.maximum(spin_down_curve(t, size + rest, -some / inertia, -rest), 0.0)
 
 
 def model(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sunspin.infer import posterior_cells as c
 from sunspin.infer.ensemble import ensemble, worker_count
+from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior_data import Readings
-from sunspin.infer.posterior_fit import Fit, chunk_rows
+from sunspin.infer.posterior_fit import FILES, Fit, chunk_rows
 from sunspin.infer.posterior_likelihood import Likelihood, tangents
 from sunspin.infer.posterior_model import Model, State
 
@@ -24,14 +26,17 @@ FEW = 5
 FIRST_LEVELS, LEVELS, LAST_LEVELS = ((3.0, 2), (1.0, 2)), ((3.0, 2), (1.0, 3)), ((2.0, 3), (1.0, 8))
 """(factor on the noise, steps) of least squares on the first samples, while the window grows, and on all samples."""
 
-SLACK = 12.0
-"""What a true motion's misfit may have beyond four sigmas of its expectation: two readings that are no good."""
+SLACK = 10.0
+"""What a true motion's misfit may have beyond three sigmas of its expectation: one or two readings that are no good."""
 
-SLACK_STILL = 10.0
+SLACK_STILL = 4.0
 """The same while inertia, friction and wheel are left as they are."""
 
 APART = 0.4
 """rad at the end of the next window: hypotheses nearer to each other are one."""
+
+LOOK = 0.6
+"""rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
 
 MOST = 40_000
 """Hypotheses carried on at most, the best; the verdict says when there were more."""
@@ -99,6 +104,27 @@ def _neighbours(data: Readings, a: int) -> np.ndarray:
     return around[(around >= 0) & (around < len(data))]
 
 
+@dataclass(frozen=True)
+class Look:
+    """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad."""
+
+    likelihood: Likelihood
+    state: State
+    scale: float
+    outputs: ClassVar[Mapping[str, Any]] = {"allowed": ("bool", ())}
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.state)
+
+    def identity(self) -> dict[str, Any]:
+        return {**code(*FILES), "look": plain(self)}
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        seen = self.likelihood.predict(self.state.take(index)).sun[:, :, self.likelihood.middle]
+        return {"allowed": c.shortfall(self.likelihood.model, self.likelihood.data, seen, LOOK, self.scale) <= c.LIMIT}
+
+
 class Search:
     """One enumeration: keeps store, workers and bar for its stages."""
 
@@ -150,7 +176,16 @@ class Search:
             state, first = state.take(keep), False
             if len(following) == len(used):
                 return self._last(likelihood, state, hits, trace, notes)
+            keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
+            if keep.any():
+                state, hits = state.take(keep), hits[keep]
             used = following
+
+    def _looked(self, model: Model, coming: Readings, state: State, scale: float) -> np.ndarray:
+        """Which hypotheses (n) the nearest of the coming samples allows; one run each, where a fit takes fifty."""
+        nearest = coming.take(np.array([np.argmin(np.abs(coming.t_s))]))
+        look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale)
+        return self.run(look, "looking ahead", 8192)["allowed"]
 
     def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
         found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", curved=True)
@@ -228,17 +263,17 @@ def _thinned(
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
     n = expected(data)
-    limit = 0.5 * n + 4 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+    limit = 0.5 * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
     possible = order[cost[order] <= limit]
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
-    elif len(possible) > MOST:
-        possible, note = possible[:MOST], "more hypotheses than could be followed"
     box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / max(2 * APART, 0.2)], axis=1)
     _, first, inverse = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
-    rank = np.argsort(first, kind="stable")
+    rank = np.argsort(first, kind="stable")  # best first
+    if len(rank) > MOST:
+        rank, note = rank[:MOST], "more hypotheses than could be followed"
     return possible[first[rank]], counts[rank], note
