@@ -24,7 +24,7 @@ from sunspin.infer.posterior_modes import Modes, coordinates
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student components."""
 
-ROUNDS, DRAWS, LAST_DRAWS = 6, 6_000, 24_000
+ROUNDS, DRAWS, LAST_DRAWS = 6, 5_000, 12_000
 """Rounds in which the mixture learns at most, their draws, and those of the last round."""
 
 GOOD_SHARE = 0.25
