@@ -40,7 +40,7 @@ class Fit:
 
     `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
     `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
-    and of rate and direction what these columns do not span. `curved`: give the curvature too, and fit the noise.
+    and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits.
     """
 
     likelihood: Likelihood
@@ -70,6 +70,8 @@ class Fit:
             search.widen(factor)
             for _ in range(steps):
                 search.step()
+        if self.free is None:
+            search.fit_noise()
         if self.curved:
             for _ in range(2):
                 search.fit_noise()

@@ -209,7 +209,8 @@ class Likelihood:
     def weigh(self, raw: np.ndarray, extra: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Objective (n), sigma of each residual (n, R) and weights (n, R) that make least squares of it, under noise `sigma` (n).
 
-        The objective is minus the log-likelihood relative to readings just as predicted, dark ones taken as Gaussian too.
+        The objective is minus the log-likelihood, relative to readings just as predicted under the stated noise; dark readings are
+        taken as Gaussian too.
         """
         used, lit, outlier = self.kinds
         s = np.sqrt(sigma[:, None] ** 2 + extra)
@@ -217,7 +218,8 @@ class Likelihood:
         best = np.log1p(-OUTLIERS) - np.where(lit, np.log(s) + 0.5 * LOG_2PI, 0.0)
         good = best - 0.5 * (raw / s) ** 2
         total = np.logaddexp(good, outlier)
-        cost = np.where(used, np.logaddexp(best, outlier) - total, 0.0).sum(axis=1)
+        stated = np.log1p(-OUTLIERS) - np.where(lit, np.log(self.data.sigma) + 0.5 * LOG_2PI, 0.0)
+        cost = np.where(used, np.logaddexp(stated, outlier) - total, 0.0).sum(axis=1)
         return cost, s, np.where(used, np.exp(good - total), 0.0)
 
     def linearised(self, state: State, still: bool = False) -> tuple[Prediction, np.ndarray, np.ndarray, np.ndarray]:

@@ -35,11 +35,14 @@ SLACK_STILL = 4.0
 APART = 0.4
 """rad at the end of the next window: hypotheses nearer to each other are one."""
 
+NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
+"""Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
+
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
 
-MOST = 40_000
-"""Hypotheses carried on at most, the best; the verdict says when there were more."""
+MOST_FEW, MOST = 60_000, 6_000
+"""Hypotheses carried on at most, on few samples and on more; the verdict says when there were more."""
 
 KEPT_ANYWAY = 100
 """Hypotheses carried on where the readings rule out all."""
@@ -162,6 +165,7 @@ class Search:
         hits = np.ones(len(state), dtype=np.int64)
         used = np.sort(np.append(chosen.tried, chosen.anchor))
         trace, first = [], True
+        noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
             part = data.take(used)
             likelihood = Likelihood(model, part)
@@ -170,7 +174,7 @@ class Search:
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
-            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, still)
+            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, still, noisy)
             notes += [f"{note} ({len(used)} samples)"] if note else []
             trace.append((len(used), len(state), len(keep)))
             state, first = state.take(keep), False
@@ -259,11 +263,11 @@ def expected(data: Readings) -> float:
 
 
 def _thinned(
-    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, still: bool
+    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, still: bool, noisy: float
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
     n = expected(data)
-    limit = 0.5 * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+    limit = (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
     possible = order[cost[order] <= limit]
@@ -274,6 +278,8 @@ def _thinned(
     _, first, inverse = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
     rank = np.argsort(first, kind="stable")  # best first
-    if len(rank) > MOST:
-        rank, note = rank[:MOST], "more hypotheses than could be followed"
+    most = MOST_FEW if len(data) < FEW else MOST
+    if len(rank) > most:  # evenly by how well they fit: all of a line fits well, and its ends are wanted too
+        rank = rank[np.unique(np.linspace(0, len(rank) - 1, most).round().astype(int))]
+        note = "more hypotheses than could be followed"
     return possible[first[rank]], counts[rank], note
