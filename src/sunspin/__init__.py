@@ -33,6 +33,7 @@ _HOME = {
     "scan": "sunspin.infer.scan",
     "ensemble": "sunspin.infer.ensemble",
     "fit_lines": "sunspin.infer.lines",
+    "posterior": "sunspin.infer.posterior",
     "twin": "sunspin.study.twin",
     "outcomes": "sunspin.study.outcomes",
     "Scenario": "sunspin.study.scenario",
