@@ -31,6 +31,7 @@ _HOME = {
     "direction_error": "sunspin.infer.metrics",
     "emd": "sunspin.infer.metrics",
     "scan": "sunspin.infer.scan",
+    "near_minimum": "sunspin.infer.scan",
     "ensemble": "sunspin.infer.ensemble",
     "fit_lines": "sunspin.infer.lines",
     "twin": "sunspin.study.twin",

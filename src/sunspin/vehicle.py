@@ -257,6 +257,11 @@ class Vehicle(Portable):
             _require_wheels_fit(self)
         _require_known_panels(self)
 
+    def _repr_html_(self) -> str:
+        from sunspin.notebook import vehicle_html
+
+        return vehicle_html(self)
+
     @property
     def panel_names(self) -> tuple[str, ...]:
         return tuple(panel.name for panel in self.panels)

@@ -41,6 +41,8 @@ def test_help_does_not_import_the_heavy_libraries():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.evidence("sun", "verified", "the files that init writes")
+@pytest.mark.evidence("init", "verified", "check and sun run on what it writes")
 def test_what_init_writes_works_at_once(start):
     text = sunspin("check", start / "vehicle.toml", start / "telemetry.csv").stdout
     assert "40 synthetic samples" in text
@@ -72,6 +74,7 @@ def test_results_of_something_else_are_not_overwritten(start, tmp_path):
     ).stderr  # fmt: skip
 
 
+@pytest.mark.evidence("simulate", "validated", "the paper: the wheel stops after about 42 min")
 def test_simulate_and_its_events(tmp_path):
     done = sunspin(
         "simulate", "philae", "--omega", "0,0,0", "--sun", "0.1959,0.5690,0.7986", "--duration", 2700, "--step", 60,

@@ -19,6 +19,7 @@ import xarray as xr
 
 from sunspin.errors import InputError, TelemetryError, sentence
 from sunspin.measure.telemetry import read_telemetry
+from sunspin.notebook import case_html
 from sunspin.timeline import Timeline, parse_timeline
 from sunspin.vehicle import Vehicle, load_vehicle
 
@@ -56,6 +57,9 @@ class Case:
                 )
             )
         return read_telemetry(path, self.vehicle)
+
+    def _repr_html_(self) -> str:
+        return case_html(self)
 
 
 def case_names() -> list[str]:
