@@ -49,8 +49,8 @@ class Case:
     @cached_property
     def telemetry(self) -> xr.Dataset:
         """The case's own telemetry, read when first asked for."""
-        path = self.folder / "telemetry.csv"
-        if not path.is_file():
+        path = case_telemetry(self.name)
+        if path is None:
             raise TelemetryError(
                 sentence(
                     f"case {self.name!r} comes without telemetry", do="read yours with read_telemetry(path, vehicle)"
@@ -65,6 +65,12 @@ class Case:
 def case_names() -> list[str]:
     """Names of the built-in cases."""
     return sorted(path.parent.name for path in _root().glob("*/vehicle.toml"))
+
+
+def case_telemetry(name: str) -> Path | None:
+    """The telemetry file that comes with a built-in case; None where there is none, or no such case."""
+    path = _root() / name / "telemetry.csv"
+    return path if name in case_names() and path.is_file() else None
 
 
 def load_case(name: str) -> Case:

@@ -30,8 +30,9 @@ SHOWN = (
 
 @click.command()
 @click.argument("vehicle")
-@click.option("--strategy", "strategies", multiple=True, help="What the wheels are told: off, held, brake, after_rest or "
-              "delay:SECONDS; may be given several times. Default: off and held.")
+@click.option("--strategy", "strategies", multiple=True, help="What the wheels are told: off (at the touchdown), held, brake, "
+              "after_rest (held until the lander rests) or delay:SECONDS (off that much later); may be given several times. "
+              "Default: off and held.")
 @click.option("--runs", type=click.IntRange(1, 100_000_000), default=100_000, show_default=True, help="Runs per strategy.")
 @click.option("--scan", type=click.Path(path_type=Path), help="scan.nc of `sunspin scan`: candidates are its near-minimum set.")
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
@@ -115,7 +116,7 @@ def _told(table, name: str, runs) -> tuple[dict[str, Any], list[str]]:
         if np.isfinite(v)
     }
     failed = int((runs["outcome"].values != 0).sum())
-    head = f"{name}: {runs.sizes['run']} runs" + (f", {failed} of them could not be computed" if failed else "")
+    head = f"wheels {name}: {runs.sizes['run']} runs" + (f", {failed} of them could not be computed" if failed else "")
     body = [f"  {text}: {told[q]['value']:.4f} +- {told[q]['error']:.4f}" for q, text in SHOWN if q in told]
     return told, [head, *body]
 
