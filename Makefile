@@ -12,7 +12,7 @@ EVIDENCE := build/evidence.json
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
-	@echo "make test        import contracts, lint, tests and documentation"
+	@echo "make test        import contracts, lint, types, tests and documentation"
 	@echo "make test-slow   the long tests"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
@@ -36,6 +36,7 @@ reproduce: $(READY)
 lint: $(READY)
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/ruff check --no-cache src tests bench docs examples
+	$(BIN)/basedpyright
 
 test: lint
 	$(BIN)/python -m pytest -m "not slow" --evidence $(EVIDENCE)

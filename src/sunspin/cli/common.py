@@ -93,7 +93,8 @@ class Group(click.Group):
         except click.UsageError as error:
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             if near and "Did you mean" not in error.message:
-                error.message = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
+                said = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
+                raise click.UsageError(said, ctx) from None
             raise
 
 

@@ -139,12 +139,12 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     track = _track(craft, find_telemetry(telemetry, data), begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     target = track if metric == "E" else track["sun_B"].values[:, 2]
-    axes = [_grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")]
+    x, y, z = _grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
         raise InputError(sentence("--factor must exceed 1", got=factor))
     folder = None if out is None else results_folder(out, "scan")  # refuse before the work, not after it
     volume = run_scan(
-        craft, target, track["sun_B"].values[0], *axes, speeds or None, float(track["time"].values[-1]),
+        craft, target, track["sun_B"].values[0], x, y, z, speeds or None, float(track["time"].values[-1]),
         wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
         device=device, progress=on_terminal(quiet),
     )  # fmt: skip
@@ -156,7 +156,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         "metric": metric,
         "rows": int(volume.size),
         "minimum": float(volume.min()),
-        "best_omega_B": points[np.argmin([volume.sel(**_at(p), method="nearest").item() for p in points])].tolist(),
+        "best_omega_B": points[np.argmin([volume.sel(_at(p), method="nearest").item() for p in points])].tolist(),
         "near_minimum_points": len(points),
     }
     lines = [

@@ -144,7 +144,8 @@ def _scenario(craft, given: dict[str, Any], collision_speed: float | None):
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in given:
             raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))
-    return Scenario(**{"wheel_speed_rad_s": tuple(wheel.speed_rad_s for wheel in craft.wheels)} | given)
+    known: dict[str, Any] = {"wheel_speed_rad_s": tuple(wheel.speed_rad_s for wheel in craft.wheels)}
+    return Scenario(**known | given)
 
 
 def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...]) -> np.ndarray:
@@ -189,8 +190,8 @@ def _condition(craft, runs, data: Path | None):
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "kernel_speed_before" not in case.published or not np.isfinite(runs["speed_after"]).any():
         raise InputError(sentence("--condition needs collisions of a case with a trajectory kernel", do="use it with philae"))
-    there = data is not None and data.joinpath(*collision.KERNEL).is_file()
-    return collision.condition(case, runs, collision.kernel_facts(case, data) if there else None)
+    there = data if data is not None and data.joinpath(*collision.KERNEL).is_file() else None
+    return collision.condition(case, runs, None if there is None else collision.kernel_facts(case, there))
 
 
 def _weighted(found) -> tuple[dict[str, Any], list[str]]:
