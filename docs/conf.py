@@ -19,6 +19,7 @@ source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "images"]
 
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
 autodoc_typehints = "none"  # the docstrings give shapes and units, which the types do not
 napoleon_google_docstring = False
 napoleon_use_rtype = False

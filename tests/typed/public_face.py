@@ -39,7 +39,8 @@ volume = ss.scan(vehicle, [0.5], [0, 0, 1], [0.1], [0.0], [0.0], 865, 60.0, work
 assert_type(volume, xr.DataArray)
 points: np.ndarray = ss.near_minimum(volume, factor=1.2)
 assert_type(ss.fit_lines(points, n_lines=2), xr.Dataset)
-assert_type(ss.outcomes(vehicle, points, "off", 100, 0, scenario=ss.Scenario(sun_B=(0, 0, 1), wheel_speed_rad_s=(865,), after_s=60.0)), xr.Dataset)
+scenario = ss.Scenario(sun_B=(0, 0, 1), wheel_speed_rad_s=(865,), after_s=60.0)
+assert_type(ss.outcomes(vehicle, points, "off", 100, 0, scenario=scenario), xr.Dataset)
 
 try:
     ss.reproduce("results")
