@@ -32,11 +32,12 @@ def commands() -> str:
     import click
 
     from sunspin.cli import cli
-    from sunspin.cli.common import COMMANDS, SUMMARIES
+    from sunspin.cli.common import COMMANDS, SECTIONS, SUMMARIES
 
     parts = ["# The command line", "", "Written by the commands' own `--help`.", ""]
     top = click.Context(cli, info_name="sunspin", max_content_width=100)
-    for name in COMMANDS:
+    grouped = [name for names in SECTIONS.values() for name in names]
+    for name in [*grouped, *(name for name in COMMANDS if name not in grouped)]:
         command = cli.get_command(top, name)
         assert command is not None
         text = command.get_help(click.Context(command, info_name=name, parent=top, max_content_width=100, terminal_width=100))

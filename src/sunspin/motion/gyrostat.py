@@ -26,8 +26,6 @@ import numpy as np
 from sunspin.vehicle import Vehicle
 
 Scalar = Any  # a float, a heyoka expression or a SymPy symbol
-Vector = Sequence[Scalar] | np.ndarray  # scalars, or an array whose first axis are the components
-Vector = Sequence[Scalar] | np.ndarray  # scalars, or an array whose first axis are the components
 Vector: TypeAlias = Sequence[Any] | np.ndarray  # scalars, or an array whose first axis are the components
 
 
