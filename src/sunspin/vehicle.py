@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sunspin.errors import VehicleError, sentence
+from sunspin.notebook import vehicle_html
 from sunspin.vehicle_sensors import Sensors
 
 FloatArray = npt.NDArray[np.float64]
@@ -273,6 +274,8 @@ class Vehicle(Portable):
             _require_wheels_fit(self)
         _require_known_panels(self)
 
+    _repr_html_ = vehicle_html
+
     @property
     def panel_names(self) -> tuple[str, ...]:
         return tuple(panel.name for panel in self.panels)
@@ -312,9 +315,8 @@ class Vehicle(Portable):
     def require_panels(self) -> tuple[Panel, ...]:
         """The panels, or a `VehicleError` that says where to add them."""
         if not self.panels:
-            raise VehicleError(
-                sentence(f"vehicle {self.name!r} has no solar panel", do="add a [[panel]] table for each to its file")
-            )
+            what = f"vehicle {self.name!r} has no solar panel"
+            raise VehicleError(sentence(what, do="add a [[panel]] table for each to its file"))
         return self.panels
 
     def with_friction(self, name: str) -> Vehicle:

@@ -83,6 +83,19 @@ def _positive(facts: dict[str, v.Fact], key: str, given: Any) -> float | None:
     return value
 
 
+def _above_zero(facts: dict[str, v.Fact], key: str, given: Any) -> float:
+    """A positive number that the form requires."""
+    value = _positive(facts, key, given)
+    if value is None:
+        raise VehicleError(sentence(f"{key} is missing"))
+    return value
+
+
+def _three(columns: list[str]) -> tuple[str, str, str]:
+    x, y, z = columns
+    return x, y, z
+
+
 def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
     key = f"sun_sensor.{form.name}"
     normal = v.direction(take(facts, f"{key}.normal_B", form.normal_B), f"normal_B of Sun sensor {form.name!r}")
@@ -98,22 +111,22 @@ def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
         scalar(facts, f"{key}.lit_above", form.lit_above) or 0.0,
         scalar(facts, f"{key}.x_scale", form.x_scale),
         scalar(facts, f"{key}.y_scale", form.y_scale),
-        _positive(facts, f"{key}.x_sigma_rad", form.x_sigma_rad),
-        _positive(facts, f"{key}.y_sigma_rad", form.y_sigma_rad),
+        _above_zero(facts, f"{key}.x_sigma_rad", form.x_sigma_rad),
+        _above_zero(facts, f"{key}.y_sigma_rad", form.y_sigma_rad),
         scalar(facts, f"{key}.y_turned_above", form.y_turned_above),
         scalar(facts, f"{key}.y_turned_scale", form.y_turned_scale),
     )  # fmt: skip
 
 
 def _gyro(form: GyroForm, facts: dict[str, v.Fact]) -> s.Gyro:
-    noise = _positive(facts, "gyro.noise_rad_s", form.noise_rad_s)
+    noise = _above_zero(facts, "gyro.noise_rad_s", form.noise_rad_s)
     scale = scalar(facts, "gyro.scale_rad_s", form.scale_rad_s)
     if scale == 0:
         raise VehicleError(sentence("gyro.scale_rad_s must not be zero"))
     zero_sigma = np.broadcast_to(_sigma(form.zero, "gyro.zero"), 3)
     scale_sigma = float(_sigma(form.scale_rad_s, "gyro.scale_rad_s"))
     wraps = _positive(facts, "gyro.wraps_at", form.wraps_at)
-    return s.Gyro(tuple(form.columns), scale, _vector(facts, "gyro.zero", form.zero), noise, wraps, zero_sigma, scale_sigma)
+    return s.Gyro(_three(form.columns), scale, _vector(facts, "gyro.zero", form.zero), noise, wraps, zero_sigma, scale_sigma)
 
 
 def _attitude(form: AttitudeForm, facts: dict[str, v.Fact]) -> s.Attitude:
@@ -133,7 +146,7 @@ def _sigma(given: Any, key: str) -> np.ndarray:
 def _magnetometer(form: MagnetometerForm, facts: dict[str, v.Fact]) -> s.Magnetometer:
     noise = _positive(facts, "magnetometer.noise", form.noise)
     wraps = _positive(facts, "magnetometer.wraps_at", form.wraps_at)
-    return s.Magnetometer(tuple(form.columns), _vector(facts, "magnetometer.zero", form.zero), noise, wraps)
+    return s.Magnetometer(_three(form.columns), _vector(facts, "magnetometer.zero", form.zero), noise, wraps)
 
 
 def _disturbance(form: DisturbanceForm, facts: dict[str, v.Fact]) -> s.Disturbance:

@@ -15,7 +15,7 @@ from sunspin.errors import SunspinError
     cls=Group,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog="Start with `sunspin init my-satellite`. Every command has --help with an example.",
+    epilog="Start with `sunspin init my-satellite`. Every command has --help with examples that run, --json and --quiet.",
 )
 @click.version_option(package_name="sunspin")
 @click.pass_context
@@ -35,7 +35,7 @@ def main() -> None:
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
     except click.ClickException as error:
-        code = _say(f"error: {' '.join(error.format_message().split())}{_hint(error)}", 2)
+        code = _say(f"error: {' '.join(error.format_message().split()).rstrip('.')}{_hint(error)}", 2)
     except (ReaderGone, BrokenPipeError):
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

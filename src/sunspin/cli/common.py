@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable
+from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -33,18 +34,26 @@ COMMANDS = {
 }
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
+SECTIONS = {
+    "Your satellite": ("init", "check", "sun", "rates", "export"),
+    "Motions": ("simulate", "scan", "outcomes"),
+    "Philae": ("reproduce", "worth"),
+    "Data of others": ("decode", "compare"),
+}
+"""How --help groups the commands; one that is in no group comes last."""
+
 SUMMARIES = {
     "reproduce": "The whole Philae study: figures, tables, report.",
-    "worth": "How far the study's answer can be trusted: its method on many twins.",
+    "worth": "How far the study's answer can be trusted.",
     "init": "Write a vehicle file and telemetry to start from.",
     "check": "What is wrong with my files, in plain words.",
     "decode": "Raw beacons of skCUBE into a table.",
     "sun": "Directions to the Sun from panel powers or currents.",
     "rates": "Body rates and attitude of each pass, all motions that fit.",
     "simulate": "One trajectory of a vehicle with its wheels.",
-    "scan": "Which initial rates fit the Sun's measured heights, and the lines they lie on.",
+    "scan": "Which initial rates fit, and the lines they lie on.",
     "posterior": "Every motion that the readings allow, with its probability.",
-    "outcomes": "What a motion leads to: collision, first contact, antenna, wheel strategies.",
+    "outcomes": "What a motion leads to: collision, landing, wheel strategies.",
     "report": "A results folder as one page to look into.",
     "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
     "compare": "Rates against somebody's SPICE attitude kernels.",
@@ -77,8 +86,22 @@ class Group(click.Group):
         return getattr(import_module(module), name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, SUMMARIES[name]) for name in COMMANDS])
+        grouped = {name for names in SECTIONS.values() for name in names}
+        for title, names in {**SECTIONS, "More": [name for name in COMMANDS if name not in grouped]}.items():
+            if names:
+                with formatter.section(title):
+                    formatter.write_dl([(name, SUMMARIES[name]) for name in names])
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """As click does, but a misspelt command is answered with the likely ones."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
+            if near and "Did you mean" not in error.message:
+                said = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
+                raise click.UsageError(said, ctx) from None
+            raise
 
 
 def output_options(default: str | None = None, out: bool = True) -> Callable:
@@ -113,8 +136,12 @@ def run_options(command: Callable) -> Callable:
 
 
 def find_telemetry(path: str, data: Path | None) -> Path:
-    """The telemetry file as given, or under the data folder."""
+    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry."""
     given = Path(path)
+    if given.name == path and not given.suffix and not given.exists():
+        from sunspin.cases import case_telemetry
+
+        given = case_telemetry(path) or given
     if data is not None and not given.is_absolute():
         try:
             if not given.exists() and (data / given).exists():

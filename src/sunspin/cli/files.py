@@ -66,9 +66,9 @@ def check(vehicle: str, telemetry: str | None, as_json: bool, quiet: bool, data:
     """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
 
     \b
-    Example:
-      sunspin check philae
+    Examples:
       sunspin check vehicle.toml telemetry.csv
+      sunspin check philae philae
     """
     from sunspin.vehicle import load_vehicle
 

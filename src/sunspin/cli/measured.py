@@ -24,8 +24,9 @@ def sun(vehicle, telemetry, out, as_json, quiet, data, noise, lit_threshold) -> 
     With --out, writes sun.csv, sun.nc, sun.png and sun.svg.
 
     \b
-    Example:
+    Examples:
       sunspin sun vehicle.toml telemetry.csv --out sun-results
+      sunspin sun philae philae
     """
     from sunspin.measure.sun import is_reconstructed, sun_directions
     from sunspin.measure.telemetry import read_telemetry

@@ -13,6 +13,8 @@ from sunspin.errors import InputError, sentence
 
 MAX_SAMPLES = 10_000_000
 
+WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."
+
 
 @click.command()
 @click.argument("vehicle")
@@ -21,7 +23,7 @@ MAX_SAMPLES = 10_000_000
 @click.option("--wheel-speed", help="Wheel speeds, rad/s, separated by commas; default: the vehicle's.")
 @click.option("--duration", type=float, required=True, help="Length in s; negative runs backward.")
 @click.option("--step", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Output step in s.")
-@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
 @click.option("--stopped-at", type=float, help="When a wheel at rest had stopped, s (to run backward).")
 @output_options()
 def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, out, as_json, quiet) -> None:
@@ -92,12 +94,14 @@ def _vector(values: list[float]) -> str:
 @click.argument("telemetry")
 @click.option("--from", "begin", type=float, default=None, help="First time to use, s of the file's clock.")
 @click.option("--to", "end", type=float, default=None, help="Last time to use.")
-@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s: low:high:step.")
+@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s: low:high:step, or "
+              "values with commas.")
 @click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y.")
 @click.option("--omega-z", default="-0.3:0.3:0.015", show_default=True, help="Grid of omega_z.")
 @click.option("--wheel-speed", help="Wheel speeds at the first sample used, rad/s; default: the vehicle's.")
-@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
-@click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True)
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
+@click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True, help="emd compares the distributions "
+              "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.")
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
 @click.option("--threshold", type=click.FloatRange(0, min_open=True), help="Take the points below this value instead: one that was "
               "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
@@ -119,12 +123,12 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
     The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
-    resumed if it has a --store.
+    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some ten seconds.
 
     \b
     Examples:
-      sunspin scan vehicle.toml telemetry.csv --from 0 --to 2700 --omega-z -0.1:0.1:0.01 --out scan-results
-      sunspin scan vehicle.toml telemetry.csv --omega-z -0.3:0.3:0.001 --store scan-rows --out scan-results
+      sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x=-0.1:0.1:0.02 --omega-y=-0.1:0.1:0.02 --omega-z=0:0.1:0.02
+      sunspin scan philae philae --from 25140 --to 27900 --omega-x=-0.5:1:0.1 --store scan-rows --out scan-results
     """
     from sunspin.infer.lines import fit_lines
     from sunspin.infer.scan import below, near_minimum
@@ -138,12 +142,12 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     track = _track(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     target = track if metric == "E" else track["sun_B"].values[:, 2]
-    axes = [_grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")]
+    x, y, z = _grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
         raise InputError(sentence("--factor must exceed 1", got=factor))
     folder = None if out is None else results_folder(out, "scan")  # refuse before the work, not after it
     volume = run_scan(
-        craft, target, track["sun_B"].values[0], *axes, speeds or None, float(track["time"].values[-1]),
+        craft, target, track["sun_B"].values[0], x, y, z, speeds or None, float(track["time"].values[-1]),
         wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
         device=device, progress=on_terminal(quiet),
     )  # fmt: skip
@@ -155,7 +159,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         "metric": metric,
         "rows": int(volume.size),
         "minimum": float(volume.min()),
-        "best_omega_B": points[np.argmin([volume.sel(**_at(p), method="nearest").item() for p in points])].tolist(),
+        "best_omega_B": points[np.argmin([volume.sel(_at(p), method="nearest").item() for p in points])].tolist(),
         "near_minimum_points": len(points),
     }
     lines = [

@@ -38,16 +38,20 @@ class RowFunction(Protocol):
     @property
     def n_rows(self) -> int:
         """Rows there are; they are numbered from 0."""
+        ...
 
     @property
     def outputs(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
         """Name of each result -> its dtype as text and its shape beyond the rows; numbers and truth values only."""
+        ...
 
     def identity(self) -> dict[str, Any]:
         """Everything the result depends on, code included, as JSON knows it (see :mod:`sunspin.infer.identity`)."""
+        ...
 
     def __call__(self, index: np.ndarray) -> Values:
         """Results of the rows `index` (n): each of `outputs` with shape (n, ...). The same bits in whatever company."""
+        ...
 
 
 def worker_count(workers: int | None) -> int:
@@ -199,15 +203,18 @@ class Backend(Protocol):
 
     def in_flight(self) -> int:
         """Chunks handed in and not yet given back."""
+        ...
 
     def submit(self, piece: Piece) -> None:
         """Begin with the rows at these places."""
 
     def finished(self) -> list[tuple[Piece, Values]]:
         """Wait until something is finished and give it back; raises what the function raised."""
+        ...
 
     def drain(self) -> list[tuple[Piece, Values]]:
         """Begin nothing more and give back what finishes soon."""
+        ...
 
 
 def _run(backend: Backend, pieces: Iterator[Piece], take: _Taker) -> None:

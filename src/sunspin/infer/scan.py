@@ -110,7 +110,8 @@ def scan(
     if isinstance(target_z, xr.Dataset):
         name, rows = "E", _track_rows(vehicle, start, target_z, mode, emd_error, direction_error, device)
     else:
-        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, duration_s, mask, mode, emd_error, direction_error, device)
+        length = np.nan if duration_s is None else duration_s  # refused there
+        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, length, mask, mode, emd_error, direction_error, device)
     if scheduler is None:
         k.require_device(device)  # before a store is made
         if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:

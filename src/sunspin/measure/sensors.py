@@ -153,4 +153,5 @@ def _one_sensor(
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     along = np.cross(across, direction)
     parts = ((along, np.full(n, sensor.x_sigma_rad)), (across, y_sigma), (direction, np.full(n, RADIAL_SIGMA)))
-    return direction, sum(axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts)
+    information = [axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts]
+    return direction, np.sum(information, axis=0)

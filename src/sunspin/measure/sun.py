@@ -179,7 +179,7 @@ def _candidate_maps(normals: tuple, gains: tuple) -> tuple[np.ndarray, np.ndarra
     """Matrices (n_map, 3, n_panel) that turn powers into candidate directions, and fixed candidates (n_vertex, 3)."""
     from sunspin.vehicle import Panel
 
-    panels = [Panel(str(k), normal, gain) for k, (normal, gain) in enumerate(zip(normals, gains, strict=True))]
+    panels = tuple(Panel(str(k), normal, gain) for k, (normal, gain) in enumerate(zip(normals, gains, strict=True)))
     cells = arrangement(Vehicle("", panels=panels))
     rows = np.array(gains)[:, None] * np.array(normals)
     maps = []

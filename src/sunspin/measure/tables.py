@@ -149,7 +149,7 @@ def _netcdf(content: bytes, where: str) -> dict[str, np.ndarray]:
 
     data = read_netcdf(io.BytesIO(content), where, TelemetryError)
     sizes = {name: size for name, size in data.sizes.items() if name in data.coords or len(data.sizes) == 1}
-    axis = "time" if "time" in data.sizes else max(sizes, key=sizes.get, default=None)
+    axis = "time" if "time" in data.sizes else max(sizes, key=lambda name: sizes[name], default=None)
     if axis is None:
         raise TelemetryError(sentence("the NetCDF file has no dimension of samples", do="name it time", where=where))
     found: dict[str, np.ndarray] = {}

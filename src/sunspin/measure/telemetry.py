@@ -187,15 +187,18 @@ def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> t
         )
 
     if form.time_format == "utc":
-        moments = [_parse_utc(cell) for cell in cells]
-        if None in moments:
-            raise bad(moments.index(None))
+        parsed = [_parse_utc(cell) for cell in cells]
+        moments = [moment for moment in parsed if moment is not None]
+        if len(moments) < len(parsed):
+            raise bad(parsed.index(None))
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
     numbers = np.array([_number(cell) for cell in cells]) * form.time_scale_s
     if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > 1e11:
         raise bad(int(np.flatnonzero(~(np.abs(numbers) <= 1e11))[0]))
     if form.time_format == "elapsed":
+        if fixed is None:
+            raise TelemetryError(sentence("elapsed times need telemetry.epoch_utc in the vehicle file"))
         return numbers, fixed
     unix_zero = datetime(1970, 1, 1, tzinfo=UTC)
     epoch = fixed or unix_zero + timedelta(seconds=float(numbers[0]))
