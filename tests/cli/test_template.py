@@ -63,7 +63,9 @@ def test_rates_of_the_example_are_those_it_was_made_with():
     start = [0.02, -0.03, 0.05], sun / np.linalg.norm(sun)
     truth = ss.propagate(craft, *start, 300.0, result["time"].values)["omega_B"].values
     sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
-    assert 0.1 < np.mean(((result["omega_B"].values - truth) / sigma) ** 2) < 2.5
+    error = result["omega_B"].values - truth
+    assert np.abs(error).max() < 1e-3  # rad/s: the example has noise, but panels whose gains are known exactly
+    assert np.mean((error / sigma) ** 2) < 2.5
 
 
 def test_the_samples_are_those_of_a_twin():
