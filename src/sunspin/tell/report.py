@@ -52,6 +52,8 @@ def write_report(
 
 def _shown(row: Any) -> dict[str, str]:
     verdict, style = {True: ("yes", "yes"), False: ("no", "no"), None: ("not compared", "")}[row.agrees]
+    if row.by_construction:
+        verdict = "yes, as it was made so"
     return {
         "what": row.what,
         "published": number_text(row.published),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -15,10 +16,20 @@ from sunspin.measure.telemetry import read_telemetry
 from sunspin.study import rebound as rb
 from sunspin.study import worth_told
 from sunspin.study.reproduce import Reproduction, compute, titles
-from sunspin.study.row import STATEMENT
+from sunspin.study.row import STATEMENT, Row
 from sunspin.tell.pictures import draw
-from sunspin.tell.report import number_text, write_report
+from sunspin.tell.report import Picture, number_text, write_report
 from sunspin.tell.results import results_folder, write_json, write_netcdf
+
+FIGURES = "The figures of the paper"
+
+SHOWN_BY_THE_PAPER = (
+    "structure of Philae", "panels, legs, wheel", "panel powers and Sun directions over time", "Sun directions in four phases",
+    "spin-down of the wheel", "three example motions", "histograms of r_z in these", "E over rates and over parameters",
+    "near-minimum points and four lines", "simulated and measured directions of the descent", "E against omega_0",
+    "angular velocities at the first touchdown", "densities of r_z after the collision, wheel off and held",
+)  # fmt: skip
+"""What Figs. 1, 2 ... of the paper show."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +71,15 @@ def reproduce(
     result = compute(case, seed=seed, coarser=coarser, workers=workers, progress=progress)
     pictures = draw(result, folder)
     _write_data(result, folder)
+    by_part = {titles()[name]: rows for name, rows in result.rows_by_part.items()}
+    by_part[FIGURES] = figure_rows(pictures)
     summary = {
         "version": metadata.version("sunspin"),
         "seed": seed,
         "synthetic_telemetry": result.synthetic,
         "seconds": round(time.perf_counter() - began, 1),
         "missing": result.missing,
-        "figures": [asdict(row) for row in result.rows],
+        "figures": [asdict(row) for rows in by_part.values() for row in rows],
     }
     write_json(folder / "summary.json", summary)
     report = write_report(
@@ -75,10 +88,21 @@ def reproduce(
         synthetic=result.synthetic,
         conclusions=conclusions(result),
         pictures=pictures,
-        rows={titles()[name]: rows for name, rows in result.rows_by_part.items()},
+        rows=by_part,
         provenance=_provenance(case, summary),
     )
     return Written(folder, report, summary)
+
+
+def figure_rows(pictures: list[Picture]) -> list[Row]:
+    """One row for each numbered figure of the paper: what it shows, the files that show it here."""
+    found = []
+    for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
+        mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.path.name)]
+        ours = ", ".join(p.path.name for p in mine) or ("not drawn" if number > 2 else "not drawn: a picture of the lander")
+        note = " ".join(p.caption for p in mine)
+        found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}"))
+    return found
 
 
 def conclusions(result: Reproduction) -> list[str]:
