@@ -149,5 +149,8 @@ def test_the_facts_that_ship_are_those_of_the_kernel(data_dir):
     assert set(read) == set(shipped)
     for name, value in read.items():
         assert value == pytest.approx(shipped[name], abs=0.5 if name == "path_length" else 6e-5), name
+    states = co._KernelStates(data_dir.joinpath(*co.KERNEL))
+    ends = [states(co._tdb(case, name))[:3] for name in ("first_touchdown", "rest")]
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(case.published["trajectory_distance"].value, abs=0.5)
     scenario = case_scenario(case)
     assert scenario.collision_speed_m_s == shipped["speed_before"] and scenario.collision_s == pytest.approx(2756.02)

@@ -116,6 +116,11 @@ def not_told(rows: Any) -> list[str]:
         found.append(f"Without {missing} in the vehicle file the collision cannot be computed, so the motion goes on undisturbed.")
     if shape is None:
         found.append("Without a hull and legs in the vehicle file it cannot be told what touches the ground first.")
+    elif not rows.lands:
+        found.append(
+            f"At {rows.scenario.landing_speed_m_s:g} m/s the last metres may take {rows.approach_s:.0f} s, longer than the "
+            "flight: what touches the ground first cannot be told."
+        )
     elif not shape.complete:
         found.append("Without a hull in the vehicle file only the legs can touch first: nothing is told of body, panels and rest.")
     elif shape.normals_B is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shlex
 import time
 from dataclasses import asdict, dataclass
@@ -15,13 +16,23 @@ from sunspin.measure.telemetry import read_telemetry
 from sunspin.study import rebound as rb
 from sunspin.study import worth_told
 from sunspin.study.reproduce import Reproduction, compute, titles
-from sunspin.study.row import STATEMENT
+from sunspin.study.row import STATEMENT, Row
 from sunspin.tell.headline import headline
 from sunspin.tell.pictures import draw
 from sunspin.tell.report import write_report
-from sunspin.tell.results import CITE, results_folder, write_run
+from sunspin.tell.results import CITE, Picture, results_folder, write_run
 from sunspin.tell.stored import store
 from sunspin.tell.text import number_text
+
+FIGURES = "The figures of the paper"
+
+SHOWN_BY_THE_PAPER = (
+    "structure of Philae", "panels, legs, wheel", "panel powers and Sun directions over time", "Sun directions in four phases",
+    "spin-down of the wheel", "three example motions", "histograms of r_z in these", "E over rates and over parameters",
+    "near-minimum points and four lines", "simulated and measured directions of the descent", "E against omega_0",
+    "angular velocities at the first touchdown", "densities of r_z after the collision, wheel off and held",
+)  # fmt: skip
+"""What Figs. 1, 2 ... of the paper show."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +74,7 @@ def reproduce(
     result = compute(case, seed=seed, coarser=coarser, workers=workers, progress=progress)
     pictures = draw(result, folder)
     store(result, folder)
+    by_part = {titles()[name]: rows for name, rows in result.rows_by_part.items()} | {FIGURES: figure_rows(pictures)}
     summary = {
         "version": metadata.version("sunspin"),
         "title": "How Philae tumbled",
@@ -75,7 +87,7 @@ def reproduce(
         "command": _command(telemetry, seed, coarser),
         "inputs": _inputs(case),
         "cite": CITE,
-        "figures": [asdict(row) | {"part": titles()[name]} for name, rows in result.rows_by_part.items() for row in rows],
+        "figures": [asdict(row) | {"part": part} for part, rows in by_part.items() for row in rows],
     }
     write_run(folder, summary, case.name, case.telemetry, pictures)
     return Written(folder, write_report(folder), summary)
@@ -94,6 +106,17 @@ def _inputs(case: Case) -> list[dict[str, str]]:
     for name in ("vehicle.toml", "timeline.toml", "published.toml"):
         digest = hashlib.sha256((case.folder / name).read_bytes()).hexdigest()
         found.append({"what": name.removesuffix(".toml"), "file": name, "sha256": digest})
+    return found
+
+
+def figure_rows(pictures: list[Picture]) -> list[Row]:
+    """One row for each numbered figure of the paper: what it shows, the files that show it here."""
+    found = []
+    for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
+        mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.path.name)]
+        ours = ", ".join(p.path.name for p in mine) or ("not drawn" if number > 2 else "not drawn: a picture of the lander")
+        note = " ".join(p.caption for p in mine)
+        found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}"))
     return found
 
 

@@ -10,6 +10,9 @@ from sunspin.tell.report.section import Section, Special
 from sunspin.tell.text import number_text
 
 VERDICTS = {True: ("agrees", "✓ agrees"), False: ("differs", "✗ differs"), None: ("open", "– not compared")}
+MADE = ("made", "✓ as it was made")
+"""Agrees because the telemetry, or a record, was made from it: that tests the code, not the paper."""
+
 STATEMENTS = {True: ("stands", "✓ stands"), False: ("contradicted", "✗ contradicted"), None: ("open", "– no verdict")}
 LONG = 160
 """Longer values are cut in the table and whole in summary.json."""
@@ -21,7 +24,7 @@ def section(results: Results) -> Section | None:
     if not given:
         return None
     rows = [_shown(row) for row in given]
-    counts = {key: sum(row["verdict"] == key for row in rows) for key, _ in (*VERDICTS.values(), *STATEMENTS.values())}
+    counts = {key: sum(row["verdict"] == key for row in rows) for key, _ in (*VERDICTS.values(), MADE, *STATEMENTS.values())}
     parts: dict[str, list[dict[str, str]]] = {}
     for row in rows:
         parts.setdefault(row["part"], []).append(row)
@@ -32,6 +35,10 @@ def section(results: Results) -> Section | None:
             f"{counts['agrees']} of {compared} compared figures agree within the tolerance given, {counts['differs']} differ, "
             f"{counts['open']} stand without a verdict because the two are not of the same thing; the note says why. "
         ]
+    if counts["made"]:
+        lead.append(
+            f"{counts['made']} more agree because the telemetry or a record was made from them, which tests the code and not the paper."
+        )
     if counts["contradicted"]:
         lead.append(
             f"{counts['contradicted']} statements of the paper contradict its own figures or public facts; they judge the paper, "
@@ -46,6 +53,8 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
     statement = str(row.get("id", "")).startswith(STATEMENT)
     agrees = row.get("agrees")
     verdict, text = (STATEMENTS if statement else VERDICTS)[agrees if isinstance(agrees, bool) else None]
+    if row.get("by_construction") is True:
+        verdict, text = MADE
     tolerance = row.get("tolerance")
     return {
         "id": str(row.get("id", "")),
