@@ -121,7 +121,8 @@ class Friction:
 
 @dataclass(frozen=True)
 class Wheel(Portable):
-    """A wheel: spin axis (unit, B), axial inertia J, nominal speed relative to the body, friction and brake."""
+    """A wheel: spin axis (unit, B), axial inertia J, nominal speed relative to the body, friction and brake; the column of
+    the telemetry with its speed, if any, and the factor from that column to rad/s."""
 
     name: str
     axis_B: FloatArray
@@ -130,6 +131,8 @@ class Wheel(Portable):
     friction: Friction = Friction()
     alternative_frictions: Mapping[str, Friction] = field(default_factory=dict)
     brake_torque_N_m: float | None = None
+    speed_column: str | None = None
+    speed_scale_rad_s: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axis_B", direction(self.axis_B, f"axis_B of wheel {self.name!r}"))
@@ -205,7 +208,12 @@ class SunRule:
 
 @dataclass(frozen=True)
 class TelemetryForm(Portable):
-    """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes."""
+    """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes.
+
+    A panel's value is `scale` times (reading less `zero`), the reading less `wraps_at` where it is at least half of that, and
+    all that over 1 + `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times the
+    panel's column in `temperature_columns`.
+    """
 
     quantity: str = "power_W"
     time_column: str = "time"
@@ -216,9 +224,17 @@ class TelemetryForm(Portable):
     noise: float | None = None
     lit_threshold: float | None = None
     bad_rows: str = "refuse"
+    time_scale_s: float = 1.0
+    zero: float = 0.0
+    wraps_at: float | None = None
+    temperature_columns: Mapping[str, str] = field(default_factory=dict)
+    temperature_scale: float = 1.0
+    temperature_coefficient_per_K: float = 0.0
+    reference_temperature_C: float = 25.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
+        object.__setattr__(self, "temperature_columns", MappingProxyType(dict(self.temperature_columns)))
 
 
 @dataclass(frozen=True)

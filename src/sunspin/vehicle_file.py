@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
 from sunspin.vehicle_form import Form, Name, Value, scalar, take
-from sunspin.vehicle_sensors_file import DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
+from sunspin.vehicle_sensors_file import AttitudeForm, DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
@@ -54,6 +54,8 @@ class WheelForm(Form):
     inertia_kg_m2: Value
     speed_rad_s: Value | None = None
     brake_torque_N_m: Value | None = None
+    speed_column: Name | None = None
+    speed_scale_rad_s: Value | None = None
     friction: FrictionForm | None = None
     alternative_frictions: dict[str, FrictionForm] = {}
 
@@ -89,6 +91,13 @@ class TelemetryTable(Form):
     noise: Value | None = None
     lit_threshold: Value | None = None
     bad_rows: Literal["refuse", "flag"] = "refuse"
+    time_scale_s: Value | None = None
+    zero: Value | None = None
+    wraps_at: Value | None = None
+    temperature_columns: dict[str, str] = {}
+    temperature_scale: Value | None = None
+    temperature_coefficient_per_K: Value | None = None
+    reference_temperature_C: Value | None = None
 
 
 class VehicleForm(Form):
@@ -104,6 +113,7 @@ class VehicleForm(Form):
     telemetry: TelemetryTable = TelemetryTable()
     sun_sensor: list[SunSensorForm] = []
     gyro: GyroForm | None = None
+    attitude: AttitudeForm | None = None
     magnetometer: MagnetometerForm | None = None
     disturbance: DisturbanceForm = DisturbanceForm()
 
@@ -272,6 +282,8 @@ def _wheel(form: WheelForm, facts: dict[str, v.Fact]) -> v.Wheel:
             for name, other in form.alternative_frictions.items()
         },
         brake_torque_N_m=scalar(facts, f"{key}.brake_torque_N_m", form.brake_torque_N_m),
+        speed_column=form.speed_column,
+        speed_scale_rad_s=scalar(facts, f"{key}.speed_scale_rad_s", form.speed_scale_rad_s) or 1.0,
     )
 
 
@@ -289,11 +301,19 @@ def _friction(form: FrictionForm, inertia: float, key: str, facts: dict[str, v.F
     return v.Friction(**coefficients)
 
 
+MORE_NUMBERS = (
+    "time_scale_s", "zero", "wraps_at", "temperature_scale", "temperature_coefficient_per_K", "reference_temperature_C",
+)  # fmt: skip
+
+
 def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryForm:
     scale = 1.0 if isinstance(form.scale, float) else scalar(facts, "telemetry.scale", form.scale)
     noise = scalar(facts, "telemetry.noise", form.noise)
     threshold = scalar(facts, "telemetry.lit_threshold", form.lit_threshold)
-    for key, value in (("scale", scale), ("noise", noise), ("lit_threshold", threshold)):
+    numbers = {key: scalar(facts, f"telemetry.{key}", getattr(form, key)) for key in MORE_NUMBERS}
+    positive = {"scale": scale, "noise": noise, "lit_threshold": threshold}
+    positive |= {key: numbers[key] for key in ("time_scale_s", "wraps_at", "temperature_scale")}
+    for key, value in positive.items():
         if value is not None and not value > 0:
             raise VehicleError(sentence(f"telemetry.{key} must be positive", got=value))
     if form.time_format == "elapsed" and form.epoch_utc is None:
@@ -310,4 +330,6 @@ def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryFor
         noise=noise,
         lit_threshold=threshold,
         bad_rows=form.bad_rows,
+        temperature_columns=form.temperature_columns,
+        **{key: value for key, value in numbers.items() if value is not None},
     )

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.infer.rates_motion import Body, step, step_with_answer, turn, turn_between
+from sunspin.infer.rates_motion import Body, Ends, step, step_with_answer, turn, turn_between
 from sunspin.infer.rates_observe import thinned
 from sunspin.infer.rates_seed import facing, rates_between
 from sunspin.infer.rates_smooth import SUN_N, solve
@@ -122,19 +122,19 @@ def test_every_seed_rate_carries_the_first_direction_to_the_second(apart):
 
 
 @pytest.mark.parametrize("body", [
-    Body(np.eye(3), np.zeros(3), np.array([1e-6, -2e-6, 5e-7]), True),
-    Body(np.diag([1.0, 1.2, 0.8]), np.array([0.0, 0.01, 0.0]), np.array([1e-6, 0.0, 0.0]), False),
+    Body(np.eye(3), np.array([1e-6, -2e-6, 5e-7]), True),
+    Body(np.diag([1.0, 1.2, 0.8]), np.array([1e-6, 0.0, 0.0]), False),
 ])  # fmt: skip
 def test_the_answer_of_a_step_is_its_derivative(body):
     rng = np.random.default_rng(6)
     omega, dt = 0.03 * rng.normal(size=(5, 3)), np.full(5, 20.0)
-    fields = 30 * rng.normal(size=(2, 5, 3))
-    matrix, _, answer = step_with_answer(body, omega, dt, *fields)
+    ends = Ends(*(30 * rng.normal(size=(2, 5, 3))), np.tile([0.0, 0.01, 0.0], (5, 1)), np.tile([0.0, 0.008, 0.0], (5, 1)))
+    matrix, _, answer = step_with_answer(body, omega, dt, ends)
     small = 1e-4 * rng.normal(size=(5, 3))
-    moved, rate = step(body, omega + small, dt, *fields)
+    moved, rate = step(body, omega + small, dt, ends)
     told = np.einsum("nij,nj->ni", answer[:, :3, 3:], small)
     assert np.abs(turn_between(matrix, moved) - told).max() < 2e-5
-    assert np.abs(rate - step(body, omega, dt, *fields)[1] - np.einsum("nij,nj->ni", answer[:, 3:, 3:], small)).max() < 1e-6
+    assert np.abs(rate - step(body, omega, dt, ends)[1] - np.einsum("nij,nj->ni", answer[:, 3:, 3:], small)).max() < 1e-6
 
 
 def test_a_step_agrees_with_the_reference_propagator():

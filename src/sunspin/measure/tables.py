@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +19,12 @@ from sunspin.errors import TelemetryError, sentence
 
 MAX_FILE_BYTES = 500_000_000
 """A year of 1 Hz samples of six panels is about this much."""
+
+DELIMITERS = ",;\t"
+"""What may part the columns: the one that the header has most of."""
+
+DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+\s*)$")
+"""A number as written where the semicolon parts the columns."""
 
 
 class Table(NamedTuple):
@@ -82,7 +89,8 @@ def _split(text: str, where: str, sha256: str) -> Table:
     while skipped < len(lines) and (lines[skipped].startswith("#") or not lines[skipped].strip()):
         comments.append(lines[skipped].lstrip("# ").strip())
         skipped += 1
-    reader = csv.reader(lines[skipped:], strict=True)
+    mark = max(DELIMITERS, key=lines[skipped].count) if skipped < len(lines) else ","
+    reader = csv.reader(lines[skipped:], strict=True, delimiter=mark)
     records = _records(reader, skipped, where)
     header = next(records, (0, []))[1]
     header = [cell.strip() for cell in header]
@@ -96,7 +104,7 @@ def _split(text: str, where: str, sha256: str) -> Table:
                     where=f"{where}, line {number}",
                 )
             )
-        rows.append(cells)
+        rows.append([DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells] if mark == ";" else cells)
         numbers.append(number)
     if not rows:
         raise TelemetryError(sentence("the file has a header but no samples", where=where))
@@ -131,19 +139,15 @@ def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
     try:
         table = pq.read_table(pa.BufferReader(content))
         return {str(name): table[name].to_numpy() for name in table.column_names}
-    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise TelemetryError(sentence(f"this Parquet file cannot be read ({error})", where=where)) from None
+    except Exception as error:  # a damaged file makes the library raise whatever comes
+        raise TelemetryError(sentence(f"this Parquet file cannot be read ({str(error)[:200]})", where=where)) from None
 
 
 def _netcdf(content: bytes, where: str) -> dict[str, np.ndarray]:
     """Every variable over the one dimension that the samples share; (time, panel) becomes a column per panel."""
-    import xarray as xr
+    from sunspin.measure.netcdf import read_netcdf
 
-    try:
-        with xr.open_dataset(io.BytesIO(content), engine="h5netcdf", decode_timedelta=False) as data:
-            data = data.load()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-        raise TelemetryError(sentence(f"this NetCDF file cannot be read ({error})", where=where)) from None
+    data = read_netcdf(io.BytesIO(content), where, TelemetryError)
     sizes = {name: size for name, size in data.sizes.items() if name in data.coords or len(data.sizes) == 1}
     axis = "time" if "time" in data.sizes else max(sizes, key=sizes.get, default=None)
     if axis is None:
