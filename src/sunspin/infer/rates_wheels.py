@@ -37,7 +37,7 @@ def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarr
         for name in (None, *names):
             frictions = [wheel.alternative_frictions.get(name, wheel.friction) for wheel in vehicle.wheels]
             if any(friction.coulomb_N_m or friction.viscous_N_m_s for friction in frictions):
-                speed = [spin_down_speed(f, w.inertia_kg_m2, w.speed_rad_s, t - t[0])
+                speed = [spin_down_speed(f.coulomb_N_m, f.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, t - t[0])
                          for w, f in zip(vehicle.wheels, frictions, strict=True)]  # fmt: skip
                 found[COASTING + (f", friction {name!r}" if name else "")] = _momentum(vehicle, np.stack(speed, axis=1))
     return found
