@@ -20,8 +20,19 @@ from sunspin.vehicle_sensors import Sensors
 
 FloatArray = npt.NDArray[np.float64]
 
+MAX_PANELS = 32
+"""Each cuts the sphere of directions further, n of them into n (n - 1) + 2 cells; satellites have about ten sides."""
+
+MAX_WHEELS = 8
+"""The kernels keep numbers for every set of wheels that turn freely."""
+
+MAX_PARTS = 1000
+"""Legs, parts of the hull, rules."""
+
 UNIT_TOLERANCE = 1e-3
 """Vectors within this of length one count as directions written with few digits and are normalised."""
+
+LIMITS = {"panels": MAX_PANELS, "wheels": MAX_WHEELS, "legs": MAX_PARTS, "hull": MAX_PARTS, "sun_rules": MAX_PARTS}
 
 SYMMETRY_TOLERANCE = 1e-9
 """Largest relative difference between mirrored elements of an inertia tensor."""
@@ -265,6 +276,9 @@ class Vehicle(Portable):
         for key in ("panels", "wheels", "legs", "hull", "sun_rules"):
             object.__setattr__(self, key, tuple(getattr(self, key)))
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
+        for key, most in LIMITS.items():
+            if len(getattr(self, key)) > most:
+                raise VehicleError(sentence(f"a vehicle has at most {most} {key}", got=len(getattr(self, key))))
         for key in ("panels", "wheels", "legs", "hull"):
             _require_distinct([part.name for part in getattr(self, key)], key)
         if self.mass_kg is not None and not (np.isfinite(self.mass_kg) and self.mass_kg > 0):

@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError
 
 from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
+from sunspin.outside import read_bytes
 from sunspin.vehicle_form import Form, Name, Value, scalar, take
 from sunspin.vehicle_sensors_file import AttitudeForm, DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
 
@@ -147,28 +148,12 @@ def builtin_names() -> list[str]:
 
 def _read_text(path: Path) -> str:
     known = ", ".join(builtin_names())
+    do = f"give the path of a vehicle.toml or a built-in name: {known}"
     try:
-        if path.is_dir():
-            raise VehicleError(sentence("this is a folder, not a vehicle file", where=str(path)))
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise VehicleError(
-                sentence(f"a vehicle file is smaller than {MAX_FILE_BYTES} bytes", got=path.stat().st_size, where=str(path))
-            )
-        return path.read_bytes().decode("utf-8")
+        return read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do).decode("utf-8")
     except UnicodeDecodeError as error:
         raise VehicleError(
             sentence(f"the file is not UTF-8 text (byte {error.start})", do="save it as UTF-8", where=str(path))
-        ) from None
-    except (OSError, ValueError) as error:
-        if isinstance(error, VehicleError):
-            raise
-        reason = getattr(error, "strerror", None) or str(error)
-        raise VehicleError(
-            sentence(
-                f"the vehicle file cannot be read ({reason})",
-                do=f"give the path of a vehicle.toml or a built-in name: {known}",
-                where=str(path),
-            )
         ) from None
 
 
@@ -188,6 +173,8 @@ def parse_vehicle(text: str, where: str) -> v.Vehicle:
         raise VehicleError(_first_problem(error, where)) from None
     except VehicleError as error:
         raise VehicleError(f"{where}: {error}") from None
+    except ValueError as error:  # tomllib hands on what int() says of thousands of digits
+        raise VehicleError(sentence(f"this is not valid TOML: {error}", do="correct that number", where=where)) from None
 
 
 def _first_problem(error: ValidationError, where: str) -> str:

@@ -8,7 +8,10 @@ import sys
 import click
 
 from sunspin.cli.common import Group, ReaderGone
-from sunspin.errors import SunspinError
+from sunspin.errors import SunspinError, printable
+
+LONGEST = 1200
+"""Characters of one sentence: names from outside may have any number."""
 
 
 @click.group(
@@ -42,12 +45,23 @@ def main() -> None:
         code = 0
     except MemoryError:
         code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
+    except OSError as error:  # what files and folders answer where no better sentence was found
+        code = _say(f"error: {error.filename or 'a file'} cannot be used ({error.strerror or error}); check the path", 2)
+    except Exception as error:
+        if os.environ.get("SUNSPIN_TRACEBACK"):
+            raise
+        code = _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _say(text: str, code: int) -> int:
-    print(f"sunspin: {text}", file=sys.stderr)
+    said = printable(text)
+    print("sunspin: " + (said if len(said) <= LONGEST else f"{said[: LONGEST // 2]} ... {said[-LONGEST // 2 :]}"), file=sys.stderr)
     return code
+
+
+def _defect(error: Exception) -> str:
+    return f"defect: this is a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
 
 
 def _hint(error: click.ClickException) -> str:

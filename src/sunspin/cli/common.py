@@ -14,7 +14,8 @@ from typing import Any
 
 import click
 
-from sunspin.errors import InputError, sentence
+from sunspin.errors import InputError, printable, sentence
+from sunspin.outside import SIZES, is_sensible
 
 COMMANDS = {
     "reproduce": "sunspin.cli.study:reproduce",
@@ -60,6 +61,20 @@ SUMMARIES = {
 }
 
 
+def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
+    """Refuse numbers that are infinite, none, or beyond all measure."""
+    name = parameter.opts[0]
+    for value in given if isinstance(given, tuple) else (given,):
+        if isinstance(value, float):
+            _check_number(name, value)
+    return given
+
+
+def _check_number(name: str, value: float) -> None:
+    if not is_sensible(value):
+        raise InputError(sentence(f"{name} must be {SIZES}", got=str(value)))
+
+
 class ReaderGone(Exception):
     """Whoever read our output has stopped."""
 
@@ -83,7 +98,10 @@ class Group(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module, name = COMMANDS[cmd_name].split(":")
-        return getattr(import_module(module), name)
+        command = getattr(import_module(module), name)
+        for parameter in command.params:
+            parameter.callback = parameter.callback or sensible
+        return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         grouped = {name for names in SECTIONS.values() for name in names}
@@ -157,6 +175,8 @@ def numbers(text: str | None, name: str, count: int | None = None) -> list[float
         values = [float(part) for part in text.split(",")] if text else []
     except ValueError:
         values = None
+    for value in values or ():
+        _check_number(name, value)
     if values is None or (count is not None and len(values) != count):
         wanted = f"{count} numbers" if count else "numbers"
         raise InputError(sentence(f"{name} takes {wanted} separated by commas", got=text, do=f"for example {name} 0.1,0,-0.2"))
@@ -168,10 +188,11 @@ def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool
     if as_json:
         from sunspin.tell.results import plain
 
-        click.echo(json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False))
+        text = json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False)
+        click.echo(text.encode("utf-8", "backslashreplace").decode("utf-8"))  # half characters of file names become escapes
     elif not quiet:
         for line in lines:
-            click.echo(line)
+            click.echo(line if line.isprintable() else line[: len(line) - len(line.lstrip(" "))] + printable(line))
 
 
 def store_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None) -> str:

@@ -11,7 +11,14 @@ import numpy as np
 from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options, store_run
 from sunspin.errors import InputError, sentence
 
-MAX_SAMPLES = 10_000_000
+MAX_SAMPLES, BYTES_PER_SAMPLE = 2_000_000, 300
+"""Output times of one trajectory, and what one takes while it is computed and written."""
+
+MAX_ANGLE_RAD, SECONDS_PER_RAD = 1e6, 4e-6
+"""How far a trajectory may turn (a day at 10 rad/s), and the time that takes: beyond, a slip of units is likelier than a wish."""
+
+MAX_GRID = 100_000
+"""Values of one axis of a scan's grid."""
 
 WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."
 
@@ -42,6 +49,7 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     t = _times(duration, step)
     start = numbers(omega, "--omega", 3), numbers(sun_B, "--sun", 3)
+    _check_work(craft, start[0], speeds, duration)
     run = propagate(craft, *start, speeds or None, t, wheel_mode=wheel_mode, stopped_at_s=stopped_at)
     end = run.isel(time=-1)
     events = [
@@ -78,11 +86,34 @@ def _times(duration: float, step: float) -> np.ndarray:
         raise InputError(sentence("--duration and --step must be finite", got=f"{duration} s in steps of {step} s"))
     if abs(duration) / step > MAX_SAMPLES:
         raise InputError(
-            sentence(f"more than {MAX_SAMPLES:g} output times", got=f"{duration} s in steps of {step} s", do="use a larger --step")
+            sentence(
+                f"{abs(duration) / step:.3g} output times are more than {MAX_SAMPLES:g} and would take some "
+                f"{abs(duration) / step * BYTES_PER_SAMPLE / 1e9:.2g} GB of memory",
+                got=f"{duration} s in steps of {step} s", do="use a larger --step",
+            )
         )
     count = int(np.floor(abs(duration) / step + 1e-9))
     t = np.copysign(np.arange(count + 1) * step, duration)
     return np.append(t, duration) if abs(duration) > abs(t[-1]) * (1 + 1e-12) else t
+
+
+def _check_work(craft, omega: list[float], speeds: list[float], duration: float) -> None:
+    """Refuse a trajectory that turns unreasonably far, with an estimate of the time."""
+    tensor = craft.require_inertia()
+    if len(speeds) != len(craft.wheels):
+        return  # said better where the trajectory begins
+    with np.errstate(all="ignore"):
+        spins = sum((wheel.inertia_kg_m2 * s * wheel.axis_B for wheel, s in zip(craft.wheels, speeds, strict=True)), np.zeros(3))
+        rate = np.linalg.norm(tensor @ np.array(omega) + spins) / np.linalg.eigvalsh(tensor)[0]
+    angle = float(max(rate, np.linalg.norm(omega)) * abs(duration))
+    if angle > MAX_ANGLE_RAD:
+        raise InputError(
+            sentence(
+                f"the body turns by up to {angle:.3g} rad in this time, more than {MAX_ANGLE_RAD:g}, which would take some "
+                f"{angle * SECONDS_PER_RAD:.2g} s", got=f"{duration:g} s at {angle / abs(duration):.3g} rad/s",
+                do="check the units, or run it in parts from Python (sunspin.propagate)",
+            )
+        )  # fmt: skip
 
 
 def _vector(values: list[float]) -> str:
@@ -194,10 +225,16 @@ def _grid(text: str, name: str) -> np.ndarray:
     """low:high:step, or values separated by commas."""
     if ":" not in text:
         return np.array(numbers(text, name))
+    from sunspin.infer.scan import check_size
+
     parts = text.split(":")
     low, high, step = numbers(",".join(parts), name, 3)
-    if not (step > 0 and high >= low) or (high - low) / step > 100_000:
-        raise InputError(sentence(f"{name} must be low:high:step with a positive step and no more than 100000 values", got=text))
+    count = (high - low) / step + 1 if step > 0 and high >= low else np.nan
+    if not np.isfinite(count):
+        raise InputError(sentence(f"{name} must be low:high:step, finite and with a positive step", got=text))
+    if count > MAX_GRID:
+        check_size(count, 1, 1)
+        raise InputError(sentence(f"{name} has {count:.3g} values, more than {MAX_GRID}", got=text, do="use a larger step"))
     return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
 
 

@@ -49,6 +49,9 @@ COOLING = 1.7
 GROW_SHARE = 6
 """The window grows by a sixth of its samples at either end: what is known then still carries."""
 
+MAX_SEEDS = 200_000
+"""Rates tried for a pair of samples at most: some 500 MB."""
+
 KEEP_FIRST, KEEP = 120, 32
 """Hypotheses kept after the first trial, and while the window grows."""
 
@@ -140,8 +143,15 @@ def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float) -
 def _constant_family(o: Observations, index: int, motion: Motion, rate_max: float) -> Track | None:
     """Constant rates that carry the Sun of sample `index` to that of the next, over all samples of `o`."""
     start, rate = [], []
-    for s0 in candidates(o, index):
-        for s1 in candidates(o, index + 1):
+    first, second = candidates(o, index), candidates(o, index + 1)
+    turns = rate_max * (o.t_s[index + 1] - o.t_s[index]) / (2 * np.pi)
+    if not turns * ANGLES * len(first) * len(second) < MAX_SEEDS:
+        raise InputError(
+            sentence("too many whole turns fit between two samples to try them all", got=f"{turns:.3g} turns",
+                     do="give a smaller --max-rate (max_rate_rad_s)")
+        )  # fmt: skip
+    for s0 in first:
+        for s1 in second:
             found = rates_between(s0, s1, o.t_s[index + 1] - o.t_s[index], rate_max)
             start.append(np.broadcast_to(s0, found.shape))
             rate.append(found)
@@ -187,7 +197,7 @@ def distinct(track: Track, times: np.ndarray, keep: int = KEEP) -> Track:
             chosen.append(int(i))
         if len(chosen) == keep:
             break
-    return track.take(np.array(chosen))
+    return track.take(np.array(chosen, dtype=int))
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:

@@ -37,7 +37,7 @@ def section(results: Results) -> Section | None:
         ]
     if counts["made"]:
         lead.append(
-            f"{counts['made']} more agree because the telemetry or a record was made from them, which tests the code and not the paper."
+            f"{counts['made']} more agree because the telemetry or a record was made from them: that tests the code, not the paper."
         )
     if counts["contradicted"]:
         lead.append(
