@@ -86,13 +86,15 @@ def _lines(summary: dict[str, Any], tree: Any) -> list[str]:
     if summary["synthetic_telemetry"]:
         lines.append("  synthetic telemetry: not measured")
     rate = summary["rate_rad_s"]
-    lines.append(f"  angular speed at the first sample {rate['median']:.4f} rad/s, 90 % in {rate['low_90']:.4f} to {rate['high_90']:.4f}")
+    low, high = rate["low_90"], rate["high_90"]
+    lines.append(f"  angular speed at the first sample {rate['median']:.4f} rad/s, 90 % in {low:.4f} to {high:.4f}")
     for mode in summary["modes"][:12]:
         omega, sigma = (", ".join(f"{x:.4f}" for x in mode[key]) for key in ("omega_B", "sigma"))
-        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) rad/s  chi-square {mode['chi_square']:.0f}")
+        fit = f"chi-square {mode['chi_square']:.0f}"
+        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) rad/s  {fit}")
     lines.append(
-        f"  predictive p {summary['p_value']:.3g}, worth {summary['effective_draws']:.0f} draws, Pareto k {summary['pareto_k']:.2f}; "
-        f"priors {tree.attrs['priors']}"
+        f"  predictive p {summary['p_value']:.3g}, worth {summary['effective_draws']:.0f} draws, "
+        f"Pareto k {summary['pareto_k']:.2f}; priors {tree.attrs['priors']}"
     )
     return lines
 
@@ -112,7 +114,7 @@ def write(out: Path, tree: Any) -> Path:
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = modes["omega_cov_B"].values[:, k, k] ** 0.5
-    columns |= {"chi_square": modes["chi_square"].values, "lit_readings": modes["lit_readings"].values, "starts": modes["starts"].values}
+    columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
     label = "# synthetic telemetry\n" if tree.attrs.get("synthetic") else ""
     text = label + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
     write_whole(folder / "modes.csv", lambda part: part.write_text(text, "utf-8"))

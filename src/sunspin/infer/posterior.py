@@ -157,7 +157,7 @@ def _tree(likelihood: Likelihood, modes: Modes, drawn: Sample, picked: np.ndarra
     groups = {
         "posterior": xr.Dataset(variables, coords), "modes": _modes(likelihood, modes, drawn),
         "search": xr.Dataset(
-            {name: ("stage", np.array(column)) for name, column in zip(("samples", "hypotheses", "kept"), zip(*modes.trace, strict=True), strict=True)}
+            {name: ("stage", np.array(modes.trace)[:, i]) for i, name in enumerate(("samples", "hypotheses", "kept"))}
         ),
         "sampling": xr.Dataset(
             {name: ("round", drawn.trace[:, i]) for i, name in enumerate(("log_evidence", "effective_share", "pareto_k"))}
@@ -186,8 +186,9 @@ def _modes(likelihood: Likelihood, modes: Modes, drawn: Sample) -> xr.Dataset:
             *chi_square(likelihood, state.take([best])), int(modes.hits[drawn.of_mode == region].sum()),
         ))  # fmt: skip
     names = (
-        ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"), ("sun_B", ("mode", "axis"), "1"),
-        ("weight", ("mode",), "1"), ("log_evidence", ("mode",), "1"), ("best_omega_B", ("mode", "axis"), "rad s-1"),
+        ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
+        ("sun_B", ("mode", "axis"), "1"), ("weight", ("mode",), "1"), ("log_evidence", ("mode",), "1"),
+        ("best_omega_B", ("mode", "axis"), "rad s-1"),
         ("chi_square", ("mode",), "1"), ("lit_readings", ("mode",), "1"), ("starts", ("mode",), "1"),
     )  # fmt: skip
     columns = zip(names, zip(*rows, strict=True), strict=True)
@@ -210,11 +211,14 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
     return about | {
         "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
-        "max_rate_rad_s": unknown.max_rate, "searched_rate_rad_s": float(chosen.limit), "sunspin_version": metadata.version("sunspin"),
+        "max_rate_rad_s": unknown.max_rate, "searched_rate_rad_s": float(chosen.limit),
+        "sunspin_version": metadata.version("sunspin"),
     }  # fmt: skip
 
 
-def _judge(tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]) -> None:
+def _judge(
+    tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
+) -> None:
     table = tree["modes"]
     doubts = list(modes.notes)
     told = table["weight"].values >= 0.01
@@ -222,11 +226,14 @@ def _judge(tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data:
         doubts.append("a region of weight was reached from one start only, so others may have been missed")
     spoilt = spoilt_panels(vehicle.panel_names, checked.outliers, data.lit)
     found = Found(
-        table["weight"].values, table["omega_B"].values, np.sqrt(np.linalg.eigvalsh(table["omega_cov_B"].values)[:, -1].clip(0)),
-        table["starts"].values, float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
+        table["weight"].values, table["omega_B"].values,
+        np.sqrt(np.linalg.eigvalsh(table["omega_cov_B"].values)[:, -1].clip(0)), table["starts"].values,
+        float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
         drawn.effective, doubts,
     )  # fmt: skip
     word, text = verdict(found)
+    if word == "not explained":
+        text += f"; rates up to {tree.attrs['searched_rate_rad_s']:.3g} rad/s were searched"
     tree.attrs |= {
         "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
         "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,

@@ -205,7 +205,8 @@ class Starts:
 
     def found(self, workers: int) -> State:
         """The starts, best first."""
-        corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [self.attitudes.side**2, self.attitudes.side, 1]
+        side = self.attitudes.side
+        corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [side**2, side, 1]
         gains = self.scale * self.attitudes.model.vehicle.panel_gains
         frame = np.stack([self.suns, *tangents(self.suns)], axis=1)
         fixed = (
@@ -233,6 +234,34 @@ def distinct(state: State, cost: np.ndarray, apart: float, reach_s: float) -> np
 
 
 @numba.njit(nogil=True, cache=True)
+def _load(quaternions, rows, turn):
+    """The rotations at the corners of a cell, with signs alike so that they can be interpolated."""
+    for corner in range(8):
+        for m in range(turn.shape[1]):
+            same = 0.0
+            for q in range(4):
+                quaternions[corner, m, q] = turn[rows[corner], m, q]
+                same += turn[rows[corner], m, q] * quaternions[0, m, q]
+            if same < 0:
+                for q in range(4):
+                    quaternions[corner, m, q] = -quaternions[corner, m, q]
+
+
+@numba.njit(nogil=True, cache=True)
+def _best_point(quaternions, at, sun, normals, gains, value, used, sigma):
+    """The best point of the eighth of a cell that begins at `at`, and its misfit: infinite where none will do."""
+    least, best = np.inf, at
+    if _against(quaternions, at + 0.25, sun, normals, gains, value, used, sigma, FAR)[0] > LIMIT:
+        return best, least
+    for point in range(8):
+        x = at + 0.25 * np.array([0.5 + (point >> 2 & 1), 0.5 + (point >> 1 & 1), 0.5 + (point & 1)])
+        short, misfit = _against(quaternions, x, sun, normals, gains, value, used, sigma, NEAR)
+        if short <= LIMIT and misfit < least:
+            least, best = misfit, x
+    return best, least
+
+
+@numba.njit(nogil=True, cache=True)
 def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used, here, here_used, sigma):
     """The settled starts of cells, (n, 8): place, direction, x, y, z in the cell, two steps of the direction, misfit."""
     room = 1024
@@ -240,27 +269,11 @@ def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used
     count = 0
     quaternions = np.empty((8, turn.shape[1], 4))
     for i in range(len(cells)):
-        for corner in range(8):
-            row = row_of[cells[i] + corners[corner]]
-            for m in range(turn.shape[1]):
-                same = 0.0
-                for q in range(4):
-                    quaternions[corner, m, q] = turn[row, m, q]
-                    same += turn[row, m, q] * quaternions[0, m, q]
-                if same < 0:
-                    for q in range(4):
-                        quaternions[corner, m, q] = -quaternions[corner, m, q]
+        _load(quaternions, row_of[cells[i] + corners], turn)
         for eighth in range(8):
             at = np.array([(eighth >> 2 & 1) * 0.5, (eighth >> 1 & 1) * 0.5, (eighth & 1) * 0.5])
             for c in range(len(suns)):
-                if _against(quaternions, at + 0.25, suns[c, 0], normals, gains, value, used, sigma, FAR)[0] > LIMIT:
-                    continue
-                least, best = np.inf, at
-                for point in range(8):
-                    x = at + 0.25 * np.array([0.5 + (point >> 2 & 1), 0.5 + (point >> 1 & 1), 0.5 + (point & 1)])
-                    short, misfit = _against(quaternions, x, suns[c, 0], normals, gains, value, used, sigma, NEAR)
-                    if short <= LIMIT and misfit < least:
-                        least, best = misfit, x
+                best, least = _best_point(quaternions, at, suns[c, 0], normals, gains, value, used, sigma)
                 if least == np.inf:
                     continue
                 x, step, misfit = _settle(quaternions, best, suns[c], normals, gains, value, used, here, here_used, sigma)
@@ -319,6 +332,28 @@ def _against(quaternions, x, sun, normals, gains, value, used, sigma, angle):
 
 
 @numba.njit(nogil=True, cache=True)
+def _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma):
+    """Add one sample's readings to the normal equations; its misfit. `r` (3) is the direction, `column` (5, 3) its derivatives."""
+    misfit = 0.0
+    for j in range(len(gains)):
+        cosine = normals[j, 0] * r[0] + normals[j, 1] * r[1] + normals[j, 2] * r[2]
+        if not counts[j] or (cosine <= 0 and reading[j] <= 0):
+            continue
+        s = np.sqrt(sigma * sigma + (BLUR * gains[j]) ** 2)
+        residual = (reading[j] - gains[j] * max(cosine, 0.0)) / s
+        misfit += min(residual * residual, CAP)
+        if cosine <= -0.1:
+            continue
+        weight = 1.0 / (1.0 + residual * residual / 25.0)
+        slope = -gains[j] / s * (column @ normals[j])
+        for i in range(5):
+            gradient[i] += weight * slope[i] * residual
+            for q in range(i + 1):
+                normal[i, q] += weight * slope[i] * slope[q]
+    return misfit
+
+
+@numba.njit(nogil=True, cache=True)
 def _settle(quaternions, x, frame, normals, gains, value, used, here, here_used, sigma):
     """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit."""
     x, step, sun = x.copy(), np.zeros(2), frame[0].copy()
@@ -334,43 +369,28 @@ def _settle(quaternions, x, frame, normals, gains, value, used, here, here_used,
                 column[3], column[4] = frame[1], frame[2]
             else:
                 _turned(quaternions, m, x, sun, r)
-                for k in range(3):
-                    x[k] += 1e-4
+                for i in range(3):
+                    x[i] += 1e-4
                     _turned(quaternions, m, x, sun, other)
-                    x[k] -= 1e-4
-                    column[k] = (other - r) / 1e-4
-                for k in range(2):
-                    _turned(quaternions, m, x, frame[1 + k], other)
-                    column[3 + k] = other
-            for j in range(len(gains)):
-                reading = here[j] if m < 0 else value[m, j]
-                counts = here_used[j] if m < 0 else used[m, j]
-                cosine = normals[j, 0] * r[0] + normals[j, 1] * r[1] + normals[j, 2] * r[2]
-                if not counts or (cosine <= 0 and reading <= 0):
-                    continue
-                s = np.sqrt(sigma * sigma + (BLUR * gains[j]) ** 2)
-                residual = (reading - gains[j] * max(cosine, 0.0)) / s
-                misfit += min(residual * residual, CAP)
-                if cosine > -0.1:
-                    weight = 1.0 / (1.0 + residual * residual / 25.0)
-                    for k in range(5):
-                        slope = -gains[j] / s * (normals[j, 0] * column[k, 0] + normals[j, 1] * column[k, 1] + normals[j, 2] * column[k, 2])
-                        gradient[k] += weight * slope * residual
-                        for q in range(k + 1):
-                            more = -gains[j] / s * (normals[j, 0] * column[q, 0] + normals[j, 1] * column[q, 1] + normals[j, 2] * column[q, 2])
-                            normal[k, q] += weight * slope * more
+                    x[i] -= 1e-4
+                    column[i] = (other - r) / 1e-4
+                for i in range(2):
+                    _turned(quaternions, m, x, frame[1 + i], other)
+                    column[3 + i] = other
+            reading, counts = (here, here_used) if m < 0 else (value[m], used[m])
+            misfit += _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma)
         if iteration == STEPS:
             break
-        for k in range(5):
-            normal[k, k] += 1e-2 * normal[k, k] + 1e-3
-            for q in range(k):
-                normal[q, k] = normal[k, q]
+        for i in range(5):
+            normal[i, i] += 1e-2 * normal[i, i] + 1e-3
+            for q in range(i):
+                normal[q, i] = normal[i, q]
         move = -np.linalg.solve(normal, gradient)
         size = max(np.abs(move[:3]).max() / 0.25, np.abs(move[3:]).max() / 0.3, 1.0)
         x += move[:3] / size
         step += move[3:] / size
-        for k in range(3):
-            x[k] = min(1.2, max(-0.2, x[k]))
+        for i in range(3):
+            x[i] = min(1.2, max(-0.2, x[i]))
         sun = frame[0] + step[0] * frame[1] + step[1] * frame[2]
         sun /= np.sqrt(sun[0] ** 2 + sun[1] ** 2 + sun[2] ** 2)
     length = np.sqrt(step[0] ** 2 + step[1] ** 2)

@@ -44,7 +44,9 @@ def check(likelihood: Likelihood, state: State, rng: np.random.Generator) -> Che
     return Check(float(np.mean(worse)), sigmas, np.where(data.used, np.minimum(doubt, 1.0), 0.0))
 
 
-def _replicated(likelihood: Likelihood, power: np.ndarray, noise: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _replicated(
+    likelihood: Likelihood, power: np.ndarray, noise: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Readings (n, K, P) as the model makes them, and which of them are lit."""
     data, shape = likelihood.data, power.shape
     value = np.where(power > 0, power + noise[:, None, None] * rng.standard_normal(shape), 0.0)

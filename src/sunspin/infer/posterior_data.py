@@ -46,8 +46,8 @@ class Observation:
 class Readings:
     """Readings of K samples of P panels.
 
-    `t_s` (K): s after the reference, increasing; `value` (K, P); `used` (K, P): it counts; `lit` (K, P): above the threshold; `sigma`: one
-    sigma stated; `threshold`; `largest`: reading; `others`: further observations, their times after the reference too.
+    `t_s` (K): s after the reference, increasing; `value` (K, P); `used` (K, P): it counts; `lit` (K, P): above the threshold;
+    `sigma`: one sigma stated; `threshold`; `largest`: reading; `others`: further observations, their times after the reference too.
     """
 
     t_s: np.ndarray

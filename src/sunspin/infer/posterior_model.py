@@ -18,7 +18,7 @@ from sunspin.motion.friction import spin_down_speed
 from sunspin.motion.modes import friction_limit
 from sunspin.vehicle import Vehicle
 
-DEFAULT_MAX_RATE = 1.0
+DEFAULT_MAX_RATE = 0.8
 """rad/s: the ball of rates searched unless the vehicle or the caller says otherwise."""
 
 ASSUMED = {"inertia": 0.01, "wheel_speed": 0.005, "friction": 0.05}
@@ -120,8 +120,8 @@ class Model:
         for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, commands, strict=True)):
             if command != "hold":
                 brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
-                dry, viscous, inertia = bodies.coulomb_N_m[:, i] + brake, bodies.viscous_N_m_s[:, i], bodies.wheel_inertia_kg_m2[:, i]
-                speeds[:, i] = spin_down_speed(dry, viscous, inertia, speeds[:, i], self.after_s)
+                dry, viscous = bodies.coulomb_N_m[:, i] + brake, bodies.viscous_N_m_s[:, i]
+                speeds[:, i] = spin_down_speed(dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], self.after_s)
         return speeds
 
     def rows(self, state: State) -> k.Rows:

@@ -41,7 +41,7 @@ NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
 
-MOST_FEW, MOST = 60_000, 6_000
+MOST_FEW, MOST = 100_000, 6_000
 """Hypotheses carried on at most, on few samples and on more; the verdict says when there were more."""
 
 KEPT_ANYWAY = 100
@@ -224,7 +224,8 @@ def coordinates(state: State, centre: State) -> np.ndarray:
     side = np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1)
     size = np.linalg.norm(side, axis=1)
     stretch = np.arctan2(size, along) / np.maximum(size, 1e-15)
-    return np.concatenate([state.omega - centre.omega, side * np.where(size > 1e-15, stretch, 1.0)[:, None], state.u - centre.u], axis=1)
+    side = side * np.where(size > 1e-15, stretch, 1.0)[:, None]
+    return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
 
 
 def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int]) -> int | None:

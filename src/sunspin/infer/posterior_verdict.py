@@ -52,7 +52,8 @@ def verdict(found: Found) -> tuple[str, str]:
         return "not explained", _not_explained(found)
     doubts = list(found.doubts)
     if found.tail > TAIL_LIMIT or found.effective < EFFECTIVE_LIMIT:
-        doubts.append(f"the sample is worth only {found.effective:.0f} draws (Pareto k {found.tail:.2f}): widths and weights are rough")
+        worth = f"{found.effective:.0f} draws (Pareto k {found.tail:.2f})"
+        doubts.append(f"the sample is worth only {worth}: widths and weights are rough")
     text = _regions(found, told)
     word = "line" if _is_line(found, told) else "unique" if len(told) == 1 and found.weight[0] >= UNIQUE else "aliases"
     if found.spoilt:
@@ -74,10 +75,12 @@ def _regions(found: Found, told: np.ndarray) -> str:
     if len(told) == 1 and found.weight[0] >= UNIQUE:
         return f"unique: one region of motions, turning at {best}, fits the readings"
     if len(told) == 1:
-        return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the weight, {int((found.weight > 0).sum()) - 1} others the rest"
+        others = int((found.weight > 0).sum()) - 1
+        return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the weight, {others} others the rest"
     gaps = np.linalg.norm(found.rate[told][:, None] - found.rate[told][None], axis=-1)
     gap = float(np.median(np.min(gaps + np.diag(np.full(len(told), np.inf)), axis=1)))
-    text = f"{len(told)} aliases, {gap:.3g} rad/s apart, cannot be told apart; the first, turning at {best}, holds {found.weight[0]:.0%}"
+    text = f"{len(told)} aliases, {gap:.3g} rad/s apart, cannot be told apart"
+    text += f"; the first, turning at {best}, holds {found.weight[0]:.0%}"
     return f"{text} (one turn more between samples would be {2 * np.pi / found.interval_s:.3g} rad/s)"
 
 
@@ -85,7 +88,8 @@ def _not_explained(found: Found) -> str:
     text = f"not explained: no motion fits; readings as far from the best motion as these have a probability of {found.p:.2g}"
     if abs(found.noise_sigmas) > NOISE_LIMIT:
         side = "more" if found.noise_sigmas > 0 else "less"
-        text = f"not explained: no motion fits unless the noise is far {side} than the vehicle file states ({found.noise_sigmas:+.1f} sigma)"
+        text = "not explained: no motion fits unless the noise is far "
+        text += f"{side} than the vehicle file states ({found.noise_sigmas:+.1f} sigma)"
     if found.spoilt:
         text += "; " + "; ".join(found.spoilt)
     return f"{text}; the vehicle, the window or the state of the wheels is not what was assumed, or a panel is shadowed or dead"
@@ -105,11 +109,13 @@ def summary(tree: Any) -> dict[str, Any]:
     """The main numbers of a posterior as plain data."""
     posterior, modes = tree["posterior"], tree["modes"]
     rate = np.linalg.norm(posterior["omega_B"].values.reshape(-1, 3), axis=1)
+    low, median, high = (float(np.quantile(rate, q)) for q in (0.05, 0.5, 0.95))
     return {
         "verdict": tree.attrs["verdict"], "verdict_word": tree.attrs["verdict_word"],
-        "rate_rad_s": {"median": float(np.median(rate)), "low_90": float(np.quantile(rate, 0.05)), "high_90": float(np.quantile(rate, 0.95))},
+        "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
         "modes": [
-            {"weight": float(w), "omega_B": o.tolist(), "sigma": np.sqrt(np.diag(c)).tolist(), "chi_square": float(x), "starts": int(h)}
+            {"weight": float(w), "omega_B": o.tolist(), "sigma": np.sqrt(np.diag(c)).tolist(), "chi_square": float(x),
+             "starts": int(h)}
             for w, o, c, x, h in zip(modes["weight"].values, modes["omega_B"].values, modes["omega_cov_B"].values,
                                      modes["chi_square"].values, modes["starts"].values, strict=True)
         ],

@@ -235,7 +235,8 @@ def _first(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int
     parts = [_straight(0.5 * (c + c.T), likelihood.data.reach_s, tuple(model.moving)) for c in laplace]
     basis, bend, covariance = (np.array(every) for every in zip(*parts, strict=True))
     owner = np.arange(len(covariance))
-    mixture = Mixture(modes.state, basis, bend, np.zeros((len(covariance), d)), covariance, np.ones(len(covariance)), tuple(model.moving))
+    alike = np.ones(len(covariance))
+    mixture = Mixture(modes.state, basis, bend, np.zeros((len(covariance), d)), covariance, alike, tuple(model.moving))
     for m in range(min(len(covariance), MOST_BENT)):
         for k in np.flatnonzero(owner[:m] == np.arange(m)):
             off = mixture.coordinates(modes.state.take(np.array([m])), int(k))[0]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -113,7 +114,9 @@ def quantities(vehicle: Vehicle, unknown: Model, state: State) -> dict[str, np.n
     }  # fmt: skip
 
 
-def judge(vehicle: Vehicle, telemetry: xr.Dataset, truth: State, unknown: Model, priors: dict[str, Any], seed: int, **options: Any) -> dict[str, Any]:
+def judge(
+    vehicle: Vehicle, telemetry: xr.Dataset, truth: State, unknown: Model, priors: dict[str, Any], seed: int, **options: Any
+) -> dict[str, Any]:
     """Run the posterior on a twin and compare it with the truth."""
     tree = posterior(vehicle, telemetry, priors, seed, **options)
     found = tree["posterior"]
@@ -121,12 +124,12 @@ def judge(vehicle: Vehicle, telemetry: xr.Dataset, truth: State, unknown: Model,
     # u of the draws, in the order of the model that knows the scale's centre
     data, _, _ = readings(vehicle, telemetry)
     model_, _ = model(vehicle, priors, brightness(vehicle, data))
-    u = np.stack([_value(found, x.name, i) for i, x in enumerate(model_.unknowns)], axis=1) if model_.unknowns else np.zeros((len(omega), 0))
+    u = np.stack([_value(found, x.name) for x in model_.unknowns], axis=1)
     centre, sigma = (np.array([getattr(x, key) for x in model_.unknowns]) for key in ("centre", "sigma"))
     drawn = State(omega, found["sun_B"].values[0], (u - centre) / sigma)
     own = np.array(truth.u)
     for i in model_.where("scale"):
-        own[:, i] = (unknown.unknowns[i].centre + unknown.unknowns[i].sigma * truth.u[:, i] - model_.unknowns[i].centre) / model_.unknowns[i].sigma
+        own[:, i] = (unknown.values(truth.u)[:, i] - model_.unknowns[i].centre) / model_.unknowns[i].sigma
     exact = State(truth.omega, truth.sun, own)
     likelihood = Likelihood(model_, data, DIRECTION_ERROR)
     log_true = float(likelihood(exact)[0])
@@ -136,7 +139,8 @@ def judge(vehicle: Vehicle, telemetry: xr.Dataset, truth: State, unknown: Model,
     level = float(np.mean(density > log_true + model_.log_prior(exact)[0]))
     modes = tree["modes"]
     off = truth.omega[0] - modes["omega_B"].values
-    distance = [float(o @ np.linalg.solve(c + 1e-14 * np.eye(3), o)) ** 0.5 for o, c in zip(off, modes["omega_cov_B"].values, strict=True)]
+    spread = modes["omega_cov_B"].values + 1e-14 * np.eye(3)
+    distance = [float(o @ np.linalg.solve(c, o)) ** 0.5 for o, c in zip(off, spread, strict=True)]
     return {
         "ranks": {name: float(np.mean(every[name] < true[name][0])) for name in QUANTITIES}, "level": level,
         "recalled": bool(min(distance) < NEAR_SIGMAS), "main": bool(distance[0] < NEAR_SIGMAS), "modes": len(distance),
@@ -148,7 +152,7 @@ def judge(vehicle: Vehicle, telemetry: xr.Dataset, truth: State, unknown: Model,
     }  # fmt: skip
 
 
-def _value(found: Any, name: str, i: int) -> np.ndarray:
+def _value(found: Any, name: str) -> np.ndarray:
     return found["wheel_speed_rad_s"].values[0][:, 0] if name.startswith("wheel_speed") else found[name].values[0]
 
 
@@ -163,12 +167,14 @@ def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
         return {"twins": 0}
     confident = [row for row in rows if row["word"] in ("unique", "aliases", "line")]
     return {
-        "twins": len(rows), "words": {word: sum(row["word"] == word for row in rows) for word in sorted({row["word"] for row in rows})},
+        "twins": len(rows), "words": dict(Counter(row["word"] for row in rows)),
         "recall": share([row["recalled"] for row in rows]), "in_50": share([row["level"] <= 0.5 for row in rows]),
-        "in_90": share([row["level"] <= 0.9 for row in rows]), "not_explained": share([row["word"] == "not explained" for row in rows]),
+        "in_90": share([row["level"] <= 0.9 for row in rows]),
+        "not_explained": share([row["word"] == "not explained" for row in rows]),
         "confident_misses": sum(not row["recalled"] for row in confident), "confident": len(confident),
         "ranks_p": {name: float(kstest([row["ranks"][name] for row in rows], "uniform").pvalue) for name in QUANTITIES},
-        "pareto_k": float(np.median([row["pareto_k"] for row in rows])), "effective": float(np.median([row["effective"] for row in rows])),
+        "pareto_k": float(np.median([row["pareto_k"] for row in rows])),
+        "effective": float(np.median([row["effective"] for row in rows])),
     }  # fmt: skip
 
 
