@@ -7,7 +7,6 @@ from pathlib import Path
 
 from sunspin.errors import SunspinError, sentence
 
-
 SMALLEST, LARGEST = 1e-30, 1e30
 """Sizes of numbers that files and options may give: far beyond any in use, and their squares and products are still numbers."""
 

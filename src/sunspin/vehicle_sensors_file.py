@@ -130,14 +130,17 @@ def _gyro(form: GyroForm, facts: dict[str, v.Fact]) -> s.Gyro:
 
 
 def _attitude(form: AttitudeForm, facts: dict[str, v.Fact]) -> s.Attitude:
-    sigma = _positive(facts, "attitude.sigma_rad", form.sigma_rad)
-    return s.Attitude(tuple(form.columns), form.scalar, form.rotates, sigma)
+    sigma = _above_zero(facts, "attitude.sigma_rad", form.sigma_rad)
+    a, b, c, d = form.columns
+    return s.Attitude((a, b, c, d), form.scalar, form.rotates, sigma)
 
 
 def _sigma(given: Any, key: str) -> np.ndarray:
     """The stated sigma of a value, zero where none is stated."""
-    sigma = np.array(0.0 if given is None or given.sigma is None else given.sigma, dtype=np.float64)
-    if sigma.shape not in ((), np.shape(given.value) if given is not None else ()) or np.any(sigma < 0):
+    if given is None or given.sigma is None:
+        return np.zeros(())
+    sigma = np.array(given.sigma, dtype=np.float64)
+    if sigma.shape not in ((), np.shape(given.value)) or np.any(sigma < 0):
         what = f"the sigma of {key} must be one number or one for each component, and not negative"
         raise VehicleError(sentence(what, got=given.sigma))
     return sigma

@@ -10,7 +10,6 @@ import xarray as xr
 
 from sunspin.errors import SunspinError, sentence
 
-
 MAX_BYTES = 2_000_000_000
 """Of all variables in memory: a compressed file, or one that is nearly all fill value, may name any size."""
 

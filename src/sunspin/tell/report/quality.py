@@ -34,7 +34,7 @@ def section(results: Results) -> Section | None:
     order = np.argsort(-counts)
     verdicts = Table(
         ["verdict", "samples", "share"],
-        [[texts[k][:1].upper() + texts[k][1:], str(counts[k]), f"{counts[k] / status.size:.0%}"] for k in order],
+        [[str(texts[k])[:1].upper() + str(texts[k])[1:], str(counts[k]), f"{counts[k] / status.size:.0%}"] for k in order],
         "Verdicts on the samples",
     )  # fmt: skip
     lead = [f"{told} of {status.size} samples give a direction to the Sun; for each of the others the reason is named."]

@@ -63,8 +63,8 @@ class Results:
 
     @property
     def synthetic(self) -> bool:
-        marks = [data.attrs.get("synthetic") for data in self.data.values()]
-        return bool(self.summary.get("synthetic_telemetry")) or any(bool(mark) for mark in marks if np.ndim(mark) == 0)
+        marks = [np.asarray(data.attrs.get("synthetic", False)) for data in self.data.values()]
+        return bool(self.summary.get("synthetic_telemetry")) or any(bool(mark) for mark in marks if mark.ndim == 0)
 
     @property
     def epoch_utc(self) -> str | None:
