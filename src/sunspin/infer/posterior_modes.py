@@ -35,6 +35,9 @@ SLACK_STILL = 4.0
 APART = 0.4
 """rad at the end of the next window: hypotheses nearer to each other are one."""
 
+SUN_APART = 0.3
+"""The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
+
 NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 """Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
 
@@ -293,7 +296,7 @@ def _thinned(
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
-    box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / max(2 * APART, 0.2)], axis=1)
+    box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / SUN_APART], axis=1)
     _, first, inverse = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
     rank = np.argsort(first, kind="stable")  # best first
