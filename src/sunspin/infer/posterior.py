@@ -19,7 +19,7 @@ from sunspin.infer.posterior_data import Readings, readings
 from sunspin.infer.posterior_fit import chunk_rows
 from sunspin.infer.posterior_likelihood import Likelihood
 from sunspin.infer.posterior_model import Model, State, model
-from sunspin.infer.posterior_modes import Modes, Search, plan
+from sunspin.infer.posterior_modes import Modes, Search, at_reference, plan
 from sunspin.infer.posterior_verdict import Found, spoilt_panels, verdict
 from sunspin.infer.posterior_widths import Sample, resampled, sample
 from sunspin.measure.panels import panel_power
@@ -29,6 +29,9 @@ from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-6
 """Error of directions (rad) in the likelihood."""
+
+EDGE = 0.97
+"""Draws beyond this part of the largest rate searched say that the truth may be outside."""
 
 LEAST_WEIGHT = 1e-4
 """Regions with less weight are not listed."""
@@ -91,7 +94,7 @@ def posterior(
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
     chosen = plan(unknown, data, scale)
-    there = replace(unknown, after_s=float(data.t_s[chosen.anchor]))
+    there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
     search = Search(workers, None if store is None else Path(store), progress)
     modes = search.modes(there, here, chosen, scale)
@@ -102,6 +105,9 @@ def posterior(
     checked = check(likelihood, drawn.state.take(picked), rng)
     tree = _tree(likelihood, modes, drawn, picked)
     tree.attrs |= _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
+    edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
+    if edge > 0.01:
+        modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
     _judge(tree, modes, drawn, checked, here, vehicle, remarks)
     return tree
 

@@ -228,7 +228,7 @@ class Starts:
 def distinct(state: State, cost: np.ndarray, apart: float, reach_s: float) -> np.ndarray:
     """Of states in one box of rate and direction, `apart` rad wide at `reach_s` s, the best; indices, best first."""
     order = np.argsort(cost, kind="stable")
-    box = np.concatenate([state.omega[order] * (reach_s / apart), state.sun[order] / max(2 * apart, 0.2)], axis=1)
+    box = np.concatenate([state.omega[order] * (reach_s / apart), state.sun[order] / apart], axis=1)
     _, first = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True)
     return order[np.sort(first)]
 

@@ -35,6 +35,9 @@ SLACK_STILL = 4.0
 APART = 0.4
 """rad at the end of the next window: hypotheses nearer to each other are one."""
 
+SUN_APART = 0.3
+"""The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
+
 NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 """Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
 
@@ -100,6 +103,24 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     return Plan(anchor, around, edge, suns, limit)
 
 
+def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Plan]:
+    """Model and plan with the plan's sample as the reference, and a ball of rates there that holds what comes of the prior's.
+
+    Wheels that run down hand over their momentum, and unequal moments let |omega| vary: uniform in a ball stays uniform, as the
+    motion keeps volumes in rate space, but its edge moves. A truth beyond the edge would be lost, and a wrong motion found.
+    """
+    after = float(data.t_s[chosen.anchor])
+    there = replace(model, after_s=after)
+    if after == 0.0:
+        return there, chosen
+    moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
+    none = np.zeros((1, len(model.unknowns)))
+    spins = np.abs(there.wheel_speeds(none) - model.wheel_speeds(none))[0] * [w.inertia_kg_m2 for w in model.vehicle.wheels]
+    wider = model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * float(np.sum(spins)) / moments[0]
+    limit = chosen.limit if chosen.limit < model.max_rate else wider
+    return replace(there, max_rate=wider), replace(chosen, limit=limit)
+
+
 def _neighbours(data: Readings, a: int) -> np.ndarray:
     """The sample before and the one after, or at an end the two next; dark ones count too, as they bound the direction."""
     low = 1 if a > 0 else 0
@@ -157,7 +178,7 @@ class Search:
         """All modes; `model` and `data` have the plan's sample as the reference."""
         state = self.starts(model, data, chosen, scale)
         notes: list[str] = []
-        if chosen.limit < model.max_rate:
+        if chosen.limit < model.max_rate * (1 - 1e-9):
             notes.append(f"only rates up to {chosen.limit:.3g} rad/s could be searched")
         if not len(state):
             state = _anything(model, chosen)
@@ -275,7 +296,7 @@ def _thinned(
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
-    box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / max(2 * APART, 0.2)], axis=1)
+    box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / SUN_APART], axis=1)
     _, first, inverse = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
     rank = np.argsort(first, kind="stable")  # best first

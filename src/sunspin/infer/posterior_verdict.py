@@ -12,7 +12,7 @@ NOT_EXPLAINED = 0.002
 
 NOISE_LIMIT = 3.5
 
-TAIL_LIMIT, EFFECTIVE_LIMIT = 0.7, 300.0
+TAIL_LIMIT, EFFECTIVE_LIMIT = 0.55, 700.0
 """Pareto's k above which, and number of effective draws below which, the sample is not to be trusted."""
 
 COUNTS = 0.01
