@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from sunspin.errors import VehicleError, sentence
 from sunspin.notebook import vehicle_html
+from sunspin.vehicle_portable import Portable
 from sunspin.vehicle_sensors import Sensors
 
 FloatArray = npt.NDArray[np.float64]
@@ -60,19 +61,6 @@ def direction(value: npt.ArrayLike, key: str) -> FloatArray:
             )
         )
     return frozen_array(vector / length)
-
-
-class Portable:
-    """Copies and pickles as plain data, bit by bit: vectors are not normalised again, and stay read-only as mappings do."""
-
-    def __getstate__(self) -> dict:
-        return {key: dict(value) if isinstance(value, MappingProxyType) else value for key, value in vars(self).items()}
-
-    def __setstate__(self, state: dict) -> None:
-        for key, value in state.items():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-            vars(self)[key] = MappingProxyType(value) if isinstance(value, dict) else value
 
 
 @dataclass(frozen=True)
@@ -133,8 +121,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Wheel(Portable):
-    """A wheel: spin axis (unit, B), axial inertia J, nominal speed relative to the body, friction and brake; the column of
-    the telemetry with its speed, if any, and the factor from that column to rad/s."""
+    """A wheel: axis (unit, B), axial inertia J, nominal speed relative to the body, friction, brake; its speed's column if any."""
 
     name: str
     axis_B: FloatArray
@@ -222,9 +209,8 @@ class SunRule:
 class TelemetryForm(Portable):
     """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes.
 
-    A panel's value is `scale` times (reading less `zero`), the reading less `wraps_at` where it is at least half of that, and
-    all that over 1 + `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times the
-    panel's column in `temperature_columns`.
+    A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
+    `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
     """
 
     quantity: str = "power_W"

@@ -16,8 +16,9 @@ from sunspin.measure.panels import arrangement, panel_power
 from sunspin.measure.sun import best_directions
 from sunspin.vehicle import Vehicle
 
-PRIOR_SIGMA = 0.05
-"""Relative uncertainty of a gain whose sigma the vehicle file does not state: cells of one kind, assembled and aged."""
+PRIOR_SIGMA, UNTOLD_SIGMA = 0.1, 0.05
+"""Relative uncertainty of a gain whose sigma the vehicle file does not state: as a prior, wide enough for a string of cells that
+is dead (with half of it twins with all faults missed by half as much again); and that of sound cells where nothing is told."""
 
 FEWEST, MOST = 15, 1500
 """Samples needed; and used, evenly chosen."""
@@ -65,9 +66,9 @@ def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
     return replace(vehicle, panels=tuple(replace(p, gain=p.gain * float(f)) for p, f in zip(vehicle.panels, factor, strict=True)))
 
 
-def prior_sigmas(vehicle: Vehicle) -> np.ndarray:
-    """Relative uncertainty of each gain as the vehicle file states it, else `PRIOR_SIGMA`."""
-    found = np.full(len(vehicle.panels), PRIOR_SIGMA)
+def prior_sigmas(vehicle: Vehicle, unstated: float = PRIOR_SIGMA) -> np.ndarray:
+    """Relative uncertainty of each gain as the vehicle file states it, else `unstated`."""
+    found = np.full(len(vehicle.panels), unstated)
     for k, panel in enumerate(vehicle.panels):
         for key in ("gain_W", "gain_A", "relative_gain"):
             fact = vehicle.facts.get(f"panel.{panel.name}.{key}")
@@ -79,7 +80,7 @@ def prior_sigmas(vehicle: Vehicle) -> np.ndarray:
 def estimate_gains(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> Gains:
     """Gains from readings (n, n_panel) in full Sun, `full` being their brightness with the vehicle's own gains."""
     prior = prior_sigmas(vehicle)
-    nothing = Gains(np.ones(len(prior)), np.diag(prior**2), None, "")
+    nothing = Gains(np.ones(len(prior)), np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), None, "")
     if not looks_all_around(vehicle, dead):
         return nothing._replace(told="not told by the data: the panels do not look all around, a Sun that stands aside looks dim")
     if len(value) < FEWEST:

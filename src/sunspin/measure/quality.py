@@ -13,7 +13,7 @@ import xarray as xr
 
 from sunspin.measure.gains import brightness, estimate_gains
 from sunspin.measure.panels import panel_power, sphere
-from sunspin.measure.sun import signals
+from sunspin.measure.sun import LIT_SIGMAS, signals
 from sunspin.vehicle import Vehicle
 
 DEAD_FRACTION = 0.05
@@ -102,7 +102,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
     idle, limited = idle & ~aside, limited & ~aside
     clean = good & ~limited & ~idle & ~dark
-    albedo = _albedo(vehicle, relative[clean] / full)
+    albedo, seen = _albedo(vehicle, relative[clean] / full)
     told = estimate_gains(vehicle, use_value[clean], full, dead)
     gains = gains * told.factor
     noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
@@ -134,9 +134,23 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "dead": ("panel", dead),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs={"full_sun": float(full), "albedo": float(albedo), "full_sun_from": source, "gains_from": told.told,
+        attrs={"full_sun": float(full), "albedo": float(albedo),
+               "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
                "noise": float(noise), "spread": np.nan if told.spread is None else told.spread},
     )
+
+
+def lit_threshold(vehicle: Vehicle, telemetry: xr.Dataset) -> float | None:
+    """What a reading must exceed to count as lit by the Sun and not by the Earth, in its unit: twice the light on dark faces.
+
+    None where the vehicle file gives a threshold, too few samples tell that light, or it is no more than six sigma of noise.
+    """
+    if vehicle.telemetry.lit_threshold is not None or telemetry.sizes["time"] < DEAD_SAMPLES:
+        return None
+    about = panel_quality(vehicle, telemetry).attrs
+    light = about["albedo"] * about["full_sun"] * float(vehicle.panel_gains.max())
+    told = about["albedo_samples"] >= DEAD_SAMPLES and light > SURELY_LIT * LIT_SIGMAS * about["noise"]
+    return SURELY_LIT * light if told else None
 
 
 def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -207,13 +221,15 @@ def _quantum(value: np.ndarray) -> float:
     return float(gaps.min()) if np.mean(np.abs(turns - np.round(turns)) < 0.01) > 0.9 else 0.0
 
 
-def _albedo(vehicle: Vehicle, share: np.ndarray) -> float:
-    """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read."""
+def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
+    """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
+    how many readings tell it."""
     opposite = vehicle.panel_normals_B @ vehicle.panel_normals_B.T < -0.99
     readings = [share[share[:, j] > 0.3, i] for i, j in np.argwhere(opposite)]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
-    return float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if len(dark) >= 10 else ALBEDO_DEFAULT
+    told = len(dark) >= 10
+    return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(dark)
 
 
 def reasons(quality: Any) -> dict[str, int]:
