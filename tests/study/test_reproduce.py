@@ -55,14 +55,12 @@ def test_figures_that_the_twin_was_made_from_are_told_apart(quick):
 
 
 def test_no_tolerance_admits_anything(quick):
-    """A verdict that half and double the published figure would get as well says nothing."""
-    loose = []
+    """A tolerance of half of the figure or more would pass nearly whatever this run found."""
+    loose = set()
     for row in quick(CASE).rows:
-        if row.agrees and row.tolerance is not None and not row.id.startswith(STATEMENT):
-            ours, tolerance = np.atleast_1d(np.asarray(row.ours, dtype=float)), np.atleast_1d(row.tolerance)
-            if np.all(ours != 0) and np.all(tolerance >= np.abs(ours) / 2) and row.published != 0.0:
-                loose.append(row.id)
-    assert loose in ([], ["delta_max"])  # the largest of many varies by as much
+        if row.agrees and row.tolerance and isinstance(row.ours, float) and row.published and not row.id.startswith(STATEMENT):
+            loose |= {row.id} if row.tolerance >= abs(row.published) / 2 else set()
+    assert not loose
 
 
 def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):

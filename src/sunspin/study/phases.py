@@ -175,7 +175,7 @@ def _measure_rows(r: Phases) -> list[Row]:
         kept &= ~np.isin(sun["phase"].values, LEFT_OUT)
     delta = sun["delta"].values[kept]
     checked = sun["delta"].values[kept & (sun["n_lit"].values > CHECKING_PANELS)]
-    low, high = _largest_of(checked)
+    low, high = _largest_of(checked) if checked.size else (np.nan, np.nan)
     largest = case.published["delta_max"]
     chosen = "the telemetry is synthetic: its noise was chosen for this figure; " if sun.attrs.get("synthetic") else ""
     return [
@@ -184,7 +184,8 @@ def _measure_rows(r: Phases) -> list[Row]:
             f"{chosen}{delta.size} directions, {delta.size - checked.size} of them from exactly three panels, whose Delta is 0",
         ),
         Row(
-            "delta_max", largest.what, largest.value, float(delta.max()), "1", high - low, bool(low <= largest.value <= high),
+            "delta_max", largest.what, largest.value, float(delta.max()), "1", high - low if checked.size else None,
+            bool(low <= largest.value <= high) if checked.size else None,
             f"noise of one size (half a Gaussian of this mean) makes the largest of {checked.size} {low:.3f} to {high:.3f} in nine "
             "of ten data sets; the published one is compared with this range", source_of(largest.place),
         ),
