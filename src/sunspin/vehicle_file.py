@@ -23,6 +23,10 @@ MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
 
 
+MAX_DOTS = 1000
+"""In one line: Python's reader of TOML takes a time that grows with the square of the parts of a dotted key."""
+
+
 class BodyForm(Form):
     mass_kg: Value | None = None
     inertia_kg_m2: Value | None = None
@@ -161,6 +165,10 @@ def parse_vehicle(text: str, where: str) -> v.Vehicle:
     """Turn the text of a vehicle file into a `Vehicle`; `where` names the file in messages."""
     if not text.strip():
         raise VehicleError(sentence("the file is empty", do="`sunspin init DIR` writes one to start from", where=where))
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.count(".") > MAX_DOTS:
+            what = f"the line has more than {MAX_DOTS} decimal points or dots"
+            raise VehicleError(sentence(what, do="write it as several lines", where=f"{where}, line {number}"))
     try:
         table = tomllib.loads(text)
         form = VehicleForm.model_validate(table)

@@ -164,21 +164,17 @@ def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...])
 
 
 def _near_minimum(path: Path, factor: float) -> np.ndarray:
-    import xarray as xr
-
     from sunspin.infer.scan import near_minimum
+    from sunspin.measure.netcdf import read_netcdf
 
     if not path.is_file():
         raise InputError(sentence("there is no such file", do="give scan.nc as `sunspin scan --out` writes it", where=str(path)))
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as file:
-            volume = file["emd" if "emd" in file else "E"].load()
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(
-            sentence(
-                f"this is no scan ({type(error).__name__})", do="give scan.nc as `sunspin scan` writes it", where=str(path)
-            )
-        ) from None
+    file = read_netcdf(path, str(path), InputError)
+    volume = file.get("emd", file.get("E"))
+    if volume is None or set(volume.dims) != {"omega_x", "omega_y", "omega_z"} or not set(volume.dims) <= set(volume.coords):
+        raise InputError(sentence("this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)))
+    if not all(np.issubdtype(part.dtype, np.number) for part in (volume, *volume.coords.values())):
+        raise InputError(sentence("this scan holds what is no number", do="write it again", where=str(path)))
     return near_minimum(volume, factor)
 
 

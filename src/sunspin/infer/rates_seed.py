@@ -49,8 +49,8 @@ COOLING = 1.7
 GROW_SHARE = 6
 """The window grows by a sixth of its samples at either end: what is known then still carries."""
 
-MAX_SEEDS = 200_000
-"""Rates tried for a pair of samples at most: some 500 MB."""
+MAX_TURNS = 100
+"""Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
 
 KEEP_FIRST, KEEP = 120, 32
 """Hypotheses kept after the first trial, and while the window grows."""
@@ -126,6 +126,11 @@ def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float) -
     low, high = max(0, index - WINDOW), min(len(o), index + 2 + WINDOW)
     o = o.part(low, high)
     dt = o.t_s[1 + index - low] - o.t_s[index - low]
+    if not rate_max * dt < 2 * np.pi * MAX_TURNS:
+        raise InputError(
+            sentence("too many whole turns fit between two samples to try them all", got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
+                     do="give a smaller --max-rate (max_rate_rad_s)")
+        )  # fmt: skip
     precession = nutation(motion.body, o.momentum) * dt
     family = _wheel_family if precession > PRECESSION_RAD else _constant_family
     track = family(o, index - low, motion, rate_max)
@@ -143,15 +148,8 @@ def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float) -
 def _constant_family(o: Observations, index: int, motion: Motion, rate_max: float) -> Track | None:
     """Constant rates that carry the Sun of sample `index` to that of the next, over all samples of `o`."""
     start, rate = [], []
-    first, second = candidates(o, index), candidates(o, index + 1)
-    turns = rate_max * (o.t_s[index + 1] - o.t_s[index]) / (2 * np.pi)
-    if not turns * ANGLES * len(first) * len(second) < MAX_SEEDS:
-        raise InputError(
-            sentence("too many whole turns fit between two samples to try them all", got=f"{turns:.3g} turns",
-                     do="give a smaller --max-rate (max_rate_rad_s)")
-        )  # fmt: skip
-    for s0 in first:
-        for s1 in second:
+    for s0 in candidates(o, index):
+        for s1 in candidates(o, index + 1):
             found = rates_between(s0, s1, o.t_s[index + 1] - o.t_s[index], rate_max)
             start.append(np.broadcast_to(s0, found.shape))
             rate.append(found)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.errors import InputError, OutputError, sentence
+from sunspin.motion.propagate import MAX_RATE
 from sunspin.tell.export import Attitude
 from sunspin.tell.results import write_whole
 
@@ -145,6 +146,8 @@ def _rate(sp: Any, frame: str, base: str, et: float) -> np.ndarray:
     except sp.exceptions.SpiceNOFRAMECONNECT:
         return np.full(3, np.nan)
     rotation, omega_base = sp.xf2rav(transform)
+    if not np.all(np.abs(omega_base) < MAX_RATE):
+        raise InputError(sentence(f"the kernels hold rates beyond {MAX_RATE:g} rad/s", do="check them: they may be damaged"))
     return rotation @ omega_base
 
 
