@@ -61,7 +61,8 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
         facts = _facts(case, _KernelStates(path))
     except spice_errors() as error:
         short = " ".join(str(error).split()).strip("= ")[:200]
-        raise InputError(sentence(f"the trajectory kernel cannot be read ({short})", do="download it again", where=str(path))) from None
+        what = f"the trajectory kernel cannot be read ({short})"
+        raise InputError(sentence(what, do="download it again", where=str(path))) from None
     if not all(0 <= value < 1e3 * LARGEST for value in facts.values()):
         raise InputError(sentence("the trajectory kernel holds no speeds of this landing", do="download it again", where=str(path)))
     return facts
