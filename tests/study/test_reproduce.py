@@ -14,8 +14,8 @@ from sunspin.study import rebound as rb
 from sunspin.study import reproduce as rp
 from sunspin.study.row import STATEMENT
 from sunspin.tell import pictures
-from sunspin.tell.report import Picture
 from sunspin.tell.reproduction import conclusions, figure_rows
+from sunspin.tell.results import Picture
 
 CASE = load_case("philae")
 QUICK = ("phases", "mechanics", "level_set", "descent", "touchdown", "worth", "inputs", "contradictions")

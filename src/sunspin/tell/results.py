@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+<<<<<<< HEAD
 from collections.abc import Callable, Sequence
 from importlib import metadata
+=======
+import re
+from collections.abc import Callable
+>>>>>>> trust
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,10 +50,13 @@ def results_folder(path: Any, command: str) -> Path:
                 raise OutputError(
                     sentence(f"the folder holds results of `sunspin {maker}`", do="choose another --out", where=str(folder))
                 )
-        elif any(folder.iterdir()):
+        elif any(not _is_left(entry) for entry in folder.iterdir()):
             raise OutputError(
                 sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
             )
+        for entry in folder.iterdir():
+            if _is_left(entry):
+                entry.unlink(missing_ok=True)
         write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
     except OSError as error:
         raise OutputError(
@@ -57,11 +65,30 @@ def results_folder(path: Any, command: str) -> Path:
     return folder
 
 
+PART = re.compile(r"\..+\.(\d{1,9})\.part")
+
+
+def _is_left(entry: Path) -> bool:
+    """Whether a file is what a killed run had begun to write: the process in its name is no more."""
+    named = PART.fullmatch(entry.name)
+    if named is None or int(named[1]) == os.getpid():
+        return False
+    try:
+        os.kill(int(named[1]), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        pass
+    return False
+
+
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """Let `write` fill a temporary file beside the target, then rename it: the target is never half written."""
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         write(part)
+        with open(part, "rb") as file:
+            os.fsync(file.fileno())  # or a power failure may leave an empty file under the final name
         os.replace(part, target)
     except OSError as error:
         raise OutputError(
