@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-<<<<<<< HEAD
+import re
 from collections.abc import Callable, Sequence
 from importlib import metadata
-=======
-import re
-from collections.abc import Callable
->>>>>>> trust
 from pathlib import Path
 from typing import Any, NamedTuple
 
