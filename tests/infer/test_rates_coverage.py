@@ -14,7 +14,7 @@ def test_intervals_hold_the_truth_with_all_faults_at_once():
     assert found.error < np.radians(0.05)  # of 1 to 3 deg/s
 
 
-TOO_NARROW = pytest.mark.xfail(reason="light of the Earth from one side is a bias in common and is modelled as noise: 0.70", strict=True)
+TOO_NARROW = pytest.mark.xfail(reason="the Earth's light from one side is a bias in common, modelled as noise: 0.70", strict=True)
 
 
 @pytest.mark.slow
