@@ -107,7 +107,9 @@ def test_rows_say_what_is_reproduced_and_what_is_not(landing):
     rows = {row.id: row for row in la.rows(landing)}
     assert rows["leg_tip_speed"].agrees and rows["leg_tip_speed"].ours == pytest.approx(0.559, abs=1e-3)
     assert "0.775" in rows["leg_tip_speed"].note and "1.02" in rows["leg_tip_speed"].note
-    assert rows["rz_range_wheel_off"].agrees and rows["rz_density_area"].ours == pytest.approx(1, abs=1e-6)
+    assert rows["rz_range_wheel_off"].agrees and rows["rz_density_area"].agrees
+    off, held = rows["rz_often_negative"].ours
+    assert 0.36 < off < 0.42 and 0.06 < held < 0.09
     for name in ("rz_min_wheel_held", "rate_at_collision", "path_length", "landing_speed", "final_friction_torque"):
         assert rows[name].agrees is False, name
     assert all(row.note or row.agrees for row in rows.values())

@@ -12,6 +12,7 @@ from sunspin.motion import gyrostat as g
 from sunspin.study import scenario as sc
 from sunspin.study.landing import published_candidates
 from sunspin.study.outcomes import OutcomeRows, candidates_of
+from sunspin.study.strategies import best_delay, compare
 from sunspin.study.tally import density, effective_runs, estimate, lowest_rz, probability, tally
 from sunspin.vehicle import HullPart, Leg, Panel, Vehicle, Wheel
 
@@ -154,6 +155,19 @@ def test_a_landing_too_slow_for_its_flight_is_not_told():
     assert np.all(runs["contact_point"].values == -1) and "touch_leg" not in tally(runs)
     assert "longer than the flight" in runs.attrs["not_told"]
     np.testing.assert_allclose(runs["rz_share"].values.sum(axis=1), 1, atol=1e-5)
+
+
+def test_what_cannot_be_computed_or_told_is_one_sentence(case):
+    """No traceback where every run fails, no silence where momentum and Sun are parallel, no best delay without a wheel."""
+    back = sc.Scenario((0.36, 0.48, 0.8), (0.0,), 600.0, lead_s=30.0)
+    with pytest.raises(ss.InputError, match="no run of the strategy 'off' could be computed .*its past is not determined"):
+        compare(case.vehicle, [[0.1, 0.0, 0.2]], ["off"], 4, 0, back)
+    along = sc.Scenario((0.0, 0.0, 1.0), (), 600.0)
+    runs = ss.outcomes(box_with_feet(), [[0.0, 0.0, 0.2], [0.1, 0.0, 0.2]], "off", 20, 0, scenario=along)
+    parallel = int(np.sum(runs["candidate"].values == 0))
+    assert 0 < parallel < 20 and f"In {parallel} of 20 runs momentum and Sun were parallel" in runs.attrs["not_told"]
+    with pytest.raises(ss.InputError, match="has no wheel to switch off"):
+        best_delay(box_with_feet(), [[0.1, 0.0, 0.2]], n=4, scenario=along)
 
 
 def test_what_happened_in_all_runs_or_in_none_is_not_certain():

@@ -339,7 +339,8 @@ def _require_known_past(run: _Run, i: int) -> None:
     if state.turning is m.Turning.STUCK and stopped is None:
         raise MotionError(
             sentence(
-                f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t:.6g} s and a wheel that sticks forgets its past",
+                f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t + 0.0:.6g} s and a wheel that "
+                "sticks forgets its past",
                 do="give the time it stopped as stopped_at_s",
             )
         )

@@ -62,7 +62,26 @@ def dataset(rows: Any, values: dict[str, np.ndarray]) -> xr.Dataset:
         "flag_values": [int(o) for o in Outcome],
         "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
-    return _with_shape(result, rows.vehicle, shape).assign_attrs(_attrs(rows))
+    result = _with_shape(result, rows.vehicle, shape).assign_attrs(_attrs(rows))
+    result.attrs["not_told"] = " ".join(filter(None, [result.attrs["not_told"], _without_attitude(rows, values)]))
+    return result
+
+
+def _without_attitude(rows: Any, values: dict[str, np.ndarray]) -> str:
+    """In how many runs momentum and Sun were parallel, as far as that shows."""
+    if rows.lands:
+        lost = values["contact_point"] < 0
+    elif rows.vehicle.antenna is not None:
+        lost = np.isnan(values["antenna_share"])
+    else:
+        return ""
+    count = int(np.count_nonzero(lost & (values["outcome"] == 0)))
+    if count == 0:
+        return ""
+    return (
+        f"In {count} of {len(lost)} runs momentum and Sun were parallel at a time: how far the vehicle is turned about them is not "
+        "known then, so nothing is told of first contact, antenna and rest."
+    )
 
 
 def _with_shape(result: xr.Dataset, vehicle: Vehicle, shape: Shape | None) -> xr.Dataset:
