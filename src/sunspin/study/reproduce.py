@@ -14,13 +14,17 @@ import xarray as xr
 
 from sunspin.cases import Case
 from sunspin.errors import InputError, TelemetryError, sentence
+from sunspin.infer.mask import reconstructible_mask
+from sunspin.infer.rows import BINS as SCAN_BINS
 from sunspin.measure.sun import sun_directions
+from sunspin.motion import kernel as k
 from sunspin.study import (
     contradictions,
     descent,
     landing,
     level_set,
     mechanics,
+    motions,
     phases,
     precession,
     sensitivity,
@@ -30,6 +34,7 @@ from sunspin.study import (
 )
 from sunspin.study import inputs as taken
 from sunspin.study import rebound as rb
+from sunspin.study.outcomes import BINS as OUTCOME_BINS
 from sunspin.study.row import Row
 
 LANDING_RUNS = 5_000
@@ -105,6 +110,7 @@ PARTS = (
     ),
     Part("landing", "Sections 3.3 and 4: after the collision", _landing, landing.rows),
     Part("worth", "What the answer is worth", _worth, lambda r: worth_told.rows(*r)),
+    Part("motions", "The motion to look at", lambda i: motions.compute(i.case, i.done, i.seed, i.workers), motions.rows),
     Part("inputs", "Taken over from the paper", lambda i: taken.Taken(i.case, i.sun), taken.rows, True),
     Part(
         "contradictions", "Where the paper is ambiguous or contradicts itself",
@@ -154,6 +160,7 @@ def compute(case: Case, *, seed: int = 0, coarser: int = 1, workers: int | None 
     sun = sun_directions(case.vehicle, case.telemetry)
     rb.rebound_samples(case, sun)  # refused before the work
     inputs = Inputs(case, sun, seed, coarser, workers, progress)
+    k.prepare(case.vehicle, [(reconstructible_mask(case.vehicle), SCAN_BINS), (None, OUTCOME_BINS)])
     rows, missing = {}, {}
     for part in PARTS:
         try:
@@ -164,9 +171,11 @@ def compute(case: Case, *, seed: int = 0, coarser: int = 1, workers: int | None 
             missing[part.name] = f"{part.title}: not reproduced, as {error}"
             continue
         made = MADE_OF_ALWAYS + (MADE_OF if sun.attrs.get("synthetic") else ())
-        rows[part.name] = [
+        found = [
             replace(row, by_construction=bool(row.agrees) and row.id in made) for row in part.rows(inputs.done[part.name])
         ]
+        if found:
+            rows[part.name] = found
     return Reproduction(case, seed, sun, inputs.done, rows, missing)
 
 

@@ -148,7 +148,7 @@ def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray]) -> Figure:
 def examples_figure(runs: list[xr.Dataset]) -> Figure:
     """The Sun's track on the sphere and its components for several initial rates (paper, Fig. 6)."""
     figure = Figure(figsize=(11, 7.5), layout="constrained")
-    rows = figure.subfigures(2, 1, height_ratios=(1.2, 1))
+    rows = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)[:, 0]
     lower = rows[1].subplots(3, len(runs), sharex=True, sharey=True, squeeze=False)
     for k, run in enumerate(runs):
         r, minutes = run["sun_B"].values, run["time"].values / 60
@@ -199,7 +199,7 @@ def level_set_figure(
         axes.set_ylabel(r"$\omega_y$ (rad/s)")
         axes.set_zlabel(r"$\omega_z$ (rad/s)" if k == 0 else "")
         if k:
-            axes.set_zticks([])
+            axes.zaxis.set_ticks([])
         axes.set(xlim=(-0.5, 1), ylim=(-0.5, 1), zlim=(-0.3, 0.3))
         axes.set_title(name, fontsize=9)
     figure.suptitle(f"{title}; dashed: the paper's lines", fontsize=10)

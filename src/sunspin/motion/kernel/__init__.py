@@ -12,11 +12,11 @@ from sunspin.motion.kernel.codegen import RowLayout
 from sunspin.motion.kernel.compiled import OUTCOME_TEXT, Outcome, kernel, vector_bits
 from sunspin.motion.kernel.cuda import check_device, device_identity, require_device
 from sunspin.motion.kernel.rows import Rows, mode_table, work_array
-from sunspin.motion.kernel.run import BlockResult, Mask, check_commands, run_rows, structure_of
+from sunspin.motion.kernel.run import BlockResult, Mask, check_commands, prepare, run_rows, structure_of
 from sunspin.motion.kernel.tolerance import EMD_ERROR, accuracy
 
 __all__ = [
     "EMD_ERROR", "OUTCOME_TEXT", "BlockResult", "Bodies", "Mask", "Outcome", "RowLayout", "Rows", "accuracy", "check_commands",
-    "check_device", "device_identity", "kernel", "mode_table", "require_device", "run_rows", "structure_of",
+    "check_device", "device_identity", "kernel", "mode_table", "prepare", "require_device", "run_rows", "structure_of",
     "vector_bits", "work_array",
 ]  # fmt: skip

@@ -7,7 +7,7 @@ chunks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,8 @@ from sunspin.errors import InputError, sentence
 from sunspin.motion import modes as m
 from sunspin.motion.kernel import codegen as c
 from sunspin.motion.kernel import principal
-from sunspin.motion.kernel.compiled import Outcome, kernel
+from sunspin.motion.kernel.ahead import compile_ahead, ready_kernel
+from sunspin.motion.kernel.compiled import Outcome
 from sunspin.motion.kernel.cuda import Group, require_device
 from sunspin.motion.kernel.cuda import launch as launch_cuda
 from sunspin.motion.kernel.rows import Rows, mode_table, work_array
@@ -43,6 +44,15 @@ def structure_of(
         return c.Structure(axes, bins=bins, method=method, oblique=oblique)
     normals = tuple(tuple(c.component(x) for x in normal) for normal in mask.normals_B)
     return c.Structure(axes, normals, mask.clauses, bins, method, oblique)
+
+
+def prepare(vehicle: Vehicle, runs: Iterable[tuple[Mask | None, int]]) -> None:
+    """Have the kernels for runs with these masks and numbers of bins compiled, in another process, while this one goes on."""
+    compile_ahead(
+        structure_of(vehicle, mask, bins, method)
+        for mask, bins in runs
+        for method in (("split", "series") if bins else ("series",))
+    )
 
 
 def check_commands(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> tuple[str, ...]:
@@ -103,7 +113,7 @@ def _launch(
     structure: c.Structure, work: np.ndarray, groups: list[Group], modes: np.ndarray, normals: np.ndarray, result: BlockResult
 ) -> None:
     """Run groups of rows of `work` on the processor and put what they give into `result`."""
-    run = kernel(structure).run
+    run = ready_kernel(structure).run
     for index, parts in groups:
         run(work, index, modes, normals, *parts, result.hist, result.track, result.outcome, result.evenness)
 

@@ -1,0 +1,89 @@
+"""Kernels compiled by another process before they are needed.
+
+Compilation takes ten to twenty seconds of one core for each structure, and numba compiles one function at a time in a process.
+A second process has the next kernel ready by the time that it is asked for; the disk cache carries it over.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib.util
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from sunspin.motion.kernel import codegen as c
+from sunspin.motion.kernel.compiled import kernel
+
+_lock = threading.Lock()
+_under_way: dict[Path, subprocess.Popen] = {}
+
+POLL_S = 0.05
+
+
+def compile_ahead(structures: Iterable[c.Structure]) -> None:
+    """Begin to compile the kernels of these structures that this machine has not kept, in the order given; returns at once."""
+    if (os.cpu_count() or 1) < 2 or not sys.executable:
+        return
+    with _lock:
+        paths = [_path(kernel(structure)) for structure in structures]
+        todo = [path for path in paths if path not in _under_way and not is_kept(path)]
+        if not todo:
+            return
+        command = [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, todo)]
+        quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        try:
+            process = subprocess.Popen(command, **quiet)
+        except OSError:
+            return  # then they are compiled here, when they are needed
+        _under_way.update(dict.fromkeys(todo, process))
+        atexit.register(_stop, process)
+
+
+def _stop(process: subprocess.Popen) -> None:
+    process.kill()
+    process.wait()
+
+
+def ready_kernel(structure: c.Structure) -> ModuleType:
+    """The module with the compiled function `run` for this structure; waits where it is being compiled ahead."""
+    module = kernel(structure)
+    path = _path(module)
+    process = _under_way.get(path)
+    while process is not None and process.poll() is None and not is_kept(path):
+        time.sleep(POLL_S)
+    return module
+
+
+def is_kept(path: Path) -> bool:
+    """Whether the machine code of a generated module is on disk (numba writes it whole or not at all, the entry last)."""
+    return any((path.parent / "__pycache__").glob(f"{path.stem}.run-*.nbc"))
+
+
+def _path(module: ModuleType) -> Path:
+    return Path(str(module.__file__))
+
+
+def main() -> None:
+    """In the other process: compile the generated modules at the paths on the command line, by running them on no rows."""
+    for text in sys.argv[1:]:
+        path = Path(text)
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[path.stem] = module
+        spec.loader.exec_module(module)
+        compile_run(module)
+
+
+def compile_run(module: ModuleType) -> None:
+    """Compile the entry of a generated module for the types of `run.launch`."""
+    real, whole, single = (np.zeros(0, dtype) for dtype in (np.float64, np.int64, np.float32))
+    table = np.zeros((0, 0, 0))
+    module.run(np.zeros((0, 0)), whole, table, single, whole, real, whole, np.zeros((0, 0), np.float32), table, whole, real)

@@ -1,0 +1,43 @@
+"""Kernels that another process compiles."""
+
+import os
+
+import numpy as np
+import pytest
+
+from sunspin.motion import kernel as k
+from sunspin.motion.kernel import ahead, compiled, series_lanes, steps
+from vehicles import FIRST_SUN, random_vehicle
+
+
+@pytest.fixture
+def short_kernels(monkeypatch, tmp_path):
+    """A cache of its own, and a series so short that it is compiled in seconds."""
+    monkeypatch.setenv("SUNSPIN_CACHE", str(tmp_path))
+    for module in (series_lanes, steps):
+        monkeypatch.setattr(module, "ORDER", 3)
+    compiled.kernel.cache_clear()
+    yield tmp_path
+    compiled.kernel.cache_clear()
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="nothing is compiled ahead on a single core")
+def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
+    vehicle = random_vehicle(np.random.default_rng(8), 0)
+    k.prepare(vehicle, [(None, 0)])
+    k.prepare(vehicle, [(None, 0)])
+    assert len(set(ahead._under_way.values())) >= 1
+    rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 0)))
+    module = ahead.ready_kernel(k.structure_of(vehicle, None, 0))
+    assert ahead.is_kept(ahead._path(module))
+    k.run_rows(vehicle, rows, 1.0, direction_error=1e-2)
+    assert sum(module.run.stats.cache_hits.values()) == 1
+    assert not module.run.stats.cache_misses
+
+
+def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, monkeypatch):
+    monkeypatch.setattr(ahead.sys, "executable", str(short_kernels / "nowhere"))
+    vehicle = random_vehicle(np.random.default_rng(9), 0)
+    k.prepare(vehicle, [(None, 0)])
+    rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 0)))
+    assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
