@@ -110,8 +110,11 @@ def test_comparison_with_somebodys_kernels_finds_what_was_changed(result, tmp_pa
     theirs = kernel_rates(kernels, "SUNSPIN_BODY", "J2000", ephemeris_time(known.epoch) + known.t_s)
     assert np.abs(theirs / known.omega_B - 1.02).max() < 1e-9
     reached("error of the factor found", np.abs(theirs / known.omega_B - 1.02), "", 1e-9)
-    with pytest.raises(ss.InputError, match="kernels cannot be used"):
-        kernel_rates([str(tmp_path / "absent.bc")], "SUNSPIN_BODY", "J2000", np.zeros(1))
+    broken = tmp_path / "broken.bc"
+    broken.write_bytes(b"DAF/CK  " + bytes(100))
+    for path, message in ((tmp_path / "absent.bc", "no such kernel"), (broken, "kernels cannot be used")):
+        with pytest.raises(ss.InputError, match=message):
+            kernel_rates([str(path)], "SUNSPIN_BODY", "J2000", np.zeros(1))
 
 
 @pytest.mark.parametrize(("utc", "et"), [
