@@ -16,6 +16,7 @@ ELSEWHERE = {
     "compare": "other people's kernels",
     "reproduce": "minutes; it has tests of its own",
     "worth": "minutes; it has tests of its own",
+    "posterior": "minutes; it has tests of its own",
 }
 LONG = {"scan", "outcomes"}
 
