@@ -11,6 +11,7 @@ CAMPAIGNS = {
     "fuzz": "hostile vehicle files, telemetry and options through the command line",
     "corrupt": "binary files damaged and opened: NetCDF, Parquet, Zarr stores, SPICE kernels, zip",
     "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
+    "witnesses": "closed forms, published values and other software beside ours, digits matched",
 }
 
 

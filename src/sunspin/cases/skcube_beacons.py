@@ -84,6 +84,8 @@ def _frames(path: Path) -> Iterator[tuple[str, bytes]]:
                 with open(file, "rb") as stream:
                     yield file.name, stream.read(MAX_FRAME_BYTES)
             return
+        if not path.is_file():
+            raise OSError("no such file, or it is a device or a pipe")
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist()[:MAX_FRAMES]:
                 if not info.is_dir():
