@@ -18,7 +18,7 @@ import sunspin as ss
 from sunspin.measure.sun import is_reconstructed
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
-from sunspin.vehicle import Friction, Panel, Vehicle, Wheel
+from sunspin.vehicle import Friction, Panel, Vehicle
 from vehicles import random_vehicle
 
 EXAMPLES = int(os.environ.get("SUNSPIN_EXAMPLES", "6"))

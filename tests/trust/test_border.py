@@ -245,6 +245,7 @@ def test_a_netcdf_file_on_which_the_library_computes_for_ever(home, monkeypatch)
     from sunspin.measure import netcdf
 
     xr.Dataset({"px": ("time", [1.0])}).to_netcdf("good.nc", engine="h5netcdf")
-    (home / "netcdf_probe.py").write_text("import sys, resource\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\nwhile True: pass\n")
+    endless = "import sys, resource\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\nwhile True: pass\n"
+    (home / "netcdf_probe.py").write_text(endless)
     monkeypatch.setattr(netcdf, "__file__", str(home / "netcdf.py"))
     refused("sun", "vehicle.toml", "good.nc", words=["ends the program that reads it"])
