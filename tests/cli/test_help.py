@@ -17,6 +17,7 @@ ELSEWHERE = {
     "reproduce": "minutes; it has tests of its own",
     "worth": "minutes; it has tests of its own",
     "posterior": "minutes; it has tests of its own",
+    "report": "needs the results of another command; it has tests of its own",
 }
 LONG = {"scan", "outcomes"}
 

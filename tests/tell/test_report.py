@@ -77,7 +77,8 @@ def test_the_page_says_what_the_summary_says(study, page):
     rows = {attrs["data-row"]: attrs["data-verdict"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs}
     assert set(rows) == {row["id"] for row in summary["figures"]}
     for row in summary["figures"]:
-        good = rows[row["id"]] in ("agrees", "stands")
+        good = rows[row["id"]] in ("agrees", "stands", "made")
+        assert (rows[row["id"]] == "made") is row["by_construction"]
         assert good is bool(row["agrees"]) and (rows[row["id"]] == "open") is (row["agrees"] is None)
     for entry in summary["inputs"]:
         assert entry["sha256"] in page.text

@@ -21,7 +21,8 @@ from sunspin.errors import InputError, sentence
               "friction, gain, noise, scale; also time_s and max_rate_rad_s. Repeatable.")
 @click.option("--rate", "rates", multiple=True, help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.")
 @click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")
-@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True,
+              help="What the wheels do in this stretch.")
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
