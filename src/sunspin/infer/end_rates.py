@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class EndSpeedRows:
     start: Start
     duration_s: float
 
-    outputs = {"speed": ("float64", ())}
+    outputs: ClassVar[Mapping[str, Any]] = {"speed": ("float64", ())}
 
     @property
     def n_rows(self) -> int:
