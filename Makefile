@@ -6,13 +6,15 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 READY := $(VENV)/.ready
 OUT ?= results
 BENCH ?=
+EVIDENCE := build/evidence.json
 
-.PHONY: help reproduce test test-slow bench lint lock clean
+.PHONY: help reproduce test test-slow docs bench lint lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
-	@echo "make test        import contracts, lint and tests"
+	@echo "make test        import contracts, lint, types, tests and documentation"
 	@echo "make test-slow   the long tests"
+	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
@@ -33,20 +35,28 @@ reproduce: $(READY)
 
 lint: $(READY)
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/ruff check --no-cache src tests bench
+	$(BIN)/ruff check --no-cache src tests bench docs examples
+	$(BIN)/basedpyright
 
 test: lint
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" --evidence $(EVIDENCE)
+	@$(MAKE) --no-print-directory docs
 
+# adds what the long tests show to what `make test` has shown
 test-slow: $(READY)
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow --evidence $(EVIDENCE)
+	@$(MAKE) --no-print-directory docs
+
+docs: $(READY)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -D evidence_file=$(abspath $(EVIDENCE)) docs build/site
+	@echo "Documentation: build/site/index.html"
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
 
 lock:
 	rm -rf .lock-env && "$(PYTHON)" -m venv .lock-env
-	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,bench,parquet,spice]" hatchling editables
+	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,bench,parquet,spice,docs]" hatchling editables
 	{ echo "# Exact versions for the make targets; written by make lock from the ranges in pyproject.toml."; \
 	  .lock-env/bin/python -m pip freeze --exclude sunspin; } > requirements.lock.part
 	mv requirements.lock.part requirements.lock

@@ -13,6 +13,7 @@ case = ss.load_case("philae")
 vehicle = case.vehicle
 
 
+@pytest.mark.evidence("load_case", "validated", "the paper's Table 2")
 def test_mass_and_inertia_are_those_of_table_2():
     inertia = [[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]]
     np.testing.assert_array_equal(vehicle.inertia_kg_m2, inertia)
@@ -47,6 +48,7 @@ def test_every_number_of_the_vehicle_has_a_source():
     assert [key for key, fact in vehicle.facts.items() if not (fact.source or "").strip()] == []
 
 
+@pytest.mark.evidence("load_case", "validated", "the paper's Table 1 and the landing kernel")
 def test_times_of_table_1():
     seconds = case.timeline.seconds
     assert seconds("separation", "first_touchdown") == pytest.approx(6 * 3600 + 59 * 60 + 3.98)
@@ -84,6 +86,7 @@ def test_published_lines_have_unit_directions_and_the_first_sun_is_a_unit_vector
     assert np.linalg.norm(case.published["first_sun_E_study"].value) == pytest.approx(0.9646, abs=1e-4)
 
 
+@pytest.mark.evidence("load_case", "validated", "the paper's figures, where the case states them too")
 def test_published_figures_agree_with_the_case_where_both_state_them():
     published = case.published
     assert published["wheel_speed"].value == vehicle.wheels[0].speed_rad_s

@@ -29,6 +29,7 @@ def load(tmp_path, text):
     return ss.load_vehicle(path)
 
 
+@pytest.mark.evidence("load_vehicle", "verified", "a file with every kind of entry")
 def test_a_good_file(tmp_path):
     vehicle = load(tmp_path, GOOD)
     assert vehicle.wheels[0].friction.coulomb_N_m == 1e-3
@@ -45,6 +46,7 @@ def test_it_is_frozen(tmp_path):
         vehicle.inertia_kg_m2[0, 0] = 5.0
 
 
+@pytest.mark.evidence("load_vehicle", "verified", "files with one mistake each")
 @pytest.mark.parametrize(
     ("change", "parts"),
     [

@@ -6,6 +6,49 @@ Public names are loaded on first use, so that ``import sunspin`` and ``sunspin -
 from __future__ import annotations
 
 from importlib import import_module, metadata
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py compares it with the names below
+    from sunspin.cases import Case as Case, load_case as load_case
+    from sunspin.errors import (
+        InputError as InputError,
+        Interrupted as Interrupted,
+        MotionError as MotionError,
+        OutputError as OutputError,
+        SunspinError as SunspinError,
+        TelemetryError as TelemetryError,
+        VehicleError as VehicleError,
+    )
+    from sunspin.infer.ensemble import ensemble as ensemble
+    from sunspin.infer.lines import fit_lines as fit_lines
+    from sunspin.infer.metrics import direction_error as direction_error, emd as emd
+    from sunspin.infer.rates import rates as rates
+    from sunspin.infer.scan import near_minimum as near_minimum, scan as scan
+    from sunspin.measure.health import panel_health as panel_health
+    from sunspin.measure.panels import panel_power as panel_power
+    from sunspin.measure.quality import panel_quality as panel_quality
+    from sunspin.measure.sun import SunStatus as SunStatus, sun_directions as sun_directions
+    from sunspin.measure.telemetry import read_telemetry as read_telemetry
+    from sunspin.motion.friction import fit_spin_down as fit_spin_down
+    from sunspin.motion.impact import impact as impact
+    from sunspin.motion.propagate import propagate as propagate
+    from sunspin.study.outcomes import outcomes as outcomes
+    from sunspin.study.scenario import Scenario as Scenario
+    from sunspin.study.twin import twin as twin
+    from sunspin.tell.reproduction import reproduce as reproduce
+    from sunspin.tell.worth import worth as worth
+    from sunspin.vehicle import (
+        Antenna as Antenna,
+        Friction as Friction,
+        HullPart as HullPart,
+        Leg as Leg,
+        Panel as Panel,
+        Vehicle as Vehicle,
+        Wheel as Wheel,
+        load_vehicle as load_vehicle,
+    )
+
+    __version__: str
 
 _HOME = {
     "Case": "sunspin.cases",
@@ -31,8 +74,10 @@ _HOME = {
     "direction_error": "sunspin.infer.metrics",
     "emd": "sunspin.infer.metrics",
     "scan": "sunspin.infer.scan",
+    "near_minimum": "sunspin.infer.scan",
     "ensemble": "sunspin.infer.ensemble",
     "fit_lines": "sunspin.infer.lines",
+    "posterior": "sunspin.infer.posterior",
     "twin": "sunspin.study.twin",
     "outcomes": "sunspin.study.outcomes",
     "Scenario": "sunspin.study.scenario",

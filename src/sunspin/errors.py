@@ -35,14 +35,31 @@ class Interrupted(SunspinError, KeyboardInterrupt):
     """A run of many rows was stopped by Ctrl-C; the text says what was kept and how to go on."""
 
 
+def printable(text: str) -> str:
+    """Text from outside on one line, without characters that a terminal obeys or does not show: they become escapes."""
+    line = " ".join(text.split())
+    return line if line.isprintable() else "".join(c if c.isprintable() else _escape(c) for c in line)
+
+
+def _escape(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
 def sentence(what: str, *, got: object = None, do: str | None = None, where: str | None = None) -> str:
     """Build the one-sentence text of an error: ``where: what, got ...; do``."""
     text = f"{where}: {what}" if where else what
     if got is not None:
-        shown = got if isinstance(got, str) else repr(got)
+        shown = got if isinstance(got, str) else _repr(got)
         if len(shown) > 120:
             shown = shown[:117] + "..."
         text += f" (found {shown})"
     if do:
         text += f"; {do}"
-    return " ".join(text.split())  # one line, whatever came from outside
+    return printable(text)
+
+
+def _repr(value: object) -> str:
+    try:
+        return repr(value)
+    except ValueError:  # a whole number of thousands of digits
+        return "a number too long to print"

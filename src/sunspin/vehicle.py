@@ -15,12 +15,25 @@ import numpy as np
 import numpy.typing as npt
 
 from sunspin.errors import VehicleError, sentence
+from sunspin.notebook import vehicle_html
+from sunspin.vehicle_portable import Portable
 from sunspin.vehicle_sensors import Sensors
 
 FloatArray = npt.NDArray[np.float64]
 
+MAX_PANELS = 32
+"""Each cuts the sphere of directions further, n of them into n (n - 1) + 2 cells; satellites have about ten sides."""
+
+MAX_WHEELS = 8
+"""The kernels keep numbers for every set of wheels that turn freely."""
+
+MAX_PARTS = 1000
+"""Legs, parts of the hull, rules."""
+
 UNIT_TOLERANCE = 1e-3
 """Vectors within this of length one count as directions written with few digits and are normalised."""
+
+LIMITS = {"panels": MAX_PANELS, "wheels": MAX_WHEELS, "legs": MAX_PARTS, "hull": MAX_PARTS, "sun_rules": MAX_PARTS}
 
 SYMMETRY_TOLERANCE = 1e-9
 """Largest relative difference between mirrored elements of an inertia tensor."""
@@ -48,19 +61,6 @@ def direction(value: npt.ArrayLike, key: str) -> FloatArray:
             )
         )
     return frozen_array(vector / length)
-
-
-class Portable:
-    """Copies and pickles as plain data, bit by bit: vectors are not normalised again, and stay read-only as mappings do."""
-
-    def __getstate__(self) -> dict:
-        return {key: dict(value) if isinstance(value, MappingProxyType) else value for key, value in vars(self).items()}
-
-    def __setstate__(self, state: dict) -> None:
-        for key, value in state.items():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-            vars(self)[key] = MappingProxyType(value) if isinstance(value, dict) else value
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Wheel(Portable):
-    """A wheel: spin axis (unit, B), axial inertia J, nominal speed relative to the body, friction and brake."""
+    """A wheel: axis (unit, B), axial inertia J, nominal speed relative to the body, friction, brake; its speed's column if any."""
 
     name: str
     axis_B: FloatArray
@@ -130,6 +130,8 @@ class Wheel(Portable):
     friction: Friction = Friction()
     alternative_frictions: Mapping[str, Friction] = field(default_factory=dict)
     brake_torque_N_m: float | None = None
+    speed_column: str | None = None
+    speed_scale_rad_s: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axis_B", direction(self.axis_B, f"axis_B of wheel {self.name!r}"))
@@ -205,7 +207,11 @@ class SunRule:
 
 @dataclass(frozen=True)
 class TelemetryForm(Portable):
-    """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes."""
+    """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes.
+
+    A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
+    `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
+    """
 
     quantity: str = "power_W"
     time_column: str = "time"
@@ -216,9 +222,17 @@ class TelemetryForm(Portable):
     noise: float | None = None
     lit_threshold: float | None = None
     bad_rows: str = "refuse"
+    time_scale_s: float = 1.0
+    zero: float = 0.0
+    wraps_at: float | None = None
+    temperature_columns: Mapping[str, str] = field(default_factory=dict)
+    temperature_scale: float = 1.0
+    temperature_coefficient_per_K: float = 0.0
+    reference_temperature_C: float = 25.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
+        object.__setattr__(self, "temperature_columns", MappingProxyType(dict(self.temperature_columns)))
 
 
 @dataclass(frozen=True)
@@ -248,6 +262,9 @@ class Vehicle(Portable):
         for key in ("panels", "wheels", "legs", "hull", "sun_rules"):
             object.__setattr__(self, key, tuple(getattr(self, key)))
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
+        for key, most in LIMITS.items():
+            if len(getattr(self, key)) > most:
+                raise VehicleError(sentence(f"a vehicle has at most {most} {key}", got=len(getattr(self, key))))
         for key in ("panels", "wheels", "legs", "hull"):
             _require_distinct([part.name for part in getattr(self, key)], key)
         if self.mass_kg is not None and not (np.isfinite(self.mass_kg) and self.mass_kg > 0):
@@ -256,6 +273,8 @@ class Vehicle(Portable):
             object.__setattr__(self, "inertia_kg_m2", _physical_inertia(self.inertia_kg_m2))
             _require_wheels_fit(self)
         _require_known_panels(self)
+
+    _repr_html_ = vehicle_html
 
     @property
     def panel_names(self) -> tuple[str, ...]:
@@ -296,9 +315,8 @@ class Vehicle(Portable):
     def require_panels(self) -> tuple[Panel, ...]:
         """The panels, or a `VehicleError` that says where to add them."""
         if not self.panels:
-            raise VehicleError(
-                sentence(f"vehicle {self.name!r} has no solar panel", do="add a [[panel]] table for each to its file")
-            )
+            what = f"vehicle {self.name!r} has no solar panel"
+            raise VehicleError(sentence(what, do="add a [[panel]] table for each to its file"))
         return self.panels
 
     def with_friction(self, name: str) -> Vehicle:

@@ -15,11 +15,16 @@ from pydantic import Field, ValidationError
 
 from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
+from sunspin.outside import read_bytes
 from sunspin.vehicle_form import Form, Name, Value, scalar, take
-from sunspin.vehicle_sensors_file import DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
+from sunspin.vehicle_sensors_file import AttitudeForm, DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
+
+
+MAX_DOTS = 1000
+"""In one line: Python's reader of TOML takes a time that grows with the square of the parts of a dotted key."""
 
 
 class BodyForm(Form):
@@ -54,6 +59,8 @@ class WheelForm(Form):
     inertia_kg_m2: Value
     speed_rad_s: Value | None = None
     brake_torque_N_m: Value | None = None
+    speed_column: Name | None = None
+    speed_scale_rad_s: Value | None = None
     friction: FrictionForm | None = None
     alternative_frictions: dict[str, FrictionForm] = {}
 
@@ -89,6 +96,13 @@ class TelemetryTable(Form):
     noise: Value | None = None
     lit_threshold: Value | None = None
     bad_rows: Literal["refuse", "flag"] = "refuse"
+    time_scale_s: Value | None = None
+    zero: Value | None = None
+    wraps_at: Value | None = None
+    temperature_columns: dict[str, str] = {}
+    temperature_scale: Value | None = None
+    temperature_coefficient_per_K: Value | None = None
+    reference_temperature_C: Value | None = None
 
 
 class VehicleForm(Form):
@@ -104,6 +118,7 @@ class VehicleForm(Form):
     telemetry: TelemetryTable = TelemetryTable()
     sun_sensor: list[SunSensorForm] = []
     gyro: GyroForm | None = None
+    attitude: AttitudeForm | None = None
     magnetometer: MagnetometerForm | None = None
     disturbance: DisturbanceForm = DisturbanceForm()
 
@@ -116,12 +131,17 @@ def read_vehicle(source: object) -> v.Vehicle:
     """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
     if isinstance(source, v.Vehicle):
         return source
+    where = f"built-in vehicle {source!r}" if isinstance(source, str) and source in builtin_names() else str(source)
+    return parse_vehicle(vehicle_text(source), where)
+
+
+def vehicle_text(source: object) -> str:
+    """The text of a built-in vehicle's file, by name, or of a vehicle file, by path."""
     if isinstance(source, str) and source in builtin_names():
-        text = resources.files("sunspin").joinpath("cases", source, "vehicle.toml").read_text(encoding="utf-8")
-        return parse_vehicle(text, f"built-in vehicle {source!r}")
+        return resources.files("sunspin").joinpath("cases", source, "vehicle.toml").read_text(encoding="utf-8")
     if not isinstance(source, str | Path):
         raise VehicleError(sentence("a vehicle is named by a text or a path", got=type(source).__name__))
-    return parse_vehicle(_read_text(Path(source)), str(source))
+    return _read_text(Path(source))
 
 
 def builtin_names() -> list[str]:
@@ -132,28 +152,12 @@ def builtin_names() -> list[str]:
 
 def _read_text(path: Path) -> str:
     known = ", ".join(builtin_names())
+    do = f"give the path of a vehicle.toml or a built-in name: {known}"
     try:
-        if path.is_dir():
-            raise VehicleError(sentence("this is a folder, not a vehicle file", where=str(path)))
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise VehicleError(
-                sentence(f"a vehicle file is smaller than {MAX_FILE_BYTES} bytes", got=path.stat().st_size, where=str(path))
-            )
-        return path.read_bytes().decode("utf-8")
+        return read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do).decode("utf-8")
     except UnicodeDecodeError as error:
         raise VehicleError(
             sentence(f"the file is not UTF-8 text (byte {error.start})", do="save it as UTF-8", where=str(path))
-        ) from None
-    except (OSError, ValueError) as error:
-        if isinstance(error, VehicleError):
-            raise
-        reason = getattr(error, "strerror", None) or str(error)
-        raise VehicleError(
-            sentence(
-                f"the vehicle file cannot be read ({reason})",
-                do=f"give the path of a vehicle.toml or a built-in name: {known}",
-                where=str(path),
-            )
         ) from None
 
 
@@ -161,6 +165,10 @@ def parse_vehicle(text: str, where: str) -> v.Vehicle:
     """Turn the text of a vehicle file into a `Vehicle`; `where` names the file in messages."""
     if not text.strip():
         raise VehicleError(sentence("the file is empty", do="`sunspin init DIR` writes one to start from", where=where))
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.count(".") > MAX_DOTS:
+            what = f"the line has more than {MAX_DOTS} decimal points or dots"
+            raise VehicleError(sentence(what, do="write it as several lines", where=f"{where}, line {number}"))
     try:
         table = tomllib.loads(text)
         form = VehicleForm.model_validate(table)
@@ -173,6 +181,8 @@ def parse_vehicle(text: str, where: str) -> v.Vehicle:
         raise VehicleError(_first_problem(error, where)) from None
     except VehicleError as error:
         raise VehicleError(f"{where}: {error}") from None
+    except ValueError as error:  # tomllib hands on what int() says of thousands of digits
+        raise VehicleError(sentence(f"this is not valid TOML: {error}", do="correct that number", where=where)) from None
 
 
 def _first_problem(error: ValidationError, where: str) -> str:
@@ -272,6 +282,8 @@ def _wheel(form: WheelForm, facts: dict[str, v.Fact]) -> v.Wheel:
             for name, other in form.alternative_frictions.items()
         },
         brake_torque_N_m=scalar(facts, f"{key}.brake_torque_N_m", form.brake_torque_N_m),
+        speed_column=form.speed_column,
+        speed_scale_rad_s=scalar(facts, f"{key}.speed_scale_rad_s", form.speed_scale_rad_s) or 1.0,
     )
 
 
@@ -289,11 +301,19 @@ def _friction(form: FrictionForm, inertia: float, key: str, facts: dict[str, v.F
     return v.Friction(**coefficients)
 
 
+MORE_NUMBERS = (
+    "time_scale_s", "zero", "wraps_at", "temperature_scale", "temperature_coefficient_per_K", "reference_temperature_C",
+)  # fmt: skip
+
+
 def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryForm:
     scale = 1.0 if isinstance(form.scale, float) else scalar(facts, "telemetry.scale", form.scale)
     noise = scalar(facts, "telemetry.noise", form.noise)
     threshold = scalar(facts, "telemetry.lit_threshold", form.lit_threshold)
-    for key, value in (("scale", scale), ("noise", noise), ("lit_threshold", threshold)):
+    numbers = {key: scalar(facts, f"telemetry.{key}", getattr(form, key)) for key in MORE_NUMBERS}
+    positive = {"scale": scale, "noise": noise, "lit_threshold": threshold}
+    positive |= {key: numbers[key] for key in ("time_scale_s", "wraps_at", "temperature_scale")}
+    for key, value in positive.items():
         if value is not None and not value > 0:
             raise VehicleError(sentence(f"telemetry.{key} must be positive", got=value))
     if form.time_format == "elapsed" and form.epoch_utc is None:
@@ -310,4 +330,6 @@ def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryFor
         noise=noise,
         lit_threshold=threshold,
         bad_rows=form.bad_rows,
+        temperature_columns=form.temperature_columns,
+        **{key: value for key, value in numbers.items() if value is not None},
     )

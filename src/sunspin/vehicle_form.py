@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
+from sunspin.outside import SIZES, is_sensible
 
 
 class Given(NamedTuple):
@@ -35,14 +36,20 @@ def _numbers(raw: Any) -> Any:
     if isinstance(raw, list):
         return [_numbers(item) for item in raw]
     if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise ValueError(f"a number is expected, not {raw!r}")
-    if raw != raw or raw in (float("inf"), float("-inf")):
-        raise ValueError(f"a finite number is expected, not {raw!r}")
+        raise ValueError(f"a number is expected, not {str(raw)[:40]!r}")
+    if not is_sensible(raw):  # also of whole numbers too large for a float
+        raise ValueError(f"{SIZES} is expected" + (f", not {raw!r}" if isinstance(raw, float) else ""))
     return float(raw)
 
 
+def _shown(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError("a name is a text of printable characters")
+    return name
+
+
 Value = Annotated[Any, BeforeValidator(_given)]
-Name = Annotated[str, Field(min_length=1, max_length=100)]
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
 
 
 class Form(BaseModel):

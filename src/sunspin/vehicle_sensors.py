@@ -5,7 +5,7 @@ All in body axes. Frozen data, read from the vehicle file by :mod:`sunspin.vehic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,12 +37,18 @@ class SunSensor:
 
 @dataclass(frozen=True)
 class Gyro:
-    """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`)."""
+    """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`).
+
+    `noise_rad_s` is that of one sample, `zero_sigma` (3) and `scale_sigma` are shared by all samples of a pass.
+    """
 
     columns: tuple[str, str, str]
     scale_rad_s: float
     zero: np.ndarray
     noise_rad_s: float
+    wraps_at: float | None = None
+    zero_sigma: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    scale_sigma: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,20 @@ class Magnetometer:
     columns: tuple[str, str, str]
     zero: np.ndarray
     noise: float | None
+    wraps_at: float | None = None
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Four columns with somebody's attitude as a quaternion: where its scalar stands, which way it turns, its error.
+
+    `rotates`: "N_to_B" if it takes components in the reference frame to components in the body, "B_to_N" for the opposite.
+    """
+
+    columns: tuple[str, str, str, str]
+    scalar: str
+    rotates: str
+    sigma_rad: float
 
 
 @dataclass(frozen=True)
@@ -79,5 +99,6 @@ class Sensors:
 
     sun_sensors: tuple[SunSensor, ...] = ()
     gyro: Gyro | None = None
+    attitude: Attitude | None = None
     magnetometer: Magnetometer | None = None
     disturbance: Disturbance = Disturbance()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -34,12 +34,21 @@ class GyroForm(Form):
     scale_rad_s: Value
     zero: Value | None = None
     noise_rad_s: Value
+    wraps_at: Value | None = None
+
+
+class AttitudeForm(Form):
+    columns: Annotated[list[str], Field(min_length=4, max_length=4)]
+    scalar: Literal["first", "last"]
+    rotates: Literal["N_to_B", "B_to_N"]
+    sigma_rad: Value
 
 
 class MagnetometerForm(Form):
     columns: Annotated[list[str], Field(min_length=3, max_length=3)]
     zero: Value | None = None
     noise: Value | None = None
+    wraps_at: Value | None = None
 
 
 class DisturbanceForm(Form):
@@ -54,6 +63,7 @@ def read_sensor_forms(form: Any, facts: dict[str, v.Fact]) -> s.Sensors:
     return s.Sensors(
         tuple(_sun_sensor(sensor, facts) for sensor in form.sun_sensor),
         None if form.gyro is None else _gyro(form.gyro, facts),
+        None if form.attitude is None else _attitude(form.attitude, facts),
         None if form.magnetometer is None else _magnetometer(form.magnetometer, facts),
         _disturbance(form.disturbance, facts),
     )
@@ -73,6 +83,19 @@ def _positive(facts: dict[str, v.Fact], key: str, given: Any) -> float | None:
     return value
 
 
+def _above_zero(facts: dict[str, v.Fact], key: str, given: Any) -> float:
+    """A positive number that the form requires."""
+    value = _positive(facts, key, given)
+    if value is None:
+        raise VehicleError(sentence(f"{key} is missing"))
+    return value
+
+
+def _three(columns: list[str]) -> tuple[str, str, str]:
+    x, y, z = columns
+    return x, y, z
+
+
 def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
     key = f"sun_sensor.{form.name}"
     normal = v.direction(take(facts, f"{key}.normal_B", form.normal_B), f"normal_B of Sun sensor {form.name!r}")
@@ -88,23 +111,45 @@ def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
         scalar(facts, f"{key}.lit_above", form.lit_above) or 0.0,
         scalar(facts, f"{key}.x_scale", form.x_scale),
         scalar(facts, f"{key}.y_scale", form.y_scale),
-        _positive(facts, f"{key}.x_sigma_rad", form.x_sigma_rad),
-        _positive(facts, f"{key}.y_sigma_rad", form.y_sigma_rad),
+        _above_zero(facts, f"{key}.x_sigma_rad", form.x_sigma_rad),
+        _above_zero(facts, f"{key}.y_sigma_rad", form.y_sigma_rad),
         scalar(facts, f"{key}.y_turned_above", form.y_turned_above),
         scalar(facts, f"{key}.y_turned_scale", form.y_turned_scale),
     )  # fmt: skip
 
 
 def _gyro(form: GyroForm, facts: dict[str, v.Fact]) -> s.Gyro:
-    noise = _positive(facts, "gyro.noise_rad_s", form.noise_rad_s)
-    return s.Gyro(
-        tuple(form.columns), scalar(facts, "gyro.scale_rad_s", form.scale_rad_s), _vector(facts, "gyro.zero", form.zero), noise
-    )
+    noise = _above_zero(facts, "gyro.noise_rad_s", form.noise_rad_s)
+    scale = scalar(facts, "gyro.scale_rad_s", form.scale_rad_s)
+    if scale == 0:
+        raise VehicleError(sentence("gyro.scale_rad_s must not be zero"))
+    zero_sigma = np.broadcast_to(_sigma(form.zero, "gyro.zero"), 3)
+    scale_sigma = float(_sigma(form.scale_rad_s, "gyro.scale_rad_s"))
+    wraps = _positive(facts, "gyro.wraps_at", form.wraps_at)
+    return s.Gyro(_three(form.columns), scale, _vector(facts, "gyro.zero", form.zero), noise, wraps, zero_sigma, scale_sigma)
+
+
+def _attitude(form: AttitudeForm, facts: dict[str, v.Fact]) -> s.Attitude:
+    sigma = _above_zero(facts, "attitude.sigma_rad", form.sigma_rad)
+    a, b, c, d = form.columns
+    return s.Attitude((a, b, c, d), form.scalar, form.rotates, sigma)
+
+
+def _sigma(given: Any, key: str) -> np.ndarray:
+    """The stated sigma of a value, zero where none is stated."""
+    if given is None or given.sigma is None:
+        return np.zeros(())
+    sigma = np.array(given.sigma, dtype=np.float64)
+    if sigma.shape not in ((), np.shape(given.value)) or np.any(sigma < 0):
+        what = f"the sigma of {key} must be one number or one for each component, and not negative"
+        raise VehicleError(sentence(what, got=given.sigma))
+    return sigma
 
 
 def _magnetometer(form: MagnetometerForm, facts: dict[str, v.Fact]) -> s.Magnetometer:
     noise = _positive(facts, "magnetometer.noise", form.noise)
-    return s.Magnetometer(tuple(form.columns), _vector(facts, "magnetometer.zero", form.zero), noise)
+    wraps = _positive(facts, "magnetometer.wraps_at", form.wraps_at)
+    return s.Magnetometer(_three(form.columns), _vector(facts, "magnetometer.zero", form.zero), noise, wraps)
 
 
 def _disturbance(form: DisturbanceForm, facts: dict[str, v.Fact]) -> s.Disturbance:

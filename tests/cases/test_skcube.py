@@ -51,13 +51,15 @@ def test_a_file_that_is_no_zip_is_a_sentence(content, tmp_path):
         decode_beacons(tmp_path / "empty")
 
 
+@pytest.mark.evidence("decode", "validated", "the published table of skCUBE's attitude beacons")
 @pytest.mark.real_data
-def test_the_decoder_gives_the_published_table_number_by_number(data_dir):
+def test_the_decoder_gives_the_published_table_number_by_number(data_dir, reached):
     beacons = decode_beacons(data_dir / "skcube" / "skcube_raw_23_27_june.zip")
     assert len(beacons.adcs) == 252 and not beacons.unread
     ours = adcs_csv(beacons).splitlines()
     theirs = (data_dir / "skcube" / "skcube_adcs.csv").read_text().splitlines()[: len(ours)]
     assert ours == theirs
+    reached("beacons equal in every number", len(beacons.adcs))
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +71,9 @@ def free_passes(data_dir):
     return ss.rates(craft, data.drop_vars("gyro_B")), data
 
 
+@pytest.mark.evidence("rates", "validated", "the gyro of skCUBE, 25 to 27 June 2017 (calibrated on the same passes)")
 @pytest.mark.real_data
-def test_rates_from_sun_sensors_agree_with_the_gyro(free_passes):
+def test_rates_from_sun_sensors_agree_with_the_gyro(free_passes, reached):
     """Thirteen passes of 25 to 27 June, of which eight have seven samples or more: the figures rest on 78 samples."""
     result, data = free_passes
     gyro = data["gyro_B"].sel(time=result["time"]).values
@@ -87,10 +90,14 @@ def test_rates_from_sun_sensors_agree_with_the_gyro(free_passes):
         miss = np.degrees((result["omega_B"].values - gyro)[at].mean(axis=0))
         square.append((miss / np.hypot(np.degrees(result["omega_sigma_all_B"].values[number]), 0.05)) ** 2)
     assert 0.2 < np.mean(square) < 2.5
+    reached("median error, worst axis", np.median(np.abs(error), axis=0), "deg/s")
+    reached("squared error over stated variance", np.mean(square))
+    reached("samples", use.sum())
 
 
+@pytest.mark.evidence("rates", "validated", "the Sun sensors of skCUBE, 28 June 2017: two passes")
 @pytest.mark.real_data
-def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes):
+def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, reached):
     """Only the passes just out of eclipse say something: 16 samples; the rest is dropped and says why."""
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(data_dir / "skcube" / "skcube_pwr.csv", craft)
@@ -110,3 +117,4 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes):
         sigma = np.hypot(result["omega_sigma_all_B"].values[number], sensors["omega_sigma_all_B"].values[other])
         assert np.all(np.abs(miss[:2]) < 2 * sigma[:2])
         assert np.abs(miss[2]) < 3 * sigma[2]
+        reached("difference in stated sigma, worst axis", np.abs(miss / sigma), "", 3.0)

@@ -44,6 +44,7 @@ def test_no_arguments_show_the_help(sunspin):
     assert out.startswith("Usage: sunspin") and "reproduce" in out
 
 
+@pytest.mark.evidence("check", "modelled", "samples with a panel that reads nothing")
 def test_check_tells_which_panel_would_explain_impossible_patterns(sunspin):
     """The paper's own conclusion: after the second touchdown panel 1 was shaded."""
     telemetry = Path(cli.__file__).parents[1] / "cases" / "philae" / "telemetry.csv"

@@ -5,9 +5,11 @@ import types
 import typing
 from importlib import resources
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 
+import sunspin as ss
 from sunspin.vehicle_file import VehicleForm, parse_vehicle
 
 TEXT = resources.files("sunspin").joinpath("template", "vehicle.toml").read_text("utf-8")
@@ -50,3 +52,27 @@ def test_the_spin_down_example_is_valid():
 def test_the_example_shows_a_birth_certificate():
     facts = parse_vehicle(TEXT, "template").facts
     assert any(fact.sigma is not None and fact.source for fact in facts.values())
+
+
+def test_rates_of_the_example_are_those_it_was_made_with():
+    craft = parse_vehicle(TEXT, "template")
+    with resources.as_file(resources.files("sunspin").joinpath("template", "telemetry.csv")) as path:
+        result = ss.rates(craft, ss.read_telemetry(path, craft))
+    assert result.attrs["wheels"].startswith("coasting") and "NO motion" not in result.attrs["verdict"]
+    sun = np.array([0.5, 0.4, 0.768])
+    start = [0.02, -0.03, 0.05], sun / np.linalg.norm(sun)
+    truth = ss.propagate(craft, *start, 300.0, result["time"].values)["omega_B"].values
+    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    error = result["omega_B"].values - truth
+    assert np.abs(error).max() < 1e-3  # rad/s: the example has noise, but panels whose gains are known exactly
+    assert np.mean((error / sigma) ** 2) < 2.5
+
+
+def test_the_samples_are_those_of_a_twin():
+    """The made-up telemetry is the vehicle beside it, moving as the truth that the documentation names."""
+    folder = resources.files("sunspin").joinpath("template")
+    vehicle = parse_vehicle(TEXT, "template")
+    read = ss.read_telemetry(folder.joinpath("telemetry.csv"), vehicle)
+    truth = {"omega_B": [0.02, -0.03, 0.05], "sun_B": [0.5, 0.4, 0.768], "t_s": read.time.values, "scale": 0.775}
+    made = ss.twin(vehicle, truth, seed=1)
+    assert np.abs(read.power_W.values - made.power_W.values).max() <= 0.000501

@@ -33,6 +33,7 @@ def client():
         yield client
 
 
+@pytest.mark.evidence("ensemble", "verified", "the same rows on two processes of a Dask cluster, bit by bit")
 def test_a_cluster_changes_no_bit(client):
     for chunk in (1000, 33):
         assert same(ensemble(ROWS, scheduler=client, chunk=chunk))
@@ -68,6 +69,7 @@ def is_socket(pid: int, fd: str) -> bool:
         return False
 
 
+@pytest.mark.evidence("ensemble", "verified", "a worker killed on the way")
 def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
     """Result and store, with one of the two processes killed in the middle of the work."""
     log, store = tmp_path / "rows", tmp_path / "store"

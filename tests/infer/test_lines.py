@@ -18,8 +18,9 @@ def cloud(seed: int, noise: float, n: int = 60):
     return np.concatenate(points), lines
 
 
+@pytest.mark.evidence("fit_lines", "validated", "the four lines of the paper, from points scattered about them")
 @pytest.mark.parametrize("seed", range(4))
-def test_the_paper_lines_are_recovered_from_unlabelled_points(seed):
+def test_the_paper_lines_are_recovered_from_unlabelled_points(seed, reached):
     points, lines = cloud(seed, 0.008)
     fitted = ss.fit_lines(points, 4, seed=seed)
     for index, line in zip(match_lines(fitted, lines), lines, strict=True):
@@ -27,6 +28,8 @@ def test_the_paper_lines_are_recovered_from_unlabelled_points(seed):
         deviation = line_deviation(found, line)
         assert deviation["mean"] < 0.01
         assert np.degrees(deviation["angle_rad"]) < 3
+        reached("largest mean deviation", deviation["mean"], "rad/s", 0.01)
+        reached("largest angle", np.degrees(deviation["angle_rad"]), "deg", 3.0)
 
 
 def test_outliers_hardly_move_a_line():
@@ -50,8 +53,9 @@ def sum_of_distances(x, points):
     return distances(points, x[None, :3], x[None, 3:] / np.linalg.norm(x[3:]))[0].sum()
 
 
+@pytest.mark.evidence("fit_lines", "verified", "SciPy's Nelder-Mead")
 @pytest.mark.parametrize("guess", ["least squares", "two of the points"])
-def test_one_line_reaches_the_smallest_sum_of_distances(guess):
+def test_one_line_reaches_the_smallest_sum_of_distances(guess, reached):
     rng = np.random.default_rng(2)
     points = rng.uniform(-1, 1, (40, 1)) * [0.3, 0.5, 0.81] + rng.standard_t(2, (40, 3)) * 0.05
     middle, axis = points.mean(axis=0), np.linalg.svd(points - points.mean(axis=0))[2][0]
@@ -67,6 +71,7 @@ def test_one_line_reaches_the_smallest_sum_of_distances(guess):
         for _ in range(3)
     )  # fmt: skip
     assert ours <= best * (1 + 1e-6)
+    reached("relative excess of the sum", ours / best - 1, "", 1e-6)
 
 
 def test_refining_never_makes_a_line_worse():
@@ -78,6 +83,7 @@ def test_refining_never_makes_a_line_worse():
         assert sum_of_distances(refined, points) <= sum_of_distances(guess, points) + 1e-12
 
 
+@pytest.mark.evidence("fit_lines", "verified", "all 128 ways to share the points")
 @pytest.mark.parametrize("seed", range(3))
 def test_two_lines_through_few_points_are_the_best_of_all_assignments(seed):
     """Brute force: every way to share eight points between two lines."""

@@ -18,6 +18,7 @@ def test_emd_by_hand():
     assert ss.emd([0, 1], [0], [3, 1], [1]) == pytest.approx(0.125)
 
 
+@pytest.mark.evidence("emd", "verified", "symmetry, triangle inequality, range")
 @settings(deadline=None)
 @given(samples, samples, samples)
 def test_emd_is_a_metric(a, b, c):
@@ -34,8 +35,9 @@ def test_emd_of_equal_numbers_is_the_mean_of_sorted_differences(n, seed):
     assert ss.emd(a, b) == pytest.approx(np.abs(np.sort(a) - np.sort(b)).mean() / 2, abs=1e-12)
 
 
+@pytest.mark.evidence("emd", "validated", "the definition as a linear program, SciPy's HiGHS")
 @pytest.mark.parametrize("seed", range(4))
-def test_emd_is_the_cheapest_transport(seed):
+def test_emd_is_the_cheapest_transport(seed, reached):
     """The earth mover's own definition, solved as a linear program with weights; the longest way, 2, costs 1."""
     rng = np.random.default_rng(seed)
     (a, wa), (b, wb) = [(rng.uniform(-1, 1, n), rng.uniform(0.1, 1, n)) for n in (6, 9)]
@@ -45,9 +47,11 @@ def test_emd_is_the_cheapest_transport(seed):
         A_eq=np.vstack([leaves, arrives]),
         b_eq=np.concatenate([wa / wa.sum(), wb / wb.sum()]),
     )
+    reached("difference", abs(ss.emd(a, b, wa, wb) - plan.fun), "", 1e-9)
     assert ss.emd(a, b, wa, wb) == pytest.approx(plan.fun, abs=1e-9)
 
 
+@pytest.mark.evidence("emd", "verified", "the paper's eq. 13 on a fine grid")
 def test_emd_is_half_the_area_between_the_distributions():
     """Paper, eq. 13, on a fine grid of z."""
     rng = np.random.default_rng(9)
@@ -63,6 +67,7 @@ def test_equal_weights_are_no_weights_and_twice_is_weight_two():
     assert ss.emd([0.1, 0.1, 0.7], [0.3]) == pytest.approx(ss.emd([0.1, 0.7], [0.3], [2, 1]), abs=1e-15)
 
 
+@pytest.mark.evidence("direction_error", "verified", "by hand; the paper's E of 0.0028 is 6.1 degrees")
 def test_direction_error_by_hand():
     x, y = np.eye(3)[:1], np.eye(3)[1:2]
     assert ss.direction_error(x, x) == 0

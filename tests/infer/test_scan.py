@@ -36,13 +36,21 @@ def compare(n: int, seed: int) -> np.ndarray:
     return np.array(error)
 
 
-def test_emd_agrees_with_the_reference():
-    assert compare(N_ROWS, 1).max() < 1e-3
+@pytest.mark.evidence("scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories")
+def test_emd_agrees_with_the_reference(reached):
+    error = compare(N_ROWS, 1)
+    reached("largest difference of EMD", error, "", 1e-3)
+    reached("motions", error.size)
+    assert error.max() < 1e-3
 
 
+@pytest.mark.evidence("scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories")
 @pytest.mark.slow
-def test_emd_agrees_with_the_reference_on_500_rows():
-    assert compare(500, 2).max() < 1e-3
+def test_emd_agrees_with_the_reference_on_500_rows(reached):
+    error = compare(500, 2)
+    reached("largest difference of EMD", error, "", 1e-3)
+    reached("motions", error.size)
+    assert error.max() < 1e-3
 
 
 def test_mask_allows_what_the_panels_allow():
@@ -55,6 +63,7 @@ def test_mask_allows_what_the_panels_allow():
         assert np.array_equal(allows(reconstructible_mask(vehicle), n), expected)
 
 
+@pytest.mark.evidence("scan", "verified", "one and three threads, and single motions, bit by bit")
 def test_workers_do_not_change_a_bit():
     axes = [np.linspace(-0.4, 0.9, 30), np.linspace(-0.4, 0.9, 30), np.linspace(-0.2, 0.2, 11)]
     runs = [ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 300.0, workers=w) for w in (1, 3)]
@@ -63,6 +72,7 @@ def test_workers_do_not_change_a_bit():
     assert alone.item() == runs[0].values[7, 3, 5]
 
 
+@pytest.mark.evidence("scan", "modelled", "a track of its own model")
 def test_the_track_metric_finds_the_truth():
     truth = np.array([0.1, -0.05, 0.02])
     t = np.array([0.0, 31.0, 64.0, 90.0, 131.0, 160.0])
@@ -80,6 +90,7 @@ def test_a_motion_that_never_shows_its_sun_is_farthest_away():
     assert ss.scan(PHILAE, [0.5], below, 0.0, 0.0, 0.0, 865.0, 60.0).item() == 1.0
 
 
+@pytest.mark.evidence("near_minimum", "verified", "a volume of a few points, by hand")
 def test_the_near_minimum_set_by_hand():
     volume = xr.DataArray(
         [[[1.0, 1.05], [2.0, 1.11]]], dims=("omega_x", "omega_y", "omega_z"),

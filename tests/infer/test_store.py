@@ -115,6 +115,7 @@ ensemble(Waves(n_rows=900, seconds_per_row=0.004), store=sys.argv[1], chunk=10, 
 """
 
 
+@pytest.mark.evidence("ensemble", "verified", "a run that was never stopped")
 def test_a_run_killed_again_and_again_ends_with_the_same_bits(tmp_path):
     """SIGKILL at random moments, a little later when the run got nowhere, until a run gets through."""
     draw, kills, folder = random.Random(4), 0, tmp_path / "store"

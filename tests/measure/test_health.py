@@ -36,6 +36,7 @@ def test_four_panels_on_a_tetrahedron_show_all_but_none_and_all():
     assert len(allowed) == 14 and {len(p) for p in allowed} == {1, 2, 3}
 
 
+@pytest.mark.evidence("panel_health", "validated", "the patterns that the paper reports after the second touchdown")
 def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns():
     """Paper, section 4. By trial: remove each panel in turn from what random directions light."""
     patterns = [("2", "3", "6"), ("2", "3"), ("2",)]
@@ -55,7 +56,8 @@ def test_a_pair_is_found_only_where_no_single_panel_will_do():
     assert explanations(PHILAE, [("1", "5")]) == []
 
 
-def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds():
+@pytest.mark.evidence("panel_health", "verified", "SciPy's Nelder-Mead from 25 starts")
+def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds(reached):
     rng = np.random.default_rng(3)
     power = np.maximum(panel_power(PHILAE, random_suns(4, 2)) + SIGMA * rng.normal(size=(4, 6)), 0.0)
     power[0, 0], power[1, 2] = 0.0, 0.0  # lost panels
@@ -71,9 +73,11 @@ def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds():
         options = {"xatol": 1e-9, "fatol": 1e-10, "maxiter": 4000}
         best = min(minimize(distance, s, args=(reading,), method="Nelder-Mead", options=options).fun for s in starts)
         assert found <= best + 1e-6
+        reached("chi-square above the best of the search", found - best, "", 1e-6)
         assert found == pytest.approx(best, rel=1e-5, abs=1e-6)
 
 
+@pytest.mark.evidence("panel_health", "modelled", "500 noisy samples of whole panels, and of one panel dead")
 @pytest.mark.parametrize("craft", [PHILAE, tetrahedron()], ids=["philae", "tetrahedron"])
 def test_whole_panels_are_seldom_accused_and_a_lost_one_nearly_always(craft):
     """The bound holds over many noisy samples of whole panels; the negative control has one panel dead."""

@@ -37,6 +37,7 @@ def test_clean_samples_are_used():
     assert np.isfinite(quality["sigma"]).all()
 
 
+@pytest.mark.evidence("panel_quality", "modelled", "a panel set to zero")
 def test_a_dead_panel_is_named_and_left_out():
     value, _ = clean(60)
     value[:, 2] = 0.0
@@ -51,6 +52,7 @@ def test_few_samples_are_no_ground_to_call_a_panel_dead():
     assert not panel_quality(CUBE, telemetry(value))["dead"].any()
 
 
+@pytest.mark.evidence("panel_quality", "modelled", "currents scaled down")
 @pytest.mark.parametrize(("share", "use", "word"), [(0.6, DOWNWEIGHTED, "battery and not the Sun"), (0.2, DROPPED, "far below")])
 def test_currents_that_follow_the_battery_are_told_from_those_that_follow_the_sun(share, use, word):
     value, _ = clean(40)
@@ -63,6 +65,7 @@ def test_currents_that_follow_the_battery_are_told_from_those_that_follow_the_su
         assert np.all(quality["scale_sigma"].values[10:20] > 1)
 
 
+@pytest.mark.evidence("panel_quality", "modelled", "faults put into clean samples")
 def test_spikes_stale_late_and_empty_frames_are_said():
     value, _ = clean(40)
     value[3, 1] = 65.535

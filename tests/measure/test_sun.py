@@ -26,11 +26,13 @@ def random_panels(seed: int, n: int) -> Vehicle:
 PHILAE = ss.load_vehicle("philae")
 
 
+@pytest.mark.evidence("panel_power", "verified", "computed by hand from Philae's table of panels")
 def test_power_by_hand():
     power = panel_power(PHILAE, [0.6, 0.0, 0.8])
     np.testing.assert_allclose(power, [0, 162 * 0.6 / np.sqrt(2), 162 * 0.6, 162 * 0.6 / np.sqrt(2), 0, 230 * 0.8])
 
 
+@pytest.mark.evidence("panel_power", "verified", "the sixteen sets that the geometry allows, listed by hand")
 def test_philae_has_sixteen_lit_patterns():
     side = [{"1"}, {"1", "2"}, {"1", "2", "3"}, {"1", "2", "3", "4"}, {"2", "3", "4", "5"}, {"3", "4", "5"}, {"4", "5"}, {"5"}]
     expected = {frozenset(s) for s in side} | {frozenset(s | {"6"}) for s in side}
@@ -46,7 +48,8 @@ def test_lit_patterns_of_any_vehicle_are_those_that_random_directions_show(seed)
     assert len(set(lit_patterns(vehicle))) == 5 * 4 + 2  # n great circles in general position cut the sphere into n(n-1)+2
 
 
-def test_philae_sees_five_sixteenths_of_the_sphere():
+@pytest.mark.evidence("sun_directions", "verified", "5/16 of the sphere, from the normals by hand")
+def test_philae_sees_five_sixteenths_of_the_sphere(reached):
     n = directions(40_000)
     azimuth = np.degrees(np.arctan2(n[:, 1], n[:, 0]))
     expected = (n[:, 2] > 0) & (azimuth > -135) & (azimuth < 90)
@@ -54,17 +57,20 @@ def test_philae_sees_five_sixteenths_of_the_sphere():
     lit = panel_power(PHILAE, n) > 0
     good = reconstructible_patterns(PHILAE)
     assert np.array_equal([frozenset(names[row].tolist()) in good for row in lit], expected)
+    reached("share of directions that can be reconstructed", expected.mean())
     assert expected.mean() == pytest.approx(5 / 16, abs=0.01)
 
 
+@pytest.mark.evidence("sun_directions", "verified", "5,000 directions through the forward model and back")
 @pytest.mark.parametrize("case", ["philae", "skcube"])
-def test_noise_free_powers_give_the_direction_back(case):
+def test_noise_free_powers_give_the_direction_back(case, reached):
     vehicle, n = ss.load_vehicle(case), directions(5000, 3)
     sun = ss.sun_directions(vehicle, panel_power(vehicle, n), lit_threshold=1e-9)
     told = is_reconstructed(sun["status"])
     assert told.mean() > 0.25
     assert np.abs(sun["sun_B"].values - n)[told].max() < 1e-9
     assert sun["delta"].values[told].max() < 1e-9
+    reached("largest error of a component", np.abs(sun["sun_B"].values - n)[told], "", 1e-9)
     assert np.all(np.isnan(sun["sun_B"].values[~told]))
 
 
@@ -74,8 +80,9 @@ def misfit(vehicle, n, power):
     return 2.0 if size == 0 else np.linalg.norm(shape / size - power / np.linalg.norm(power))
 
 
+@pytest.mark.evidence("sun_directions", "verified", "SciPy's Nelder-Mead over the sphere, inconsistent powers too")
 @pytest.mark.parametrize("seed", range(8))
-def test_the_minimum_is_global_whatever_the_powers(seed):
+def test_the_minimum_is_global_whatever_the_powers(seed, reached):
     """Random, also inconsistent powers, against a dense search with local polish."""
     rng = np.random.default_rng(seed)
     vehicle = PHILAE if seed % 2 else random_panels(seed, int(rng.integers(3, 7)))
@@ -92,6 +99,7 @@ def test_the_minimum_is_global_whatever_the_powers(seed):
         options = {"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000}
         best = min(best, minimize(lambda x: misfit(vehicle, x, power[0]), start, method="Nelder-Mead", options=options).fun)
     assert delta[0] <= best + 1e-7
+    reached("Delta above the best that the search found", delta[0] - best, "", 1e-7)
     assert misfit(vehicle, n[0], power[0]) == pytest.approx(delta[0], abs=1e-12)
 
 
@@ -139,7 +147,8 @@ def test_below_the_side_panels_the_answer_is_an_arc():
     np.testing.assert_allclose(ends, [[0, 0, -1], azimuth], atol=1e-9)
 
 
-def test_covariance_covers_as_stated_and_notices_a_wrong_noise():
+@pytest.mark.evidence("sun_directions", "verified", "4,000 noisy samples; half the noise assumed is noticed")
+def test_covariance_covers_as_stated_and_notices_a_wrong_noise(reached):
     rng = np.random.default_rng(0)
     n = np.array([0.5, 0.3, 0.81]) / np.linalg.norm([0.5, 0.3, 0.81])
     power = panel_power(PHILAE, n)
@@ -152,6 +161,8 @@ def test_covariance_covers_as_stated_and_notices_a_wrong_noise():
         reduced = np.einsum("ai,nij,bj->nab", basis, sun["sun_cov_B"].values, basis)
         flat = error @ basis.T
         chi2.append(np.einsum("na,nab,nb->n", flat, np.linalg.inv(reduced), flat).mean())
+    reached("chi-square, two degrees of freedom", chi2[0])
+    reached("with half the noise assumed", chi2[1])
     assert chi2[0] == pytest.approx(2.0, abs=0.15)  # two degrees of freedom
     assert chi2[1] > 6.0
     rms = np.sqrt((np.arccos(np.clip(ss.sun_directions(PHILAE, noisy, noise=2.0)["sun_B"].values @ n, -1, 1)) ** 2).mean())

@@ -53,6 +53,7 @@ TIMES = {
 }
 
 
+@pytest.mark.evidence("read_telemetry", "verified", "the same samples as CSV, Parquet and NetCDF, with three clocks")
 @pytest.mark.parametrize("form", TIMES)
 @pytest.mark.parametrize("kind", ["csv", "parquet", "nc"])
 def test_every_kind_of_file_and_clock_reads_alike(form, kind, tmp_path):

@@ -20,6 +20,7 @@ def read(tmp_path, text, craft=None):
     return ss.read_telemetry(path, craft or vehicle())
 
 
+@pytest.mark.evidence("read_telemetry", "verified", "a file written by hand")
 def test_a_good_file(tmp_path):
     data = read(tmp_path, "# synthetic: made up\n" + GOOD)
     np.testing.assert_array_equal(data["power_W"].values, [[1, 2], [1.5, 0]])
@@ -44,6 +45,7 @@ def test_elapsed_seconds_need_and_keep_their_epoch(tmp_path):
     assert data.attrs["epoch_utc"] == "2026-03-01T12:00:00Z"
 
 
+@pytest.mark.evidence("read_telemetry", "verified", "files with one mistake each")
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
@@ -94,6 +96,7 @@ def test_small_negative_values_are_noise_where_noise_is_stated(tmp_path):
     assert data["power_W"].values[1, 1] == -0.02
 
 
+@pytest.mark.evidence("read_telemetry", "validated", "real beacons of skCUBE")
 @pytest.mark.real_data
 def test_skcube_beacons_read_and_say_what_they_can_tell(data_dir):
     craft = ss.load_vehicle("skcube")

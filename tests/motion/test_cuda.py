@@ -53,12 +53,14 @@ def assert_agrees(name, found):
         assert np.abs(found["track"] - expected.track).max() < 1e-6
 
 
+@pytest.mark.evidence("scan", "verified", "the GPU's text in numba's simulator")
 @needs_numba_cuda
 @pytest.mark.parametrize("name", cuda_cases.CASES)
 def test_the_simulator_agrees_with_the_processor(name, simulated):
     assert_agrees(name, {key.split("/")[1]: value for key, value in simulated.items() if key.startswith(f"{name}/")})
 
 
+@pytest.mark.evidence("scan", "verified", "the same motions on the processor (on an NVIDIA GPU)")
 @pytest.mark.parametrize("name", cuda_cases.CASES)
 def test_a_gpu_agrees_with_the_processor(name):
     try:

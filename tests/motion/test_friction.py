@@ -16,13 +16,16 @@ def published_curve(t):
     return c1 * np.exp(c2 * t) + c3
 
 
+@pytest.mark.evidence("fit_spin_down", "validated", "coefficients and friction of the paper, section 2.2")
 @pytest.mark.parametrize("t0", [0.0, 700.0])
-def test_the_published_curve_gives_back_its_coefficients(t0):
+def test_the_published_curve_gives_back_its_coefficients(t0, reached):
     t = t0 + np.arange(0.0, 1800.0, 30.0)
     fit = fit_spin_down(t, published_curve(t), J)
     assert (fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s) == pytest.approx(PUBLISHED, rel=1e-7)
     assert fit.friction.coulomb_N_m == pytest.approx(1.0473e-3, rel=1e-4)
     assert fit.friction.viscous_N_m_s == pytest.approx(2.693e-6, rel=1e-4)
+    error = np.abs(np.array([fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s]) / PUBLISHED - 1)
+    reached("relative error of the coefficients", error, "", 1e-7)
     np.testing.assert_allclose(fit(t), published_curve(t), rtol=1e-9)
 
 
@@ -41,6 +44,7 @@ def test_limits_of_the_friction_law():
     assert spin_down_time(Friction(1e-3, 1e-6), J, 0.0) == 0.0
 
 
+@pytest.mark.evidence("fit_spin_down", "verified", "the propagator against the closed form of the time to stop")
 def test_a_very_heavy_body_lets_the_wheel_run_as_long_as_a_fixed_one():
     friction = Friction(1e-3, 2e-6)
     vehicle = Vehicle("rock", np.eye(3) * 1e7, 1e6, wheels=[Wheel("w", [0, 0, 1], J, 300.0, friction)])
@@ -48,12 +52,14 @@ def test_a_very_heavy_body_lets_the_wheel_run_as_long_as_a_fixed_one():
     assert run["event_time_s"].values[0] == pytest.approx(spin_down_time(friction, J, 300.0), rel=1e-7)
 
 
-def test_the_covariance_is_the_scatter_of_repeated_fits():
+@pytest.mark.evidence("fit_spin_down", "verified", "scatter of 60 fits of noisy curves")
+def test_the_covariance_is_the_scatter_of_repeated_fits(reached):
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 2000.0, 25.0)
     fits = [fit_spin_down(t, published_curve(t) + rng.normal(size=t.size), J) for _ in range(60)]
     scatter = np.std([[f.c1_rad_s, f.c2_per_s, f.c3_rad_s] for f in fits], axis=0)
     claimed = np.sqrt(np.mean([np.diag(f.covariance) for f in fits], axis=0))
+    reached("scatter over stated error", scatter / claimed)
     assert np.all(np.abs(np.log(scatter / claimed)) < np.log(1.4))  # 60 fits fix a width to about 9 %
 
 

@@ -30,6 +30,7 @@ cases = settings(max_examples=60, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
+@pytest.mark.evidence("impact", "verified", "the condition itself, on random vehicles")
 @cases
 @given(seeds, st.integers(0, 3), st.sampled_from(["coast", "brake", "hold"]))
 def test_the_contact_point_comes_to_rest(seed, n_wheels, mode):
@@ -38,6 +39,7 @@ def test_the_contact_point_comes_to_rest(seed, n_wheels, mode):
     np.testing.assert_allclose(contact, 0.0, atol=1e-12)
 
 
+@pytest.mark.evidence("impact", "verified", "conservation of momentum, on random vehicles")
 @cases
 @given(seeds, st.integers(0, 3), st.sampled_from(["coast", "hold"]))
 def test_momentum_about_the_contact_point_is_conserved(seed, n_wheels, mode):
@@ -52,6 +54,7 @@ def test_momentum_about_the_contact_point_is_conserved(seed, n_wheels, mode):
     np.testing.assert_allclose(after["impulse_B"].values, change, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.evidence("impact", "verified", "energy may only fall")
 @cases
 @given(seeds, st.integers(0, 3))
 def test_free_wheels_keep_their_inertial_spin_and_energy_never_rises(seed, n_wheels):
@@ -101,6 +104,7 @@ def test_turning_vehicle_and_blow_together_turns_the_result(seed, n_wheels):
     np.testing.assert_allclose(other["wheel_speed_rad_s"].values, after["wheel_speed_rad_s"].values, rtol=1e-9)
 
 
+@pytest.mark.evidence("impact", "verified", "a blow worked out by hand")
 def test_a_rod_that_lands_on_one_end():
     """A body with unit mass and inertia falls at speed 1 along -z on its end at distance 2 along x.
 

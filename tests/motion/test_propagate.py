@@ -31,8 +31,9 @@ def paper_equations(vehicle: Vehicle):
     return slipping, stuck
 
 
+@pytest.mark.evidence("propagate", "validated", "SciPy's DOP853 on the equations as printed in the paper, rtol 1e-12")
 @pytest.mark.parametrize("omega", [(0.1, 0.0, 0.0), (-0.1, 0.2, 0.0), (0.5, 0.3, 0.14)])
-def test_philae_through_the_wheel_stop_agrees_with_dop853(omega):
+def test_philae_through_the_wheel_stop_agrees_with_dop853(omega, reached):
     vehicle = philae_body()
     slipping, stuck = paper_equations(vehicle)
 
@@ -51,23 +52,28 @@ def test_philae_through_the_wheel_stop_agrees_with_dop853(omega):
     np.testing.assert_allclose(ours["sun_B"][-1], second.y[4:, -1], atol=1e-8)
     np.testing.assert_allclose(ours["omega_B"][-1], second.y[:3, -1], atol=1e-8)
     assert ours["wheel_speed_rad_s"].values[-1, 0] == 0.0
+    reached("difference of the Sun's direction after 45 min", np.abs(ours["sun_B"].values[-1] - second.y[4:, -1]), "", 1e-8)
 
 
-def test_the_wheel_stops_after_the_published_42_minutes():
+@pytest.mark.evidence("propagate", "validated", "the paper: the wheel stops after about 42 min")
+def test_the_wheel_stops_after_the_published_42_minutes(reached):
     run = ss.propagate(philae_body(), [0, 0, 0], FIRST_SUN, 865.0, [0.0, 2700.0])
+    reached("the wheel stops after", run["event_time_s"].values[0] / 60, "min")
     assert run["event_time_s"].values[0] / 60 == pytest.approx(42.0, abs=0.05)
     rounded = philae_body(Friction(1.0e-3, 2.6811e-6))  # the pair as printed
     run = ss.propagate(rounded, [0, 0, 0], FIRST_SUN, 865.0, [0.0, 2700.0])
     assert run["event_time_s"].values[0] == pytest.approx(2595, abs=1.0)
 
 
-def test_forward_and_back_through_the_stop_is_a_round_trip():
+@pytest.mark.evidence("propagate", "verified", "the same run backward")
+def test_forward_and_back_through_the_stop_is_a_round_trip(reached):
     vehicle, t = philae_body(), np.linspace(0, 2700, 271)
     there = ss.propagate(vehicle, [-0.2, 0.05, 0.02], FIRST_SUN, 865.0, t)
     end = there.isel(time=-1)
     back = ss.propagate(
         vehicle, end["omega_B"], end["sun_B"], 0.0, t[::-1], stopped_at_s=float(there["event_time_s"][0])
     )
+    reached("difference of the Sun's direction", np.abs(back["sun_B"].values[::-1] - there["sun_B"].values), "", 1e-9)
     np.testing.assert_allclose(back["sun_B"].values[::-1], there["sun_B"].values, atol=1e-9)
     np.testing.assert_allclose(back["wheel_speed_rad_s"].values[-1], [865.0], rtol=1e-9)
 
@@ -77,8 +83,9 @@ def test_a_stuck_wheel_has_no_known_past():
         ss.propagate(philae_body(), [0.1, 0, 0.3], FIRST_SUN, 0.0, [0.0, -100.0])
 
 
+@pytest.mark.evidence("propagate", "verified", "invariants |H|, |r| and H.r, none to three wheels with friction")
 @pytest.mark.parametrize("n_wheels", [0, 1, 2, 3])
-def test_invariants_hold_to_1e_12(n_wheels):
+def test_invariants_hold_to_1e_12(n_wheels, reached):
     rng = np.random.default_rng(n_wheels)
     vehicle = random_vehicle(rng, n_wheels, dry=0.005, viscous=1e-4)
     speeds = rng.uniform(-30, 30, n_wheels) if n_wheels else None
@@ -88,11 +95,13 @@ def test_invariants_hold_to_1e_12(n_wheels):
     assert np.ptp(np.linalg.norm(H, axis=1)) < 1e-12 * size
     assert np.ptp(np.linalg.norm(r, axis=1)) < 1e-12
     assert np.ptp(np.einsum("ij,ij->i", H, r)) < 1e-12 * size
+    reached("change of |H| in 600 s, relative", np.ptp(np.linalg.norm(H, axis=1)) / size, "", 1e-12)
     attitude = Rotation.from_quat(run["B_from_N"].values)
     np.testing.assert_allclose(attitude.apply(FIRST_SUN), r, atol=1e-11)
     np.testing.assert_allclose(attitude.apply(H[0]), H, atol=1e-11 * size)
 
 
+@pytest.mark.evidence("propagate", "verified", "energy may only fall")
 def test_friction_never_creates_energy():
     rng = np.random.default_rng(5)
     vehicle = random_vehicle(rng, 2, dry=0.02, viscous=1e-3)
@@ -122,7 +131,8 @@ def test_schedule_equals_the_runs_chained_by_hand():
     np.testing.assert_allclose(whole["wheel_speed_rad_s"][-1], then["wheel_speed_rad_s"][-1], rtol=1e-12)
 
 
-def test_axisymmetric_body_with_a_coasting_wheel_has_a_closed_form():
+@pytest.mark.evidence("propagate", "verified", "closed form of the axisymmetric gyrostat")
+def test_axisymmetric_body_with_a_coasting_wheel_has_a_closed_form(reached):
     """theta and the precession rate |H| / I_perp are constant although the wheel slows."""
     friction = Friction(1e-3, 2.7e-6)
     wheel = Wheel("w", [0, 0, 1], 0.0058, 865.0, friction)
@@ -139,14 +149,17 @@ def test_axisymmetric_body_with_a_coasting_wheel_has_a_closed_form():
         np.cos(theta[0]) * np.cos(alpha[0]) + np.sin(theta[0]) * np.sin(alpha[0]) * np.cos(rate * t + sign * phase)
         for sign in (1, -1)
     ]
+    reached("difference of r_z", min(np.abs(r[:, 2] - expected).max() for expected in candidates), "", 1e-9)
     assert min(np.abs(r[:, 2] - expected).max() for expected in candidates) < 1e-9
 
 
-def test_torque_free_attitude_published_with_basilisk():
+@pytest.mark.evidence("propagate", "validated", "attitude after 10 s published with Basilisk's unit test of its spacecraft module")
+def test_torque_free_attitude_published_with_basilisk(reached):
     """Unit-test values of Basilisk's spacecraft module: MRP of B relative to N after 10 s."""
     vehicle = Vehicle("hub", np.diag([500.0, 200.0, 300.0]))
     run = ss.propagate(vehicle, [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
     mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
+    reached("difference of the MRP", np.abs(mrp - [0.373034285, -0.00239564413, 0.208570797]), "", 1e-9)
     np.testing.assert_allclose(mrp, [0.373034285, -0.00239564413, 0.208570797], atol=1e-9)
 
 

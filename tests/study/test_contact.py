@@ -98,6 +98,7 @@ def test_without_turning_the_lowest_point_touches_at_its_own_time():
     np.testing.assert_allclose(found.t_s, 60 - reach / 0.1, atol=0.2 / c.REFINE + 1e-9)
 
 
+@pytest.mark.evidence("outcomes", "verified", "a dense search in time")
 def test_a_turning_rod_touches_where_a_dense_search_says():
     """Height of the centre v (T - t) against L |cos(angle)|, the angle growing at a constant rate."""
     rng, n, t = np.random.default_rng(4), 60, np.linspace(0, 40, 101)

@@ -56,6 +56,7 @@ def test_a_longer_run_of_spoiled_samples_is_recognised_too():
     assert 30 <= descent.clean_from(sun) <= 33
 
 
+@pytest.mark.evidence("reproduce", "validated", "the paper's fit of the descent, on synthetic telemetry")
 def test_the_published_cubic_is_found(result):
     rows = {row.id: row for row in descent.rows(result)}
     assert rows["descent_rate_cubic"].agrees and rows["descent_unique"].agrees and rows["descent_samples"].agrees

@@ -22,6 +22,7 @@ def test_phases_come_from_the_timeline_and_hold_every_sample(result):
     assert [p.samples for p in bare.phases] == [p.samples for p in result.phases]
 
 
+@pytest.mark.evidence("reproduce", "validated", "the paper's statistics of Delta, on synthetic telemetry")
 def test_rows_agree_with_the_paper(result):
     rows = {row.id: row for row in phases.rows(result)}
     assert rows["delta_shadowed"].agrees and rows["nz_folded"].agrees and rows["lit_patterns_before"].agrees

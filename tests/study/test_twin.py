@@ -35,6 +35,7 @@ def free_flight():
     return np.isin(phase, ["descent", "first_rebound", "second_rebound"])
 
 
+@pytest.mark.evidence("twin", "verified", "the file that comes with the package")
 def test_the_committed_file_follows_from_its_seed(made):
     # the file holds 6 decimals and whole milliseconds
     np.testing.assert_allclose(committed["power_W"].values, made["power_W"].values, rtol=0, atol=0.51e-6)
@@ -178,6 +179,7 @@ def test_the_descent_turns_at_the_published_rate(made):
 # ---- twins of any vehicle --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.evidence("twin", "modelled", "its own inverse")
 def test_a_twin_of_any_vehicle_carries_its_truth_and_gives_it_back():
     normals = np.concatenate([np.eye(3), -np.eye(3)])
     faces = [Panel(str(k), normal, 2.0) for k, normal in enumerate(normals)]

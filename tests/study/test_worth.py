@@ -41,6 +41,7 @@ def test_a_table_gives_the_bits_of_a_scan_for_every_target(table):
     assert table.volume(z).dims == alone.dims and table.volume(z).attrs == alone.attrs
 
 
+@pytest.mark.evidence("worth", "validated", "SciPy's Wasserstein distance of heyoka trajectories")
 def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
     z = np.random.default_rng(4).uniform(0.05, 0.95, 16)
     found = table.volume(z)
@@ -128,13 +129,15 @@ def test_shares_by_hand():
     assert wo.Share(5, 10).value == 0.5 and wo.Share(0, 0).interval == (0.0, 1.0)
 
 
-def test_a_threshold_holds_a_further_truth_as_often_as_it_says():
+@pytest.mark.evidence("worth", "verified", "order statistics of 4,000 drawn studies")
+def test_a_threshold_holds_a_further_truth_as_often_as_it_says(reached):
     """Over many studies of 99 twins a further twin lies below the 90 % threshold in 90 % of the cases: exactly 90 of 100 ranks."""
     rng = np.random.default_rng(11)
     n, studies = 99, 4000
     held = [rng.gamma(2.0) < _twins(rng.gamma(2.0, size=n), np.ones(n)).threshold(0.9, True)[0] for _ in range(studies)]
     assert np.mean(held) == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / studies))
     assert np.mean(held) != pytest.approx(0.85, abs=4 * np.sqrt(0.09 / studies))  # a wrong confidence would be noticed
+    reached("share of further truths held, asked for 0.9", np.mean(held))
     covered = 0
     for _ in range(500):
         _, low, high = _twins(rng.uniform(size=200), np.ones(200)).threshold(0.9, True)
@@ -155,13 +158,15 @@ def test_the_bound_is_looked_up_from_where_it_holds_for_good():
     assert twins.at(2.5, False)["threshold"] == 3.0
 
 
-def test_the_shipped_study_says_what_its_rows_say():
+@pytest.mark.evidence("worth", "modelled", "400 synthetic rebounds of known truth")
+def test_the_shipped_study_says_what_its_rows_say(reached):
     worth = wo.shipped(CASE)
     assert worth.command == "sunspin worth --twins 400 --seed 0" and set(worth.twins) == {"lines", "grid"}
     rows = {row.id: row for row in worth_told.rows(CASE, worth, [])}
     lines = worth.twins["lines"]
     assert rows["worth_truth_in_set"].ours == pytest.approx(np.mean(lines.ratio < 1.1))
     assert 0.01 < rows["worth_truth_in_set"].ours < 0.1 and 2.3 < rows["worth_factor_90"].ours < 3.0
+    reached("truth within 1.1 times the smallest EMD", rows["worth_truth_in_set"].ours)
     assert all("synthetic" in row.note for row in rows.values() if "sunspin worth" in row.note)
     again = wo.from_json(json.dumps(wo.to_json(worth)), "here")
     assert wo.to_json(again) == wo.to_json(worth)

@@ -61,6 +61,7 @@ def test_the_xml_message_says_the_same(result, tmp_path):
     assert np.abs(made - body_from_n(result)).max() < 1e-9
 
 
+@pytest.mark.evidence("export", "validated", "ccsds-ndm reads the message back")
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_another_library_reads_the_message(form, result, tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
@@ -80,7 +81,8 @@ def test_a_celestial_frame_is_refused_without_a_second_direction(result):
     assert attitude_of(known).frame == "EME2000"
 
 
-def test_spice_reads_its_kernels_back(result, tmp_path):
+@pytest.mark.evidence("export", "validated", "NAIF's SPICE reads the kernels back")
+def test_spice_reads_its_kernels_back(result, tmp_path, reached):
     sp = pytest.importorskip("spiceypy")
     attitude = attitude_of(result)
     kernels = [str(path) for path in write_ck(tmp_path, attitude)]
@@ -90,6 +92,7 @@ def test_spice_reads_its_kernels_back(result, tmp_path):
     sp.furnsh(kernels)
     try:
         made = np.array([sp.pxform(LOCAL_FRAME, "SUNSPIN_BODY", t) for t in et])
+        reached("largest difference of a matrix element", np.abs(made - body_from_n(result)), "", 1e-9)
         assert np.abs(made - body_from_n(result)).max() < 1e-9
         with pytest.raises(sp.exceptions.SpiceyError):
             sp.pxform("J2000", "SUNSPIN_BODY", et[0])  # nobody knows how the local frame stands in the sky
@@ -98,15 +101,20 @@ def test_spice_reads_its_kernels_back(result, tmp_path):
             sp.unload(path)
 
 
-def test_comparison_with_somebodys_kernels_finds_what_was_changed(result, tmp_path):
+@pytest.mark.evidence("compare", "verified", "kernels of our own in which the rates were changed by 2 %")
+def test_comparison_with_somebodys_kernels_finds_what_was_changed(result, tmp_path, reached):
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
     pytest.importorskip("spiceypy")
     known = attitude_of(result.assign_attrs(celestial_frame="J2000"), "J2000")
     kernels = [str(path) for path in write_ck(tmp_path, known._replace(omega_B=1.02 * known.omega_B))]
     theirs = kernel_rates(kernels, "SUNSPIN_BODY", "J2000", ephemeris_time(known.epoch) + known.t_s)
     assert np.abs(theirs / known.omega_B - 1.02).max() < 1e-9
-    with pytest.raises(ss.InputError, match="kernels cannot be used"):
-        kernel_rates([str(tmp_path / "absent.bc")], "SUNSPIN_BODY", "J2000", np.zeros(1))
+    reached("error of the factor found", np.abs(theirs / known.omega_B - 1.02), "", 1e-9)
+    broken = tmp_path / "broken.bc"
+    broken.write_bytes(b"DAF/CK  " + bytes(100))
+    for path, message in ((tmp_path / "absent.bc", "no such kernel"), (broken, "kernels cannot be used")):
+        with pytest.raises(ss.InputError, match=message):
+            kernel_rates([str(path)], "SUNSPIN_BODY", "J2000", np.zeros(1))
 
 
 @pytest.mark.parametrize(("utc", "et"), [

@@ -19,6 +19,7 @@ import xarray as xr
 
 from sunspin.errors import InputError, TelemetryError, sentence
 from sunspin.measure.telemetry import read_telemetry
+from sunspin.notebook import case_html
 from sunspin.timeline import Timeline, parse_timeline
 from sunspin.vehicle import Vehicle, load_vehicle
 
@@ -48,8 +49,8 @@ class Case:
     @cached_property
     def telemetry(self) -> xr.Dataset:
         """The case's own telemetry, read when first asked for."""
-        path = self.folder / "telemetry.csv"
-        if not path.is_file():
+        path = case_telemetry(self.name)
+        if path is None:
             raise TelemetryError(
                 sentence(
                     f"case {self.name!r} comes without telemetry", do="read yours with read_telemetry(path, vehicle)"
@@ -57,10 +58,19 @@ class Case:
             )
         return read_telemetry(path, self.vehicle)
 
+    def _repr_html_(self) -> str:
+        return case_html(self)
+
 
 def case_names() -> list[str]:
     """Names of the built-in cases."""
     return sorted(path.parent.name for path in _root().glob("*/vehicle.toml"))
+
+
+def case_telemetry(name: str) -> Path | None:
+    """The telemetry file that comes with a built-in case; None where there is none, or no such case."""
+    path = _root() / name / "telemetry.csv"
+    return path if name in case_names() and path.is_file() else None
 
 
 def load_case(name: str) -> Case:

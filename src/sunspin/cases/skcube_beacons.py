@@ -84,12 +84,14 @@ def _frames(path: Path) -> Iterator[tuple[str, bytes]]:
                 with open(file, "rb") as stream:
                     yield file.name, stream.read(MAX_FRAME_BYTES)
             return
+        if not path.is_file():
+            raise OSError("no such file, or it is a device or a pipe")
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist()[:MAX_FRAMES]:
                 if not info.is_dir():
                     with archive.open(info) as stream:
                         yield Path(info.filename).name, stream.read(MAX_FRAME_BYTES)
-    except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+    except Exception as error:  # what zipfile raises on a damaged archive is not documented, and is much
         raise TelemetryError(
             sentence(f"the raw beacons cannot be read ({error})", do="give a folder or a zip of raw frames", where=where)
         ) from None

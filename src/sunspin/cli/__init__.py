@@ -8,14 +8,17 @@ import sys
 import click
 
 from sunspin.cli.common import Group, ReaderGone
-from sunspin.errors import SunspinError
+from sunspin.errors import SunspinError, printable
+
+LONGEST = 1200
+"""Characters of one sentence: names from outside may have any number."""
 
 
 @click.group(
     cls=Group,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog="Start with `sunspin init my-satellite`. Every command has --help with an example.",
+    epilog="Start with `sunspin init my-satellite`. Every command has --help with examples that run, --json and --quiet.",
 )
 @click.version_option(package_name="sunspin")
 @click.pass_context
@@ -35,19 +38,30 @@ def main() -> None:
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
     except click.ClickException as error:
-        code = _say(f"error: {' '.join(error.format_message().split())}{_hint(error)}", 2)
+        code = _say(f"error: {' '.join(error.format_message().split()).rstrip('.')}{_hint(error)}", 2)
     except (ReaderGone, BrokenPipeError):
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except MemoryError:
         code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
+    except OSError as error:  # what files and folders answer where no better sentence was found
+        code = _say(f"error: {error.filename or 'a file'} cannot be used ({error.strerror or error}); check the path", 2)
+    except Exception as error:
+        if os.environ.get("SUNSPIN_TRACEBACK"):
+            raise
+        code = _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _say(text: str, code: int) -> int:
-    print(f"sunspin: {text}", file=sys.stderr)
+    said = printable(text)
+    print("sunspin: " + (said if len(said) <= LONGEST else f"{said[: LONGEST // 2]} ... {said[-LONGEST // 2 :]}"), file=sys.stderr)
     return code
+
+
+def _defect(error: Exception) -> str:
+    return f"defect: this is a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
 
 
 def _hint(error: click.ClickException) -> str:

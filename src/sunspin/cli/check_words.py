@@ -14,7 +14,8 @@ def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     if "panel" in samples.coords:
         about, lines = _panels(craft, samples)
         summary |= about
-    sensors = {"sun_sensor_B": "Sun sensors", "gyro_B": "gyro", "field_B": "magnetometer"}
+    sensors = {"sun_sensor_B": "Sun sensors", "gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "attitude",
+               "wheel_speed_rad_s": "wheel speeds"}
     there = {label: int(np.isfinite(samples[name].values).all(axis=1).sum()) for name, label in sensors.items() if name in samples}
     if there:
         summary["sensors"] = there
@@ -35,6 +36,16 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     lines = [f"  {n:6d}  {text}" for text, n in why.items()]
     if dead:
         lines.append(f"  panel {', '.join(dead)} never reads anything: dead, or never in the Sun; left out")
+    gain, sigma = quality["gain"].values / craft.panel_gains, quality["gain_sigma"].values / craft.panel_gains
+    names = [str(name) for name in quality["panel"].values]
+    summary["gains"] = {name: [float(g), float(s)] for name, g, s in zip(names, gain, sigma, strict=True)}
+    summary["gains_from"] = quality.attrs["gains_from"]
+    if np.isfinite(quality.attrs["spread"]):
+        told = ", ".join(f"{name} {g:.3f} +- {s:.3f}" for name, g, s in zip(names, gain, sigma, strict=True))
+        lines.append(f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {told}")
+    else:
+        lines.append(f"  gains: {quality.attrs['gains_from']}")
+    lines.append(f"  light on dark faces: up to {quality.attrs['albedo']:.0%} of full Sun")
     counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
     lines.append(f"  faces lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too")
     return summary, lines

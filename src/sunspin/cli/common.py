@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import sys
 from collections.abc import Callable
+from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import click
 
-from sunspin.errors import InputError, sentence
+from sunspin.errors import InputError, printable, sentence
+from sunspin.outside import SIZES, is_sensible
 
 COMMANDS = {
     "reproduce": "sunspin.cli.study:reproduce",
@@ -23,26 +27,52 @@ COMMANDS = {
     "rates": "sunspin.cli.rates:rates",
     "simulate": "sunspin.cli.motion:simulate",
     "scan": "sunspin.cli.motion:scan",
+    "posterior": "sunspin.cli.posterior:posterior",
     "outcomes": "sunspin.cli.outcomes:outcomes",
+    "report": "sunspin.cli.study:report_page",
     "export": "sunspin.cli.export:export",
     "compare": "sunspin.cli.export:compare",
 }
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
+SECTIONS = {
+    "Your satellite": ("init", "check", "sun", "rates", "export"),
+    "Motions": ("simulate", "scan", "outcomes"),
+    "Philae": ("reproduce", "worth"),
+    "Data of others": ("decode", "compare"),
+}
+"""How --help groups the commands; one that is in no group comes last."""
+
 SUMMARIES = {
     "reproduce": "The whole Philae study: figures, tables, report.",
-    "worth": "How far the study's answer can be trusted: its method on many twins.",
+    "worth": "How far the study's answer can be trusted.",
     "init": "Write a vehicle file and telemetry to start from.",
     "check": "What is wrong with my files, in plain words.",
     "decode": "Raw beacons of skCUBE into a table.",
     "sun": "Directions to the Sun from panel powers or currents.",
     "rates": "Body rates and attitude of each pass, all motions that fit.",
     "simulate": "One trajectory of a vehicle with its wheels.",
-    "scan": "Which initial rates fit the Sun's measured heights, and the lines they lie on.",
-    "outcomes": "What a motion leads to: collision, first contact, antenna, wheel strategies.",
+    "scan": "Which initial rates fit, and the lines they lie on.",
+    "posterior": "Every motion that the readings allow, with its probability.",
+    "outcomes": "What a motion leads to: collision, landing, wheel strategies.",
+    "report": "A results folder as one page to look into.",
     "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
     "compare": "Rates against somebody's SPICE attitude kernels.",
 }
+
+
+def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
+    """Refuse numbers that are infinite, none, or beyond all measure."""
+    name = parameter.opts[0]
+    for value in given if isinstance(given, tuple) else (given,):
+        if isinstance(value, float):
+            _check_number(name, value)
+    return given
+
+
+def _check_number(name: str, value: float) -> None:
+    if not is_sensible(value):
+        raise InputError(sentence(f"{name} must be {SIZES}", got=str(value)))
 
 
 class ReaderGone(Exception):
@@ -68,11 +98,28 @@ class Group(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module, name = COMMANDS[cmd_name].split(":")
-        return getattr(import_module(module), name)
+        command = getattr(import_module(module), name)
+        for parameter in command.params:
+            parameter.callback = parameter.callback or sensible
+        return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, SUMMARIES[name]) for name in COMMANDS])
+        grouped = {name for names in SECTIONS.values() for name in names}
+        for title, names in {**SECTIONS, "More": [name for name in COMMANDS if name not in grouped]}.items():
+            if names:
+                with formatter.section(title):
+                    formatter.write_dl([(name, SUMMARIES[name]) for name in names])
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """As click does, but a misspelt command is answered with the likely ones."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
+            if near and "Did you mean" not in error.message:
+                said = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
+                raise click.UsageError(said, ctx) from None
+            raise
 
 
 def output_options(default: str | None = None, out: bool = True) -> Callable:
@@ -107,8 +154,12 @@ def run_options(command: Callable) -> Callable:
 
 
 def find_telemetry(path: str, data: Path | None) -> Path:
-    """The telemetry file as given, or under the data folder."""
+    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry."""
     given = Path(path)
+    if given.name == path and not given.suffix and not given.exists():
+        from sunspin.cases import case_telemetry
+
+        given = case_telemetry(path) or given
     if data is not None and not given.is_absolute():
         try:
             if not given.exists() and (data / given).exists():
@@ -124,6 +175,8 @@ def numbers(text: str | None, name: str, count: int | None = None) -> list[float
         values = [float(part) for part in text.split(",")] if text else []
     except ValueError:
         values = None
+    for value in values or ():
+        _check_number(name, value)
     if values is None or (count is not None and len(values) != count):
         wanted = f"{count} numbers" if count else "numbers"
         raise InputError(sentence(f"{name} takes {wanted} separated by commas", got=text, do=f"for example {name} 0.1,0,-0.2"))
@@ -135,10 +188,22 @@ def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool
     if as_json:
         from sunspin.tell.results import plain
 
-        click.echo(json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False))
+        text = json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False)
+        click.echo(text.encode("utf-8", "backslashreplace").decode("utf-8"))  # half characters of file names become escapes
     elif not quiet:
         for line in lines:
-            click.echo(line)
+            click.echo(line if line.isprintable() else line[: len(line) - len(line.lstrip(" "))] + printable(line))
+
+
+def store_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None) -> str:
+    """Write what repeats a run and what its report needs; the line to print."""
+    from sunspin.tell.results import write_run
+
+    command = shlex.join(["sunspin", *sys.argv[1:]])
+    said = {} if telemetry is None else telemetry.attrs
+    inputs = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}] if "sha256" in said else []
+    write_run(folder, summary | {"command": command, "inputs": inputs}, vehicle, telemetry)
+    return f"A page to look into it: sunspin report {folder}"
 
 
 def on_terminal(quiet: bool) -> bool:

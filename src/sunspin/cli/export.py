@@ -16,7 +16,7 @@ FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--format", "form", type=click.Choice(FORMATS), default="aem", show_default=True)
+@click.option("--format", "form", type=click.Choice(FORMATS), default="aem", show_default=True, help="What to write.")
 @click.option("--frame", help="Frame to write; a celestial one is refused where the turn about the Sun line is not known.")
 @click.option("--epoch", help="UTC of time zero, where the results have none (those of `sunspin simulate`).")
 @output_options(default="export")
@@ -27,8 +27,8 @@ def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
 
     \b
     Example:
-      sunspin rates skcube skcube/skcube_adcs.csv --data DIR --out skcube-rates
-      sunspin export skcube-rates --format ck --out skcube-ck
+      sunspin simulate philae --omega 0.1,0,0 --sun 0,0,1 --duration 600 --out run
+      sunspin export run --format netcdf --epoch 2014-11-12T15:35:00Z --out attitude
     """
     from sunspin.tell.export import attitude_of, read_results, write_cf, write_parquet
     from sunspin.tell.results import results_folder

@@ -66,9 +66,9 @@ def check(vehicle: str, telemetry: str | None, as_json: bool, quiet: bool, data:
     """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
 
     \b
-    Example:
-      sunspin check philae
+    Examples:
       sunspin check vehicle.toml telemetry.csv
+      sunspin check philae philae
     """
     from sunspin.vehicle import load_vehicle
 
@@ -90,7 +90,7 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
         "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
     }
     parts = ", ".join(_counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
-    known = "given" if summary["inertia_given"] else "not given (the motion cannot be computed)"
+    known = "given" if summary["inertia_given"] else "not given (for `rates` a sphere; nothing can be simulated)"
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
         from sunspin.measure.panels import lit_patterns
@@ -140,11 +140,13 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
 def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     from sunspin.cli.measured import counts, status_lines
     from sunspin.measure.health import panel_health
+    from sunspin.measure.quality import lit_threshold
     from sunspin.measure.sun import sun_directions
 
-    sun = sun_directions(craft, samples)
+    threshold = lit_threshold(craft, samples)
+    sun = sun_directions(craft, samples, lit_threshold=threshold)
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
-    health = panel_health(craft, samples.isel(time=slice(None, None, stride)))
+    health = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
     summary = {
         "status": counts(sun),
         "noise_from": str(sun.attrs["noise_from"]),

@@ -8,7 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import data_option, find_telemetry, output_options, report
+from sunspin.cli.common import data_option, find_telemetry, output_options, report, store_run
 
 
 @click.command()
@@ -17,23 +17,26 @@ from sunspin.cli.common import data_option, find_telemetry, output_options, repo
 @output_options()
 @data_option
 @click.option("--noise", type=click.FloatRange(0, min_open=True), help="One sigma of a panel's value, in W or A.")
-@click.option("--lit-threshold", type=click.FloatRange(0, min_open=True), help="A panel is lit above this, in W or A.")
-def sun(vehicle, telemetry, out, as_json, quiet, data, noise, lit_threshold) -> None:
+@click.option("--lit-threshold", "threshold", type=click.FloatRange(0, min_open=True),
+              help="A panel is lit above this, in W or A; default: the vehicle's, else from noise and light on dark faces.")
+def sun(vehicle, telemetry, out, as_json, quiet, data, noise, threshold) -> None:
     """Directions to the Sun from panel powers or currents, each with its uncertainty or the reason why there is none.
 
     With --out, writes sun.csv, sun.nc, sun.png and sun.svg.
 
     \b
-    Example:
+    Examples:
       sunspin sun vehicle.toml telemetry.csv --out sun-results
+      sunspin sun philae philae
     """
+    from sunspin.measure.quality import lit_threshold
     from sunspin.measure.sun import is_reconstructed, sun_directions
     from sunspin.measure.telemetry import read_telemetry
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
-    directions = sun_directions(craft, samples, noise=noise, lit_threshold=lit_threshold)
+    directions = sun_directions(craft, samples, noise=noise, lit_threshold=threshold or lit_threshold(craft, samples))
     told = is_reconstructed(directions["status"])
     sigma = directions["sigma_rad"].values[told]
     summary: dict[str, Any] = {
@@ -48,7 +51,8 @@ def sun(vehicle, telemetry, out, as_json, quiet, data, noise, lit_threshold) -> 
     if summary["median_sigma_deg"] is not None:
         lines.append(f"  median uncertainty {summary['median_sigma_deg']:.2f} deg (noise: {summary['noise_from']})")
     if out is not None:
-        lines.append(f"Results: {write(out, directions, samples)}")
+        folder = write(out, directions, samples)
+        lines += [f"Results: {folder}", store_run(folder, summary, vehicle, samples)]
     report(summary, lines, as_json, quiet)
 
 

@@ -8,10 +8,19 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options
+from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options, store_run
 from sunspin.errors import InputError, sentence
 
-MAX_SAMPLES = 10_000_000
+MAX_SAMPLES, BYTES_PER_SAMPLE = 2_000_000, 300
+"""Output times of one trajectory, and what one takes while it is computed and written."""
+
+MAX_ANGLE_RAD, SECONDS_PER_RAD = 1e6, 4e-6
+"""How far a trajectory may turn (a day at 10 rad/s), and the time that takes: beyond, a slip of units is likelier than a wish."""
+
+MAX_GRID = 100_000
+"""Values of one axis of a scan's grid."""
+
+WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."
 
 
 @click.command()
@@ -21,7 +30,7 @@ MAX_SAMPLES = 10_000_000
 @click.option("--wheel-speed", help="Wheel speeds, rad/s, separated by commas; default: the vehicle's.")
 @click.option("--duration", type=float, required=True, help="Length in s; negative runs backward.")
 @click.option("--step", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Output step in s.")
-@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
 @click.option("--stopped-at", type=float, help="When a wheel at rest had stopped, s (to run backward).")
 @output_options()
 def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, out, as_json, quiet) -> None:
@@ -40,6 +49,7 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     t = _times(duration, step)
     start = numbers(omega, "--omega", 3), numbers(sun_B, "--sun", 3)
+    _check_work(craft, start[0], speeds, duration)
     run = propagate(craft, *start, speeds or None, t, wheel_mode=wheel_mode, stopped_at_s=stopped_at)
     end = run.isel(time=-1)
     events = [
@@ -65,7 +75,8 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     if out is not None:
         from sunspin.tell.results import results_folder, write_netcdf
 
-        lines.append(f"Results: {write_netcdf(results_folder(out, 'simulate') / 'trajectory.nc', run)}")
+        folder = results_folder(out, "simulate")
+        lines += [f"Results: {write_netcdf(folder / 'trajectory.nc', run)}", store_run(folder, summary, vehicle)]
     report(summary, lines, as_json, quiet)
 
 
@@ -75,11 +86,34 @@ def _times(duration: float, step: float) -> np.ndarray:
         raise InputError(sentence("--duration and --step must be finite", got=f"{duration} s in steps of {step} s"))
     if abs(duration) / step > MAX_SAMPLES:
         raise InputError(
-            sentence(f"more than {MAX_SAMPLES:g} output times", got=f"{duration} s in steps of {step} s", do="use a larger --step")
+            sentence(
+                f"{abs(duration) / step:.3g} output times are more than {MAX_SAMPLES:g} and would take some "
+                f"{abs(duration) / step * BYTES_PER_SAMPLE / 1e9:.2g} GB of memory",
+                got=f"{duration} s in steps of {step} s", do="use a larger --step",
+            )
         )
     count = int(np.floor(abs(duration) / step + 1e-9))
     t = np.copysign(np.arange(count + 1) * step, duration)
     return np.append(t, duration) if abs(duration) > abs(t[-1]) * (1 + 1e-12) else t
+
+
+def _check_work(craft, omega: list[float], speeds: list[float], duration: float) -> None:
+    """Refuse a trajectory that turns unreasonably far, with an estimate of the time."""
+    tensor = craft.require_inertia()
+    if len(speeds) != len(craft.wheels):
+        return  # said better where the trajectory begins
+    with np.errstate(all="ignore"):
+        spins = sum((wheel.inertia_kg_m2 * s * wheel.axis_B for wheel, s in zip(craft.wheels, speeds, strict=True)), np.zeros(3))
+        rate = np.linalg.norm(tensor @ np.array(omega) + spins) / np.linalg.eigvalsh(tensor)[0]
+    angle = float(max(rate, np.linalg.norm(omega)) * abs(duration))
+    if angle > MAX_ANGLE_RAD:
+        raise InputError(
+            sentence(
+                f"the body turns by up to {angle:.3g} rad in this time, more than {MAX_ANGLE_RAD:g}, which would take some "
+                f"{angle * SECONDS_PER_RAD:.2g} s", got=f"{duration:g} s at {angle / abs(duration):.3g} rad/s",
+                do="check the units, or run it in parts from Python (sunspin.propagate)",
+            )
+        )  # fmt: skip
 
 
 def _vector(values: list[float]) -> str:
@@ -91,12 +125,14 @@ def _vector(values: list[float]) -> str:
 @click.argument("telemetry")
 @click.option("--from", "begin", type=float, default=None, help="First time to use, s of the file's clock.")
 @click.option("--to", "end", type=float, default=None, help="Last time to use.")
-@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s: low:high:step.")
+@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s: low:high:step, or "
+              "values with commas.")
 @click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y.")
 @click.option("--omega-z", default="-0.3:0.3:0.015", show_default=True, help="Grid of omega_z.")
 @click.option("--wheel-speed", help="Wheel speeds at the first sample used, rad/s; default: the vehicle's.")
-@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True)
-@click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True)
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
+@click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True, help="emd compares the distributions "
+              "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.")
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
 @click.option("--threshold", type=click.FloatRange(0, min_open=True), help="Take the points below this value instead: one that was "
               "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
@@ -118,29 +154,31 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
     The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
-    resumed if it has a --store.
+    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some ten seconds.
 
     \b
     Examples:
-      sunspin scan vehicle.toml telemetry.csv --from 0 --to 2700 --omega-z -0.1:0.1:0.01 --out scan-results
-      sunspin scan vehicle.toml telemetry.csv --omega-z -0.3:0.3:0.001 --store scan-rows --out scan-results
+      sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x=-0.1:0.1:0.02 --omega-y=-0.1:0.1:0.02 --omega-z=0:0.1:0.02
+      sunspin scan philae philae --from 25140 --to 27900 --omega-x=-0.5:1:0.1 --store scan-rows --out scan-results
     """
     from sunspin.infer.lines import fit_lines
     from sunspin.infer.scan import below, near_minimum
     from sunspin.infer.scan import scan as run_scan
+    from sunspin.measure.telemetry import read_telemetry
     from sunspin.tell.results import results_folder, write_netcdf
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
-    track = _track(craft, find_telemetry(telemetry, data), begin, end)
+    samples = read_telemetry(find_telemetry(telemetry, data), craft)
+    track = _track(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     target = track if metric == "E" else track["sun_B"].values[:, 2]
-    axes = [_grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")]
+    x, y, z = _grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
         raise InputError(sentence("--factor must exceed 1", got=factor))
     folder = None if out is None else results_folder(out, "scan")  # refuse before the work, not after it
     volume = run_scan(
-        craft, target, track["sun_B"].values[0], *axes, speeds or None, float(track["time"].values[-1]),
+        craft, target, track["sun_B"].values[0], x, y, z, speeds or None, float(track["time"].values[-1]),
         wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
         device=device, progress=on_terminal(quiet),
     )  # fmt: skip
@@ -152,7 +190,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         "metric": metric,
         "rows": int(volume.size),
         "minimum": float(volume.min()),
-        "best_omega_B": points[np.argmin([volume.sel(**_at(p), method="nearest").item() for p in points])].tolist(),
+        "best_omega_B": points[np.argmin([volume.sel(_at(p), method="nearest").item() for p in points])].tolist(),
         "near_minimum_points": len(points),
     }
     lines = [
@@ -168,8 +206,15 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         ]
         lines += [f"  line through {_vector(x['point'])} along {_vector(x['direction'])}" for x in summary["lines"]]
     if folder is not None:
-        lines.append(f"Results: {write_netcdf(folder / 'scan.nc', volume.to_dataset())}")
+        lines.append(f"Results: {write_netcdf(folder / 'scan.nc', _stored(volume, points, factor, threshold))}")
+        lines.append(store_run(folder, summary | {"seed": seed}, vehicle, samples))
     report(summary, lines, as_json, quiet)
+
+
+def _stored(volume, points: np.ndarray, factor: float, threshold: float | None):
+    """The scan with the points that were chosen from it."""
+    said = {"units": "rad/s"} | ({"factor": factor} if threshold is None else {"threshold": threshold})
+    return volume.to_dataset().assign(near_minimum=(("near_point", "rate_axis"), points, said))
 
 
 def _at(point: np.ndarray) -> dict[str, float]:
@@ -180,19 +225,24 @@ def _grid(text: str, name: str) -> np.ndarray:
     """low:high:step, or values separated by commas."""
     if ":" not in text:
         return np.array(numbers(text, name))
+    from sunspin.infer.scan import check_size
+
     parts = text.split(":")
     low, high, step = numbers(",".join(parts), name, 3)
-    if not (step > 0 and high >= low) or (high - low) / step > 100_000:
-        raise InputError(sentence(f"{name} must be low:high:step with a positive step and no more than 100000 values", got=text))
+    count = (high - low) / step + 1 if step > 0 and high >= low else np.nan
+    if not np.isfinite(count):
+        raise InputError(sentence(f"{name} must be low:high:step, finite and with a positive step", got=text))
+    if count > MAX_GRID:
+        check_size(count, 1, 1)
+        raise InputError(sentence(f"{name} has {count:.3g} values, more than {MAX_GRID}", got=text, do="use a larger step"))
     return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
 
 
-def _track(craft, path: Path, begin: float | None, end: float | None):
+def _track(craft, samples, begin: float | None, end: float | None):
     """The directions in the window, time counted from the first."""
     from sunspin.measure.sun import is_reconstructed, sun_directions
-    from sunspin.measure.telemetry import read_telemetry
 
-    sun = sun_directions(craft, read_telemetry(path, craft))
+    sun = sun_directions(craft, samples)
     time = sun["time"].values
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end
     use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
@@ -202,7 +252,7 @@ def _track(craft, path: Path, begin: float | None, end: float | None):
                 "fewer than two samples in this window give a direction of the Sun",
                 got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
                 do="widen --from and --to; `sunspin sun` says why samples give none",
-                where=str(path),
+                where=str(samples.attrs.get("file", "")),
             )
         )
     track = sun[["sun_B"]].isel(time=np.flatnonzero(use))

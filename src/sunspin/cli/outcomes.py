@@ -9,7 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import numbers, on_terminal, output_options, report, run_options
+from sunspin.cli.common import numbers, on_terminal, output_options, report, run_options, store_run
 from sunspin.errors import InputError, sentence
 
 SHOWN = (
@@ -30,8 +30,9 @@ SHOWN = (
 
 @click.command()
 @click.argument("vehicle")
-@click.option("--strategy", "strategies", multiple=True, help="What the wheels are told: off, held, brake, after_rest or "
-              "delay:SECONDS; may be given several times. Default: off and held.")
+@click.option("--strategy", "strategies", multiple=True, help="What the wheels are told: off (at the touchdown), held, brake, "
+              "after_rest (held until the lander rests) or delay:SECONDS (off that much later); may be given several times. "
+              "Default: off and held.")
 @click.option("--runs", type=click.IntRange(1, 100_000_000), default=100_000, show_default=True, help="Runs per strategy.")
 @click.option("--scan", type=click.Path(path_type=Path), help="scan.nc of `sunspin scan`: candidates are its near-minimum set.")
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
@@ -102,7 +103,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
         lines += more
     lines += [table.attrs["not_told"]] if table.attrs["not_told"] else []
     if folder is not None:
-        lines.append(f"Results: {_write(folder, table, found, best, weighted)}")
+        lines += [f"Results: {_write(folder, table, found, best, weighted)}", store_run(folder, summary, vehicle)]
     report(summary, lines, as_json, quiet)
 
 
@@ -115,7 +116,7 @@ def _told(table, name: str, runs) -> tuple[dict[str, Any], list[str]]:
         if np.isfinite(v)
     }
     failed = int((runs["outcome"].values != 0).sum())
-    head = f"{name}: {runs.sizes['run']} runs" + (f", {failed} of them could not be computed" if failed else "")
+    head = f"wheels {name}: {runs.sizes['run']} runs" + (f", {failed} of them could not be computed" if failed else "")
     body = [f"  {text}: {told[q]['value']:.4f} +- {told[q]['error']:.4f}" for q, text in SHOWN if q in told]
     return told, [head, *body]
 
@@ -143,7 +144,8 @@ def _scenario(craft, given: dict[str, Any], collision_speed: float | None):
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in given:
             raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))
-    return Scenario(**{"wheel_speed_rad_s": tuple(wheel.speed_rad_s for wheel in craft.wheels)} | given)
+    known: dict[str, Any] = {"wheel_speed_rad_s": tuple(wheel.speed_rad_s for wheel in craft.wheels)}
+    return Scenario(**known | given)
 
 
 def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...]) -> np.ndarray:
@@ -162,21 +164,17 @@ def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...])
 
 
 def _near_minimum(path: Path, factor: float) -> np.ndarray:
-    import xarray as xr
-
     from sunspin.infer.scan import near_minimum
+    from sunspin.measure.netcdf import read_netcdf
 
     if not path.is_file():
         raise InputError(sentence("there is no such file", do="give scan.nc as `sunspin scan --out` writes it", where=str(path)))
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as file:
-            volume = file["emd" if "emd" in file else "E"].load()
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(
-            sentence(
-                f"this is no scan ({type(error).__name__})", do="give scan.nc as `sunspin scan` writes it", where=str(path)
-            )
-        ) from None
+    file = read_netcdf(path, str(path), InputError)
+    volume = file.get("emd", file.get("E"))
+    if volume is None or set(volume.dims) != {"omega_x", "omega_y", "omega_z"} or not set(volume.dims) <= set(volume.coords):
+        raise InputError(sentence("this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)))
+    if not all(np.issubdtype(part.dtype, np.number) for part in (volume, *volume.coords.values())):
+        raise InputError(sentence("this scan holds what is no number", do="write it again", where=str(path)))
     return near_minimum(volume, factor)
 
 
@@ -188,8 +186,8 @@ def _condition(craft, runs, data: Path | None):
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "kernel_speed_before" not in case.published or not np.isfinite(runs["speed_after"]).any():
         raise InputError(sentence("--condition needs collisions of a case with a trajectory kernel", do="use it with philae"))
-    there = data is not None and data.joinpath(*collision.KERNEL).is_file()
-    return collision.condition(case, runs, collision.kernel_facts(case, data) if there else None)
+    there = data if data is not None and data.joinpath(*collision.KERNEL).is_file() else None
+    return collision.condition(case, runs, None if there is None else collision.kernel_facts(case, there))
 
 
 def _weighted(found) -> tuple[dict[str, Any], list[str]]:

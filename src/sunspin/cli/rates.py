@@ -8,7 +8,10 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import data_option, find_telemetry, output_options, report
+from sunspin.cli.common import data_option, find_telemetry, output_options, report, store_run
+
+UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
+"""What `--without` may name, and the variable that it takes away."""
 
 
 @click.command()
@@ -22,7 +25,7 @@ from sunspin.cli.common import data_option, find_telemetry, output_options, repo
 @click.option("--noise", type=click.FloatRange(0, min_open=True), help="Angular acceleration noise, rad/s^1.5; default: the "
               "vehicle's, else what the data support best.")
 @click.option("--gap", type=click.FloatRange(0, min_open=True), help="A longer gap parts two passes, s; default: six intervals.")
-@click.option("--without", multiple=True, type=click.Choice(["gyro", "magnetometer"]), help="Do not use this sensor; repeatable.")
+@click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
@@ -39,8 +42,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
 
     craft = load_vehicle(vehicle)
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
-    unused = {"gyro": "gyro_B", "magnetometer": "field_B"}
-    used = samples.drop_vars([unused[name] for name in without if unused[name] in samples])
+    used = samples.drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
     if out is not None:
         from sunspin.tell.results import results_folder
 
@@ -51,7 +53,8 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     )  # fmt: skip
     summary, lines = _summary(result)
     if out is not None:
-        lines.append(f"Results: {write(out, result, samples)}")
+        folder = write(out, result, samples)
+        lines += [f"Results: {folder}", store_run(folder, summary, vehicle, samples)]
     report(summary, lines, as_json, quiet)
 
 

@@ -1,4 +1,4 @@
-"""`sunspin reproduce`, `sunspin worth`."""
+"""`sunspin reproduce`, `sunspin worth`, `sunspin report`."""
 
 from __future__ import annotations
 
@@ -32,10 +32,12 @@ def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | N
     judged = [row for row in written.summary["figures"] if row["agrees"] is not None]
     compared = [row for row in judged if not row["id"].startswith(STATEMENT)]
     agreeing, fallen = (sum(row["agrees"] for row in compared), sum(not row["agrees"] for row in judged if row not in compared))
+    made = sum(row["by_construction"] for row in compared)
     lines = [
         "Telemetry: " + ("synthetic (made from published facts)" if written.summary["synthetic_telemetry"] else "measured"),
         *(f"  {row['what']}: {_short(row)}" for row in written.summary["figures"] if row["id"] in SHOWN),
         f"{agreeing} of {len(compared)} compared figures agree with the paper, in {written.summary['seconds']:.0f} s",
+        f"{made} of these agree because the telemetry or record was made from them",
         f"{fallen} statements of the paper contradict its own figures or public facts",
         *written.summary["missing"].values(),
         f"Report: {written.report}",
@@ -84,3 +86,22 @@ def worth(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, 
 
 def _value(ours) -> str:
     return ", ".join(f"{x:.4g}" for x in ours) if isinstance(ours, list) else f"{ours:.4g}"
+
+
+@click.command(name="report")
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@output_options(out=False)
+def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
+    """One page to look into, from a results folder: DIR/report.html, complete in itself, to open from disk or send away.
+
+    DIR is the --out of an earlier command. What the page does not know how to draw it lists.
+
+    \b
+    Example:
+      sunspin report rates
+    """
+    from sunspin.tell.report import write_report
+
+    target = write_report(folder)
+    size = target.stat().st_size
+    report({"report": str(target), "bytes": size}, [f"Report: {target} ({size / 1e6:.1f} MB)"], as_json, quiet)

@@ -54,7 +54,8 @@ class Cluster:
             self._key = f"sunspin-{uuid.uuid4().hex}"
             # sent once, as the result of a task: Dask knows how to get it again when the worker that has it dies
             self._shared = self._client.submit(_same, self._function, key=f"{self._key}-function")
-            self.slots = CHUNKS_PER_THREAD * max(sum(self._client.nthreads().values()), 1)
+            threads: Any = self._client.nthreads()  # a coroutine only where the client is asynchronous, which this is not
+            self.slots = CHUNKS_PER_THREAD * max(sum(threads.values()), 1)
             self._stack = stack.pop_all()
         return self
 
@@ -138,8 +139,9 @@ def local_cluster(n_workers: int) -> LocalCluster:
     """Worker processes of one thread each on this machine, to be reached from this machine only."""
     # the ports of what would be the dashboards serve none, and are chosen by the system: the usual one may be taken
     quiet = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
+    options: dict[str, Any] = {"dashboard_address": None}  # none is what Dask documents, though it declares text
     return LocalCluster(
-        n_workers=n_workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None,
+        n_workers=n_workers, threads_per_worker=1, processes=True, host="127.0.0.1", **options,
         scheduler_kwargs=quiet, silence_logs=logging.ERROR,
     )  # fmt: skip
 
@@ -165,4 +167,5 @@ def _client_at(address: str) -> Client:
 async def _kind_at(address: str) -> str:
     """What kind of Dask server listens at the address."""
     async with asyncio.timeout(CONNECT_S), rpc(address, timeout=CONNECT_S) as server:
-        return (await server.identity())["type"]
+        identity: Any = await server.identity()
+        return identity["type"]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +41,7 @@ class EndSpeedRows:
     start: Start
     duration_s: float
 
-    outputs: ClassVar[Mapping[str, Any]] = {"speed": ("float64", ())}
+    outputs = {"speed": ("float64", ())}
 
     @property
     def n_rows(self) -> int:

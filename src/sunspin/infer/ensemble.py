@@ -23,6 +23,9 @@ from sunspin.errors import InputError, Interrupted, sentence
 CHUNK = 8192
 """Rows per chunk: large against a block of lanes (little padding), small against a second of work."""
 
+MEMORY_SHARE = 0.5
+"""Of the machine's memory that results may take."""
+
 Values = dict[str, np.ndarray]
 Piece = tuple[int, int]
 """Half-open range of places in the result."""
@@ -38,16 +41,20 @@ class RowFunction(Protocol):
     @property
     def n_rows(self) -> int:
         """Rows there are; they are numbered from 0."""
+        ...
 
     @property
     def outputs(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
         """Name of each result -> its dtype as text and its shape beyond the rows; numbers and truth values only."""
+        ...
 
     def identity(self) -> dict[str, Any]:
         """Everything the result depends on, code included, as JSON knows it (see :mod:`sunspin.infer.identity`)."""
+        ...
 
     def __call__(self, index: np.ndarray) -> Values:
         """Results of the rows `index` (n): each of `outputs` with shape (n, ...). The same bits in whatever company."""
+        ...
 
 
 def worker_count(workers: int | None) -> int:
@@ -112,6 +119,7 @@ def ensemble(
     if rows is not None and store is not None:
         raise InputError(sentence("single rows are not kept in a store", do="leave out either index or store"))
     n = function.n_rows if rows is None else len(rows)
+    _check_memory(n, function.outputs)
     out = {name: np.zeros((n, *shape), dtype) for name, (dtype, shape) in function.outputs.items()}
     taker = _Taker(function, out, store)
     try:
@@ -132,6 +140,19 @@ def ensemble(
     except KeyboardInterrupt:
         raise Interrupted(taker.farewell()) from None
     return out
+
+
+def _check_memory(n_rows: int, outputs: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
+    """Refuse results that this machine cannot hold, with an estimate, rather than have it end for lack of memory."""
+    row = sum(np.dtype(dtype).itemsize * int(np.prod(shape, dtype=int)) for dtype, shape in outputs.values())
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
+    if n_rows * row > MEMORY_SHARE * there:
+        raise InputError(
+            sentence(
+                f"the results of {n_rows:.3g} rows would take {n_rows * row / 1e9:.2g} GB of memory",
+                got=f"a machine with {there / 1e9:.2g} GB", do="ask for fewer rows",
+            )
+        )  # fmt: skip
 
 
 def _row_numbers(index: npt.ArrayLike, n_rows: int) -> np.ndarray:
@@ -199,15 +220,18 @@ class Backend(Protocol):
 
     def in_flight(self) -> int:
         """Chunks handed in and not yet given back."""
+        ...
 
     def submit(self, piece: Piece) -> None:
         """Begin with the rows at these places."""
 
     def finished(self) -> list[tuple[Piece, Values]]:
         """Wait until something is finished and give it back; raises what the function raised."""
+        ...
 
     def drain(self) -> list[tuple[Piece, Values]]:
         """Begin nothing more and give back what finishes soon."""
+        ...
 
 
 def _run(backend: Backend, pieces: Iterator[Piece], take: _Taker) -> None:

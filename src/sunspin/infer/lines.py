@@ -7,6 +7,8 @@ of them from many starts, then alternating assignment and refinement of each lin
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -69,9 +71,9 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
             )
         )
     cloud = cloud[np.lexsort(cloud.T)]  # so that the order of the points does not matter
-    best_cost, best = np.inf, None
-    for start in _search(cloud, n_lines, np.random.default_rng(seed)):
-        lines = _refine(cloud, *start)
+    found = [_refine(cloud, *start) for start in _search(cloud, n_lines, np.random.default_rng(seed))]
+    best, best_cost = found[0], _total(cloud, *found[0])
+    for lines in found[1:]:
         cost = _total(cloud, *lines)
         if cost < best_cost * (1 - TOLERANCE):
             best_cost, best = cost, lines
@@ -236,7 +238,7 @@ def line_deviation(line_a: tuple, line_b: tuple, axis: int = 2, low: float = -0.
     return {"angle_rad": float(angle), "mean": float(apart.mean()), "max": float(apart.max())}
 
 
-def match_lines(fitted: xr.Dataset, reference: list[tuple], **options: float) -> list[int]:
+def match_lines(fitted: xr.Dataset, reference: list[tuple], **options: Any) -> list[int]:
     """For each reference line (point, direction) the index of the fitted line that is its partner: smallest total distance.
 
     `options` are those of :func:`line_deviation`, whose mean distance is the cost of a pair.

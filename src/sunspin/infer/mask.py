@@ -22,7 +22,8 @@ def reconstructible_mask(vehicle: Vehicle) -> Mask:
     """The directions of the Sun that this vehicle's panels would allow to reconstruct."""
     names = vehicle.panel_names
     possible = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
-    wanted = [pattern for pattern in possible if pattern in reconstructible_patterns(vehicle)]
+    good = reconstructible_patterns(vehicle)
+    wanted = [pattern for pattern in possible if pattern in good]
     if not wanted:
         raise InputError(
             sentence(
@@ -31,7 +32,8 @@ def reconstructible_mask(vehicle: Vehicle) -> Mask:
             )
         )
     unwanted = [pattern for pattern in possible if pattern not in set(wanted)]
-    cubes = {_shorten(_cube(pattern, names), [_cube(other, names) for other in unwanted]) for pattern in wanted}
+    others = np.array([[name in pattern for name in names] for pattern in unwanted], dtype=bool).reshape(-1, len(names))
+    cubes = {_shorten(_cube(pattern, names), others) for pattern in wanted}
     chosen = _cover(sorted(cubes, key=lambda cube: (len(cube), sorted(cube))), [_cube(p, names) for p in wanted])
     return Mask(vehicle.panel_normals_B, tuple(tuple(sorted(cube)) for cube in chosen))
 
@@ -40,22 +42,25 @@ def _cube(pattern: frozenset, names: tuple[str, ...]) -> Cube:
     return frozenset((k, name in pattern) for k, name in enumerate(names))
 
 
-def _shorten(cube: Cube, unwanted: list[Cube]) -> Cube:
-    """Drop conditions, dark panels first, as long as no unwanted pattern that geometry allows slips in."""
+def _shorten(cube: Cube, unwanted: np.ndarray) -> Cube:
+    """Drop conditions, dark panels first, as long as no unwanted pattern (n, n_panel) that geometry allows slips in."""
+    differs = unwanted != [lit for _, lit in sorted(cube)]
+    kept = differs.sum(axis=1)  # conditions that keep each unwanted pattern out
     for literal in sorted(cube, key=lambda item: (item[1], item[0])):
-        shorter = cube - {literal}
-        if not any(shorter <= other for other in unwanted):
-            cube = shorter
+        less = kept - differs[:, literal[0]]
+        if np.all(less > 0):
+            cube, kept = cube - {literal}, less
     return cube
 
 
 def _cover(cubes: list[Cube], wanted: list[Cube]) -> list[Cube]:
     """Few cubes that together hold every wanted pattern (greedy)."""
-    left, chosen = set(wanted), []
-    while left:
-        best = max(cubes, key=lambda cube: sum(cube <= pattern for pattern in left))
-        chosen.append(best)
-        left = {pattern for pattern in left if not best <= pattern}
+    holds = np.array([[cube <= pattern for pattern in wanted] for cube in cubes])
+    left, chosen = np.ones(len(wanted), dtype=bool), []
+    while left.any():
+        best = int(np.argmax((holds & left).sum(axis=1)))
+        chosen.append(cubes[best])
+        left &= ~holds[best]
     return chosen
 
 

@@ -12,16 +12,22 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
+from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body
 from sunspin.infer.rates_observe import observations, passes
-from sunspin.infer.rates_seed import search
+from sunspin.infer.rates_seed import SEED_NOISE, cooled, search, seeds
 from sunspin.infer.rates_smooth import Motion, Observations, Track
+from sunspin.infer.rates_spread import with_spread
+from sunspin.infer.rates_wheels import wheel_momenta
 from sunspin.vehicle import Vehicle
 
 MAX_MODES = 6
 """Modes reported for each pass."""
 
-NOISE_LADDER = (2e-5, 1e-4, 3e-4)
+LEAST_WEIGHT = 1e-3
+"""Modes of less weight are not reported."""
+
+NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
 """Angular-acceleration noises (rad/s^1.5) tried where none is given; at 3e-4 a rate wanders by 0.3 deg/s in 5 minutes."""
 
 LADDER_PASSES = 2
@@ -30,7 +36,7 @@ LADDER_PASSES = 2
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
 
-BAD_COST = 4.0
+BAD_COST = 3.7
 """Cost per sample beyond which even the best motion does not fit; sound ones, of skCUBE and of twins, stay below 3.6."""
 
 DECIDED = 0.9
@@ -38,11 +44,13 @@ DECIDED = 0.9
 
 
 class Pass(NamedTuple):
-    """The modes of one pass, best first, with weights that add to one; `index` are its samples."""
+    """The modes of one pass, best first, with weights that add to one; `index` are its samples,
+    `mean_sigma` (K, 3) belongs to the rate averaged over them."""
 
     index: np.ndarray
     track: Track
     weight: np.ndarray
+    mean_sigma: np.ndarray
 
 
 def rates(
@@ -97,10 +105,11 @@ def rates(
     given = acceleration_noise or _known_noise(vehicle, o)
     if given is not None and not (np.isfinite(given) and given > 0):
         raise InputError(sentence("acceleration_noise must be positive", got=given))
-    noise = given or choose_noise(o, parts, body, rate_max)
+    noise, o, wheels = choose(o, parts, body, rate_max, given, wheel_momenta(vehicle, telemetry))
     motion = Motion(body, noise, rate_max / 2)
-    found = [modes(take(o, part), part, motion, rate_max) for part in parts]
-    return _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
+    found, walk = link(o, [modes(o.take(part), part, motion, rate_max) for part in parts], motion)
+    result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
+    return result.assign_attrs(wheels=wheels, walk_between_passes=np.nan if walk is None else walk)
 
 
 def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
@@ -110,32 +119,64 @@ def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
     return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
 
 
-def take(o: Observations, index: np.ndarray) -> Observations:
-    """The samples `index` of `o`."""
-    names = ("t_s", "sun_B", "sun_cov", "power", "power_sigma", "scale", "scale_sigma", "gyro", "field")
-    return replace(o, **{name: getattr(o, name)[index] for name in names})
-
-
 def modes(o: Observations, index: np.ndarray, motion: Motion, rate_max: float) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method)."""
     track = search(o, motion, rate_max)
     order = np.argsort(-track.log_weight, kind="stable")
     weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
-    keep = order[: max(1, int(np.count_nonzero(weight[:MAX_MODES] > 1e-3)))]
-    return Pass(index, track.take(keep), weight[: len(keep)] / weight.sum())
+    keep = order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]
+    kept, sigma = with_spread(o, track.take(keep), motion)
+    return Pass(index, kept, weight[: len(keep)] / weight[: len(keep)].sum(), sigma)
 
 
-def choose_noise(o: Observations, parts: list[np.ndarray], body: Body, rate_max: float) -> float:
-    """The acceleration noise of `NOISE_LADDER` with the largest evidence over the passes with the most samples."""
+def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
+    """The passes with weights that count their neighbours in, best mode first, hopeless ones left out; and the walk."""
+    middle = [float(o.t_s[p.index].mean()) for p in found]
+    rates = [p.track.omega.mean(axis=1) for p in found]
+    weights, walk = linked(middle, rates, [p.mean_sigma for p in found], [p.weight for p in found], motion.rate_prior)
+    result = []
+    for p, weight in zip(found, weights, strict=True):
+        order = np.argsort(-weight, kind="stable")
+        keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
+        result.append(Pass(p.index, p.track.take(keep), weight[keep], p.mean_sigma[keep]))
+    return result, walk
+
+
+def choose(
+    o: Observations, parts: list[np.ndarray], body: Body, rate_max: float, noise: float | None, wheels: dict[str, np.ndarray]
+) -> tuple[float, Observations, str]:
+    """The acceleration noise (of `NOISE_LADDER`, unless given) and what the wheels do, by their evidence over the passes with
+    the most samples; with these wheels in the observations, and in words."""
+    noises = NOISE_LADDER if noise is None else (noise,)
+    if len(noises) * len(wheels) == 1:
+        name = next(iter(wheels))
+        return noises[0], replace(o, momentum=wheels[name]), name
     longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
-    evidence = []
-    for noise in NOISE_LADDER:
-        total = 0.0
-        for part in longest:
-            track = search(take(o, part), Motion(body, noise, rate_max / 2), rate_max, pairs=1)
-            total += np.logaddexp.reduce(track.log_weight) - 6 * (len(part) - 1) * np.log(noise)
-        evidence.append(total)
-    return NOISE_LADDER[int(np.argmax(evidence))]
+    evidence = {}
+    for what, momentum in wheels.items():
+        each = [_evidence(replace(o, momentum=momentum).take(part), body, noises, rate_max) for part in longest]
+        evidence |= {(noise, what): float(total) for noise, total in zip(noises, np.sum(each, axis=0), strict=True)}
+    level, name = max(evidence, key=evidence.get)
+    others = [value for (_, other), value in evidence.items() if other != name]
+    told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name
+    return level, replace(o, momentum=wheels[name]), told
+
+
+def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
+    """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
+
+    From the loosest to the stiffest, each from where the one before ended.
+    """
+    found = np.full(len(noises), -np.inf)
+    motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
+    try:
+        track, last = seeds(o, motion, rate_max, pairs=1), motion.noise
+    except InputError:
+        return found
+    for k in np.argsort(noises)[::-1]:
+        track, last = cooled(o, track, last, replace(motion, noise=noises[k])), noises[k]
+        found[k] = np.logaddexp.reduce(track.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
+    return found
 
 
 def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> float:
@@ -145,12 +186,6 @@ def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> 
         return float(given)
     usual = float(np.median([np.sort(np.diff(o.t_s[part]))[: max(2, len(part) // 8)].mean() for part in parts]))
     return min(1.5 * 2 * np.pi / usual, DEFAULT_MAX_RATE)
-
-
-def mean_rate(track: Track) -> tuple[np.ndarray, np.ndarray]:
-    """Mean over the samples of each mode's rate (K, 3), and its sigma (K, 3): that of the samples, taken as fully correlated."""
-    sigma = np.sqrt(np.einsum("knii->kni", track.covariance[:, :, 3:, 3:])).mean(axis=1)
-    return track.omega.mean(axis=1), sigma
 
 
 def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -174,7 +209,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     attitude = np.concatenate([track.attitude[0] for track in best])
     covariance = np.concatenate([track.covariance[0] for track in best])
     sun = np.concatenate([track.sun_B[0] for track in best])
-    means = [mean_rate(p.track) for p in found]
+    means = [(p.track.omega.mean(axis=1), p.mean_sigma) for p in found]
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
@@ -185,6 +220,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "sphere (no inertia given)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
+        "attitude_used": int(np.isfinite(o.attitude[index]).any()),
         "sunspin_version": metadata.version("sunspin"),
     }  # fmt: skip
     result = xr.Dataset(
@@ -223,6 +259,6 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
     if decided + np.count_nonzero(bad) < len(best):
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
-    if not (result.attrs["gyro_used"] or result.attrs["field_used"]):
+    if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     return text

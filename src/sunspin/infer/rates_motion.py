@@ -1,13 +1,14 @@
 """One step of the smoother of :mod:`sunspin.infer.rates`: attitude and rate from one sample to the next, and how they answer.
 
-The equations are those of :mod:`sunspin.motion.gyrostat`, called with arrays. Wheels keep their speed over a pass (a wheel
-that coasts loses about a percent in a minute; what that does is left to the process noise). A vehicle without inertia is
-taken as a sphere: its torque-free rate is constant, and the process noise covers what it is not.
+The equations are those of :mod:`sunspin.motion.gyrostat`, called with arrays. Wheels enter by their momentum, linear in time
+between two samples (:mod:`sunspin.infer.rates_wheels` says how fast they turn). A vehicle without inertia is taken as a sphere:
+its torque-free rate is constant, and the process noise covers what it is not.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,11 +29,10 @@ DIFFERENCE = 1e-5
 
 @dataclass(frozen=True)
 class Body:
-    """What moves: inertia (3, 3) in units of its mean moment, held momentum (3) in the same unit times rad/s, and
-    `dipole` (3): angular acceleration dipole x field, in rad/s2 per unit of the field, zero where there is none."""
+    """What moves: inertia (3, 3) in units of its mean moment, `unit` (kg m2), and `dipole` (3): angular acceleration
+    dipole x field, in rad/s2 per unit of the field, zero where there is none."""
 
     inertia: np.ndarray
-    momentum: np.ndarray
     dipole: np.ndarray
     spherical: bool
 
@@ -41,10 +41,32 @@ class Body:
         """The body of a vehicle; a sphere where its inertia is not known."""
         pull = np.zeros(3) if dipole is None else np.asarray(dipole, dtype=np.float64)
         if vehicle.inertia_kg_m2 is None:
-            return cls(np.eye(3), np.zeros(3), pull, True)
-        unit = float(np.trace(vehicle.inertia_kg_m2)) / 3
-        held = sum((w.inertia_kg_m2 * w.speed_rad_s * np.asarray(w.axis_B) for w in vehicle.wheels), np.zeros(3))
-        return cls(np.array(vehicle.inertia_kg_m2) / unit, held / unit, pull, False)
+            return cls(np.eye(3), pull, True)
+        return cls(np.array(vehicle.inertia_kg_m2) / mean_moment(vehicle), pull, False)
+
+
+def mean_moment(vehicle: Vehicle) -> float:
+    """Mean moment of inertia (kg m2): the unit of the smoother, which torque-free motion does not know."""
+    return float(np.trace(vehicle.require_inertia())) / 3
+
+
+class Ends(NamedTuple):
+    """What acts on the body at the start and at the end of a step, (..., 3) each or None, in the body's axes of its moment:
+    the magnetic field and the momentum of the wheels (mean moment of inertia times rad/s). Linear in between in the body,
+    which for the field holds to a few percent up to 40 degrees of turn."""
+
+    field: np.ndarray | None = None
+    field_end: np.ndarray | None = None
+    momentum: np.ndarray | None = None
+    momentum_end: np.ndarray | None = None
+
+    def spread(self) -> Ends:
+        """With one more axis in front."""
+        return Ends(*(None if part is None else part[None] for part in self))
+
+
+FREE = Ends()
+"""Nothing acts."""
 
 
 def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
@@ -60,17 +82,11 @@ def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return -Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec().reshape(*relative.shape[:-2], 3)
 
 
-def step(
-    body: Body, omega: np.ndarray, dt: np.ndarray, field: np.ndarray | None = None, field_end: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Relative attitude (..., 3, 3) and rate (..., 3) after `dt` (...) s, from rates `omega` (..., 3) rad/s.
-
-    `field` and `field_end` (..., 3) are the magnetic field at the start and at the end, each in the body's axes of its moment;
-    between them it is taken as linear in the body, which holds to a few percent up to 40 degrees of turn.
-    """
+def step(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray]:
+    """Relative attitude (..., 3, 3) and rate (..., 3) after `dt` (...) s, from rates `omega` (..., 3) rad/s."""
     if body.spherical:
-        return _sphere(body, omega, np.asarray(dt), field, field_end)
-    return _runge_kutta(body, omega, np.asarray(dt), field, field_end)
+        return _sphere(body, omega, np.asarray(dt), ends.field, ends.field_end)
+    return _runge_kutta(body, omega, np.asarray(dt), ends)
 
 
 def _sphere(body, omega, dt, field, field_end):
@@ -92,19 +108,24 @@ def _sphere(body, omega, dt, field, field_end):
     return matrix, rate(1.0)
 
 
-def _runge_kutta(body, omega, dt, field, field_end):
+def _runge_kutta(body, omega, dt, ends):
+    field, field_end, held, held_end = ends
     unit = g.inverse_elements(body.inertia)
-    p = g.Parameters(unit, tuple(body.momentum), ())
-    momentum = omega @ body.inertia + body.momentum
-    speed = np.linalg.norm(omega, axis=-1) + np.linalg.norm(body.momentum) / np.linalg.eigvalsh(body.inertia)[0]
+    if held is None:
+        held = held_end = np.zeros(3)
+    momentum = omega @ body.inertia + held
+    speed = np.linalg.norm(omega, axis=-1) + nutation(body, held)
     rate = float(np.max(speed * np.abs(dt), initial=0.0))
     count = int(np.clip(np.ceil(rate / STEP_ANGLE), 2, MAX_STEPS))
     h = dt / count
     y = np.stack([*np.moveaxis(momentum, -1, 0), *(np.zeros(omega.shape[:-1]) for _ in range(3)), np.ones(omega.shape[:-1])])
 
+    def wheels(s):
+        return g.Parameters(unit, tuple(np.moveaxis((1 - s) * held + s * held_end, -1, 0)), ())
+
     def slope(s, y):
         H, q = y[:3], y[3:]
-        w = g.body_rate(H, (), p)
+        w = g.body_rate(H, (), wheels(s))
         change = list(g.cross(H, w))
         if field is not None:
             torque = g.cross(body.dipole, np.moveaxis((1 - s) * field + s * field_end, -1, 0))
@@ -119,16 +140,23 @@ def _runge_kutta(body, omega, dt, field, field_end):
         y = y + h / 6 * (a + 2 * b + 2 * c + d)
     q = np.moveaxis(y[3:], 0, -1)
     matrix = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*omega.shape, 3)
-    return matrix, np.moveaxis(np.stack(g.body_rate(y[:3], (), p)), 0, -1)
+    return matrix, np.moveaxis(np.stack(g.body_rate(y[:3], (), wheels(1.0))), 0, -1)
 
 
-def step_with_answer(body: Body, omega, dt, field=None, field_end=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def nutation(body: Body, momentum: np.ndarray) -> float:
+    """rad/s at which the largest of the wheels' momenta (..., 3) turns a rate of the body round."""
+    flat = np.reshape(momentum, (-1, 3))
+    x, y, z = flat[np.argmax((flat**2).sum(axis=1))]
+    turning = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return float(np.abs(np.linalg.eigvals(np.linalg.solve(body.inertia, turning))).max())
+
+
+def step_with_answer(body: Body, omega, dt, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """:func:`step`, and its answer (..., 6, 6): turn and rate at the end for a turn and rate at the start, body axes."""
     size = np.asarray(dt)[..., None]
     shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)]) * DIFFERENCE
     many = omega[None] + shifts.reshape(4, *(1,) * (omega.ndim - 1), 3) / size
-    spread = (None, None) if field is None else (field[None], field_end[None])
-    matrix, rate = step(body, many, np.broadcast_to(dt, many.shape[:-1]), *spread)
+    matrix, rate = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.spread())
     answer = np.zeros((*omega.shape[:-1], 6, 6))
     answer[..., :3, :3] = matrix[0]  # a turn at the start is the same turn in the axes of the end
     for k in range(3):

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
 from sunspin.infer.rates_smooth import Observations
 from sunspin.measure.quality import panel_quality
 from sunspin.measure.sun import signals
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle_sensors import Gyro
 
 RADIAL_SIGMA = 0.02
 """Sigma given to a direction along itself, so that its covariance can be inverted; a chord is shorter than its arc."""
@@ -46,13 +48,14 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
     why = np.full(n, "used", dtype=object)
     parts: dict[str, Any] = {
         "sun_B": np.full((n, 3), np.nan), "sun_cov": np.full((n, 3, 3), np.nan), "power": np.zeros((n, 0)),
-        "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
+        "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)),
+        "row_errors": np.zeros((0, 0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
     }  # fmt: skip
     if source == "panels":
         quality = panel_quality(vehicle, telemetry)
         parts |= {
             "power": signals(telemetry), "power_sigma": quality["sigma"].values,
-            "rows": vehicle.panel_gains[:, None] * vehicle.panel_normals_B,
+            "rows": quality["gain"].values[:, None] * vehicle.panel_normals_B, "row_errors": _gain_errors(vehicle, quality),
             "scale": quality["scale"].values, "scale_sigma": quality["scale_sigma"].values,
         }  # fmt: skip
         why = quality["why"].values.astype(object)
@@ -65,7 +68,10 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
     sensors = vehicle.sensors
     noise = sensors.magnetometer.noise if sensors.magnetometer is not None else None
     gyro_sigma = sensors.gyro.noise_rad_s if sensors.gyro is not None else 1.0
-    made = Observations(t_s=t, gyro=gyro, gyro_sigma=gyro_sigma, field=field, field_sigma=noise or np.inf, **parts)
+    parts |= {"gyro": gyro, "gyro_sigma": gyro_sigma, "gyro_common": _common_errors(sensors.gyro, gyro)}
+    parts |= {"field": field, "field_sigma": noise or np.inf}
+    parts |= {"attitude": _attitudes(telemetry, n), "attitude_sigma": sensors.attitude.sigma_rad if sensors.attitude else np.inf}
+    made = Observations(t_s=t, momentum=np.zeros((n, 3)), **parts)
     late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
     why[late] = "dropped: a late or repeated frame (time does not increase)"
     return made, why, source
@@ -89,6 +95,33 @@ def _source(telemetry: xr.Dataset, wanted: str | None) -> str:
 
 def _or_nan(telemetry: xr.Dataset, name: str, n: int) -> np.ndarray:
     return np.asarray(telemetry[name], dtype=np.float64) if name in telemetry else np.full((n, 3), np.nan)
+
+
+def _gain_errors(vehicle: Vehicle, quality: xr.Dataset) -> np.ndarray:
+    """One sigma (m, n_panel, 3) of each independent error of the estimated gains; gains that are not told have larger
+    sigmas of every reading instead."""
+    if not np.isfinite(quality.attrs["spread"]):
+        return np.zeros((0, len(vehicle.panels), 3))
+    return np.linalg.cholesky(quality["gain_cov"].values).T[:, :, None] * vehicle.panel_normals_B
+
+
+def _attitudes(telemetry: xr.Dataset, n: int) -> np.ndarray:
+    """Attitudes (n, 3, 3) of an attitude sensor, NaN where there is none."""
+    found = np.full((n, 3, 3), np.nan)
+    if "attitude_B_from_N" in telemetry:
+        quaternion = np.asarray(telemetry["attitude_B_from_N"], dtype=np.float64)
+        good = np.isfinite(quaternion).all(axis=1)
+        found[good] = Rotation.from_quat(quaternion[good]).as_matrix().reshape(-1, 3, 3)
+    return found
+
+
+def _common_errors(gyro: Gyro | None, rate: np.ndarray) -> np.ndarray:
+    """One sigma (n, 4, 3) rad/s of the gyro's zero, axis by axis, and of its scale."""
+    errors = np.zeros((len(rate), 4, 3))
+    if gyro is not None:
+        errors[:, :3] = np.diag(gyro.scale_rad_s * gyro.zero_sigma)
+        errors[:, 3] = np.nan_to_num(rate) * gyro.scale_sigma / abs(gyro.scale_rad_s)
+    return errors
 
 
 def _without_outliers(field: np.ndarray) -> np.ndarray:

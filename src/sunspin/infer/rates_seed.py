@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.rates_motion import step, turn
+from sunspin.infer.rates_motion import nutation, step, turn
 from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, smooth
+from sunspin.measure.panels import sphere
 
 ANGLES = 36
 """Turns tried in each full turn, 10 degrees apart: the smoother's basin is wider than that."""
@@ -39,8 +40,17 @@ PRECESSION_RAD = 0.5
 GRID_RAD, GRID_RATES = 0.35, 1500
 """Step of the grid of rates, as a turn between the first pair of samples, and about how many rates at most."""
 
+SEED_NOISE = 1e-4
+"""rad/s^1.5; hypotheses grow under at least this much of unknown torque, however well the motion is known."""
+
+COOLING = 1.7
+"""The unknown torque falls by exp(1.7) at each step from there to what is asked for."""
+
 GROW_SHARE = 6
 """The window grows by a sixth of its samples at either end: what is known then still carries."""
+
+MAX_TURNS = 100
+"""Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
 
 KEEP_FIRST, KEEP = 120, 32
 """Hypotheses kept after the first trial, and while the window grows."""
@@ -50,13 +60,6 @@ DROP = 18.0
 
 ALIKE_RAD = 0.25
 """Two hypotheses whose turns between neighbours differ by less everywhere are one."""
-
-
-def sphere(n: int) -> np.ndarray:
-    """About evenly spread directions (n, 3), by Fibonacci's spiral."""
-    z = 1 - (2 * np.arange(n) + 1) / n
-    longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
-    return np.stack([np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1)
 
 
 def facing(sun_B: np.ndarray) -> np.ndarray:
@@ -123,7 +126,12 @@ def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float) -
     low, high = max(0, index - WINDOW), min(len(o), index + 2 + WINDOW)
     o = o.part(low, high)
     dt = o.t_s[1 + index - low] - o.t_s[index - low]
-    precession = np.linalg.norm(motion.body.momentum) * dt  # the mean moment of inertia is the unit
+    if not rate_max * dt < 2 * np.pi * MAX_TURNS:
+        raise InputError(
+            sentence("too many whole turns fit between two samples to try them all", got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
+                     do="give a smaller --max-rate (max_rate_rad_s)")
+        )  # fmt: skip
+    precession = nutation(motion.body, o.momentum) * dt
     family = _wheel_family if precession > PRECESSION_RAD else _constant_family
     track = family(o, index - low, motion, rate_max)
     if track is None:
@@ -166,7 +174,7 @@ def _wheel_family(o: Observations, index: int, motion: Motion, rate_max: float) 
         first, last = (index, len(o) - 1) if way == 1 else (index, 0)
         for i in range(first, last, way):
             at = -1 if way == 1 else 0
-            made, rate = step(motion.body, omega[at], np.full(len(omega[at]), o.t_s[i + way] - o.t_s[i]))
+            made, rate = step(motion.body, omega[at], np.full(len(omega[at]), o.t_s[i + way] - o.t_s[i]), o.wheels(i, i + way))
             place = len(omega) if way == 1 else 0
             attitude.insert(place, made @ attitude[at])
             omega.insert(place, rate)
@@ -187,7 +195,7 @@ def distinct(track: Track, times: np.ndarray, keep: int = KEEP) -> Track:
             chosen.append(int(i))
         if len(chosen) == keep:
             break
-    return track.take(np.array(chosen))
+    return track.take(np.array(chosen, dtype=int))
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
@@ -196,12 +204,14 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
         attitude, omega = track.attitude, track.omega
         for _ in range(max(1, (high - low) // GROW_SHARE)):
             if high < len(o):
-                made, rate = step(motion.body, omega[:, -1], np.full(len(omega), o.t_s[high] - o.t_s[high - 1]))
+                dt = np.full(len(omega), o.t_s[high] - o.t_s[high - 1])
+                made, rate = step(motion.body, omega[:, -1], dt, o.wheels(high - 1, high))
                 attitude = np.concatenate([attitude, (made @ attitude[:, -1])[:, None]], axis=1)
                 omega = np.concatenate([omega, rate[:, None]], axis=1)
                 high += 1
             if low > 0:
-                made, rate = step(motion.body, omega[:, 0], np.full(len(omega), o.t_s[low - 1] - o.t_s[low]))
+                dt = np.full(len(omega), o.t_s[low - 1] - o.t_s[low])
+                made, rate = step(motion.body, omega[:, 0], dt, o.wheels(low, low - 1))
                 attitude = np.concatenate([(made @ attitude[:, 0])[:, None], attitude], axis=1)
                 omega = np.concatenate([rate[:, None], omega], axis=1)
                 low -= 1
@@ -211,7 +221,21 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
 
 
 def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
-    """All modes of a pass, best first: from the `pairs` shortest intervals, grown over the whole pass and joined.
+    """All modes of a pass, best first."""
+    loose = replace(motion, noise=max(motion.noise, SEED_NOISE))
+    return cooled(o, seeds(o, loose, rate_max, pairs), loose.noise, motion)
+
+
+def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:
+    """Hypotheses of a loose motion (`noise`) brought to a stiffer one by steps: at once, they would stay where they are."""
+    steps = int(np.ceil(abs(np.log(noise / motion.noise)) / COOLING))
+    for level in np.geomspace(noise, motion.noise, steps + 1)[1:]:
+        track = distinct(smooth(o, track, replace(motion, noise=float(level)), steps=12), o.t_s)
+    return distinct(smooth(o, track, motion, steps=25), o.t_s)
+
+
+def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
+    """Modes under a loose motion: from the `pairs` shortest intervals, grown over the whole pass and joined.
 
     Default: three, or one where the samples begin so close together that no rate hides between them.
     """
@@ -229,6 +253,5 @@ def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None =
             )
         )  # fmt: skip
     joined = Track(*(np.concatenate(parts) for parts in zip(*((t.attitude, t.omega, t.cost) for t in tracks), strict=True)))
-    best = distinct(joined, o.t_s)
-    return distinct(smooth(o, best, motion, steps=25), o.t_s)
+    return distinct(joined, o.t_s)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunspin.infer.rates_motion import Body, step_with_answer, turn, turn_between
+from sunspin.infer.rates_motion import Body, Ends, step_with_answer, turn, turn_between
 
 STUDENT = 4.0
 """Degrees of freedom of the Student law of measurements: tails that let one bad sample in ten be outvoted."""
@@ -30,14 +30,24 @@ SUN_N = np.array([0.0, 0.0, 1.0])
 """The Sun in the local frame N."""
 
 
+PER_SAMPLE = (
+    "t_s", "sun_B", "sun_cov", "power", "power_sigma", "scale", "scale_sigma", "gyro", "gyro_common", "field", "momentum",
+    "attitude",
+)  # fmt: skip
+"""What `Observations` holds for each sample."""
+
+
 @dataclass(frozen=True)
 class Observations:
     """What a pass measured, at n samples. NaN or infinite sigma: nothing measured there.
 
     `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel),
-    `power_sigma` (n, n_panel), `rows` (n_panel, 3) gain times normal, `scale` (n) and `scale_sigma` (n): the factor of all
-    powers of a sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma`; `field` (n, 3) with `field_sigma`,
-    in any unit.
+    `power_sigma` (n, n_panel), `rows` (n_panel, 3) gain times normal with `row_errors` (m, n_panel, 3), one
+    sigma of errors that all samples share, `scale` (n) and `scale_sigma` (n): the factor of all
+    powers of a sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one
+    sigma of errors that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in
+    the body's mean moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma`
+    (rad), of which only the turn from sample to sample is used.
     """
 
     t_s: np.ndarray
@@ -46,12 +56,17 @@ class Observations:
     power: np.ndarray
     power_sigma: np.ndarray
     rows: np.ndarray
+    row_errors: np.ndarray
     scale: np.ndarray
     scale_sigma: np.ndarray
     gyro: np.ndarray
+    gyro_common: np.ndarray
     gyro_sigma: float
     field: np.ndarray
     field_sigma: float
+    momentum: np.ndarray
+    attitude: np.ndarray
+    attitude_sigma: float
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -61,10 +76,17 @@ class Observations:
         """Which samples have a direction (n)."""
         return np.isfinite(self.sun_cov[:, 0, 0])
 
+    def take(self, index: np.ndarray | slice) -> Observations:
+        """The samples `index`."""
+        return replace(self, **{name: getattr(self, name)[index] for name in PER_SAMPLE})
+
     def part(self, low: int, high: int) -> Observations:
         """Samples low to high - 1."""
-        names = ("t_s", "sun_B", "sun_cov", "power", "power_sigma", "scale", "scale_sigma", "gyro", "field")
-        return replace(self, **{name: getattr(self, name)[low:high] for name in names})
+        return self.take(slice(low, high))
+
+    def wheels(self, start: int, end: int) -> Ends:
+        """What the wheels do between two samples."""
+        return Ends(momentum=self.momentum[start], momentum_end=self.momentum[end])
 
 
 @dataclass(frozen=True)
@@ -110,14 +132,14 @@ def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.n
     sun = track.sun_B
     answer = cross_matrix(sun)  # the Sun's direction in the body answers sun x turn
     for value, jacobian in _sun_residuals(observations, sun, answer):
-        weight, part = _student(value)
+        weight, part = student(value)
         matrix[..., :3, :3] += np.einsum("kn,knmi,knmj->knij", weight, jacobian, jacobian)
         slope[..., :3] += np.einsum("kn,knmi,knm->kni", weight, jacobian, value)
         cost += part
     known = np.isfinite(observations.gyro).all(axis=1)
     if known.any():
         value = np.where(known[:, None], (track.omega - np.nan_to_num(observations.gyro)) / observations.gyro_sigma, 0.0)
-        weight, part = _student(value)
+        weight, part = student(value)
         matrix[..., 3:, 3:] += (weight * known)[..., None, None] * np.eye(3) / observations.gyro_sigma**2
         slope[..., 3:] += (weight * known)[..., None] * value / observations.gyro_sigma
         cost += part
@@ -153,7 +175,7 @@ def _power_residuals(o: Observations, sun: np.ndarray, answer: np.ndarray) -> tu
     return best * shape - target, change
 
 
-def _student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Weight and cost of residual vectors (..., m) under a Student law of `STUDENT` degrees of freedom."""
     square = (value**2).sum(axis=-1)
     return (STUDENT + 2) / (STUDENT + square), (STUDENT + 2) / 2 * np.log1p(square / STUDENT)
@@ -167,10 +189,11 @@ def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, 
     field = np.isfinite(o.field).all(axis=1)
     pair = field[:-1] & field[1:]
     b0, b1 = np.nan_to_num(o.field[:-1]) * pair[:, None], np.nan_to_num(o.field[1:]) * pair[:, None]
-    fields = (None, None)
+    ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
     if pair.any() and np.any(motion.body.dipole):
-        fields = (np.broadcast_to(b0, (*relative.shape[:2], 3)), np.broadcast_to(b1, (*relative.shape[:2], 3)))
-    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), *fields)
+        ends = ends._replace(field=b0, field_end=b1)
+    ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
+    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
     defect = np.concatenate([turn_between(made, relative), track.omega[:, 1:] - rate], axis=-1)
     white = whitening(dt, motion.noise)
     value = np.einsum("nij,knj->kni", white, defect)
@@ -179,6 +202,21 @@ def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, 
     if pair.any() and np.isfinite(o.field_sigma):
         more = _field_residuals(o, relative, b0, b1, pair, dt)
         value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    known = np.isfinite(o.attitude[:, 0, 0])
+    if (pair := known[:-1] & known[1:]).any():
+        more = _attitude_residuals(o, relative, pair)
+        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    return value, first, second
+
+
+def _attitude_residuals(o, relative, pair):
+    """The turn between neighbours less that of the given attitudes, in sigma; small, so that turns add as vectors."""
+    given = np.where(pair[:, None, None], o.attitude[1:] @ np.swapaxes(o.attitude[:-1], -1, -2), np.eye(3))
+    inverse = np.where(pair, 1 / (np.sqrt(2) * o.attitude_sigma), 0.0)[:, None]
+    value = turn_between(np.broadcast_to(given, relative.shape), relative) * inverse
+    first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))
+    second[..., :3] = np.eye(3) * inverse[..., None]
+    first[..., :3] = -relative * inverse[..., None]
     return value, first, second
 
 

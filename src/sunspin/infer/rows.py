@@ -5,9 +5,8 @@ Frozen plain data, so that they can be sent to other processes; compiled kernels
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +46,8 @@ class Start:
         sun = np.asarray(sun_B, dtype=np.float64)
         if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) <= SUN_LENGTH_TOLERANCE:
             raise InputError(sentence("sun_B must be a unit vector of three components", got=sun_B))
-        return cls(*axes, sun, wheel_speeds(vehicle, wheel_speed_rad_s))
+        x, y, z = axes
+        return cls(x, y, z, sun, wheel_speeds(vehicle, wheel_speed_rad_s))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -86,7 +86,7 @@ class EmdRows:
     condition: k.Mask | None = field(init=False)
     segments: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
-    outputs: ClassVar[Mapping[str, Any]] = {"emd": ("float64", ()), "outcome": ("int8", ())}
+    outputs = {"emd": ("float64", ()), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
         if self.duration_s is None or not (np.isfinite(self.duration_s) and self.duration_s != 0):
@@ -144,7 +144,8 @@ def histograms(
 def distances_to(hist: np.ndarray, segments: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
     """EMD (n) of histograms (n, BINS) to the target of `target_segments`, NaN where nothing was seen; time seen (n)."""
     emd, seen = np.empty(len(hist)), np.empty(len(hist))
-    emd_rows(hist, *segments, emd, seen)
+    bin_of, low, high, level = segments
+    emd_rows(hist, bin_of, low, high, level, emd, seen)
     return emd, seen
 
 
@@ -163,7 +164,7 @@ class TrackRows:
     direction_error: float = TRACK_DIRECTION_ERROR
     device: str = "cpu"
 
-    outputs: ClassVar[Mapping[str, Any]] = {"E": ("float64", ()), "outcome": ("int8", ())}
+    outputs = {"E": ("float64", ()), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
         k.check_commands(self.vehicle, self.wheel_mode)

@@ -6,6 +6,7 @@ storing a track; and E, the mean misfit of directions at the times of the sample
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,10 @@ from sunspin.motion import kernel as k
 from sunspin.vehicle import Vehicle
 
 MAX_ROWS = 50_000_000
-"""Grids beyond this are refused: at 115 microseconds a row this many run for an hour and a half on one core."""
+"""Grids beyond this are refused."""
+
+SECONDS_PER_ROW, BYTES_PER_ROW = 1e-4, 30
+"""For estimates: 42 to 189 microseconds of a core for 45 min of Philae, and two results with their copies."""
 
 MANY_ROWS = 5_000
 """Grids from here on nearly always hold motions near an unstable spin, which are run again by the other method: its kernel is
@@ -95,22 +99,16 @@ def scan(
         Sun could never have been reconstructed has EMD 1, the largest there is.
     """
     axes = [_axis(values, name) for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))]
-    n_rows = int(np.prod([float(len(axis)) for axis in axes]))
-    if n_rows > MAX_ROWS:
-        raise InputError(
-            sentence(
-                f"the grid has {n_rows:.3g} points, more than {MAX_ROWS:.3g}",
-                got=" x ".join(str(len(axis)) for axis in axes),
-                do="use a larger step or a smaller range",
-            )
-        )
+    n_rows = math.prod(len(axis) for axis in axes)
+    check_size(*(len(axis) for axis in axes))
     start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s)
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     rows: EmdRows | TrackRows
     if isinstance(target_z, xr.Dataset):
         name, rows = "E", _track_rows(vehicle, start, target_z, mode, emd_error, direction_error, device)
     else:
-        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, duration_s, mask, mode, emd_error, direction_error, device)
+        length = np.nan if duration_s is None else duration_s  # refused there
+        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, length, mask, mode, emd_error, direction_error, device)
     if scheduler is None:
         k.require_device(device)  # before a store is made
         if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:
@@ -149,6 +147,20 @@ def volume(
         "flag_meanings": " ".join(o.name.lower() for o in k.Outcome),
     }
     return result
+
+
+def check_size(*points: float) -> None:
+    """Refuse a grid of so many points along each axis that it would take unreasonably long, with an estimate."""
+    n_rows = math.prod(float(n) for n in points)
+    if n_rows > MAX_ROWS:
+        hours, memory = n_rows * SECONDS_PER_ROW / 3600, n_rows * BYTES_PER_ROW / 1e9
+        raise InputError(
+            sentence(
+                f"the grid has {n_rows:.3g} points, more than {MAX_ROWS:.3g}: it would take some {hours:.2g} h of one core and "
+                f"{memory:.2g} GB of memory",
+                got=" x ".join(f"{n:.0f}" for n in points), do="use a larger step or a smaller range",
+            )
+        )  # fmt: skip
 
 
 def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import fcntl
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zarr
-from zarr.storage import LocalStore
+from zarr.storage import LocalStore, MemoryStore
 
 from sunspin.errors import InputError, OutputError, sentence
 from sunspin.infer.identity import bits, fingerprint, plain
@@ -37,6 +38,12 @@ LOCK = "lock"
 PART = ".part"
 RECORD = 32
 """Bytes of a chunk's record, a SHA-256."""
+
+FORM = ("shape", "data_type", "chunk_grid", "chunk_key_encoding", "fill_value", "codecs")
+"""What a reader of an array goes by."""
+
+MAX_METADATA_BYTES = 100_000_000
+"""Of a group or array: the measured track is in it, which is a MB at most."""
 
 MAX_FILES = 10_000
 """Chunks per output at most: beyond that a store of many small chunks is cut more coarsely."""
@@ -91,14 +98,15 @@ class RowStore:
         self._writer.shutdown(wait=True)
 
     def _array(self, group: zarr.Group, name: str, shape: tuple, chunks: tuple, dtype: str) -> zarr.Array:
+        chunks = tuple(max(size, 1) for size in chunks)
+        names = ["row" if name != DONE else "record", *(f"{name}_{i}" for i in range(1, len(shape)))]
+        form = {"shape": shape, "chunks": chunks, "dtype": dtype, "fill_value": 0, "compressors": None, "dimension_names": names}
         if not (self.path / name / "zarr.json").exists():  # new, or killed while it was made
-            chunks = tuple(max(size, 1) for size in chunks)
-            names = ["row" if name != DONE else "record", *(f"{name}_{i}" for i in range(1, len(shape)))]
-            return group.create_array(
-                name, shape=shape, chunks=chunks, dtype=dtype, fill_value=0, compressors=None, dimension_names=names
-            )
+            return group.create_array(name, **form)
         array = group[name]
-        if not isinstance(array, zarr.Array) or array.shape != shape or array.dtype != dtype or array.chunks[0] != chunks[0]:
+        made, wanted = (part.metadata.to_dict() for part in (array, zarr.create_array(MemoryStore(), **form)))
+        # the codecs too: a few bytes that somebody has changed could unpack to any size
+        if not isinstance(array, zarr.Array) or any(made.get(key) != wanted.get(key) for key in FORM):
             raise ValueError(f"{name} does not have the form the group says")
         return array
 
@@ -126,6 +134,9 @@ class RowStore:
             record = np.asarray(self._done[number * RECORD : (number + 1) * RECORD])
             if record.any():
                 for name, array in self._arrays.items():
+                    chunk = self.path / name / array.metadata.encode_chunk_key((number,) + (0,) * (array.ndim - 1))
+                    if chunk.stat().st_size != math.prod(array.chunks) * array.dtype.itemsize:
+                        return False
                     out[name][rows] = array[rows]
                 return bytes.fromhex(self._digest(rows, out)) == record.tobytes()
         return False
@@ -214,6 +225,8 @@ def _find(folder: Path, wanted: Mapping[str, Any], mend: bool = False) -> RowSto
         _require_room(folder)
         return None
     damaged = InputError(sentence("the store is damaged and cannot be resumed", do="choose another or remove it", where=where))
+    if any(path.stat().st_size > MAX_METADATA_BYTES for path in (folder / "zarr.json", *folder.glob("*/zarr.json"))):
+        raise damaged
     try:
         group = zarr.open_group(Disk(folder), mode="r+", zarr_format=3)
         about = group.attrs.asdict().get(KEY)

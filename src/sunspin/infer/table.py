@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ class HistogramRows:
     duration_s: float
     condition: k.Mask = field(init=False)
 
-    outputs: ClassVar[Mapping[str, Any]] = {"hist": ("float32", (BINS,)), "outcome": ("int8", ())}
+    outputs = {"hist": ("float32", (BINS,)), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "condition", reconstructible_mask(self.vehicle))

@@ -122,7 +122,8 @@ class NoiseVerdict(NamedTuple):
 
 def _verdict(made: NoiseMade, member: list[bool]) -> NoiseVerdict:
     together = made.log_probability[member].sum() / np.log(10)
-    return NoiseVerdict(*(float(x[member].max()) for x in (made.probability, made.pattern_probability)), float(together))
+    largest, of_pattern = float(made.probability[member].max()), float(made.pattern_probability[member].max())
+    return NoiseVerdict(largest, of_pattern, float(together))
 
 
 def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_threshold: float) -> NoiseMade:

@@ -33,6 +33,13 @@ def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
     return vehicle.panel_gains * np.maximum(0.0, cosine)
 
 
+def sphere(n: int) -> np.ndarray:
+    """About evenly spread directions (n, 3), by Fibonacci's spiral."""
+    z = 1 - (2 * np.arange(n) + 1) / n
+    longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
+    return np.stack([np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1)
+
+
 class Arrangement(NamedTuple):
     """How the planes of the panels cut the sphere: one interior direction per open cell, arc and vertex, and what is lit.
 

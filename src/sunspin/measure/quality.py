@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.measure.panels import panel_power
-from sunspin.measure.sun import best_directions, signals
+from sunspin.measure.gains import brightness, estimate_gains
+from sunspin.measure.panels import panel_power, sphere
+from sunspin.measure.sun import LIT_SIGMAS, signals
 from sunspin.vehicle import Vehicle
 
 DEAD_FRACTION = 0.05
@@ -29,6 +30,12 @@ SPIKE_FACTOR = 1.6
 
 ALBEDO_DEFAULT = 0.06
 """Fraction of full Sun that Earth's light may put on a dark panel, where the file has too few samples to tell."""
+
+SURELY_LIT = 2.0
+"""A reading of more than this many times the albedo is the Sun's; below, it may be the Earth's."""
+
+QUANTUM_SAMPLES = 20_000
+"""Readings looked at for their quantisation."""
 
 IDLE_FRACTION = 0.35
 """Below this fraction of full Sun nothing is learnt: on skCUBE the panels that stood less in the Sun then gave the current."""
@@ -49,6 +56,17 @@ BELOW_FULL = "down-weighted: below full Sun, so the battery and not the Sun sets
 IDLE = "dropped: far below full Sun, so the battery alone sets which panel gives the current"
 BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was left out"
 
+ASIDE = "used: below full Sun, as where the Sun stands beside what the panels see; a full battery would look the same"
+
+DIRECTIONS = 3000
+"""Directions (about 4 degrees apart) among which the Sun is looked for beside the panels."""
+
+ASIDE_FRACTION = 0.08
+"""Misfit of each reading, as a fraction of full Sun, up to which a Sun of full strength explains a sample."""
+
+CHUNK = 20_000
+"""Samples looked at once."""
+
 USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
 
 
@@ -64,8 +82,9 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     xarray.Dataset
         `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing; `scale` (time), the factor
         between gain and reading at full Sun, and its relative uncertainty `scale_sigma` (time); `use` (time): 0 used, 1
-        down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel). attrs: `full_sun` (scale of a clean sample),
-        `albedo` (fraction of full Sun on dark panels), `full_sun_from`.
+        down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel); `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
+        `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of
+        full Sun; NaN: not told), `noise` (of a reading, with its quantisation), `full_sun_from`, `gains_from`.
     """
     value = signals(telemetry)
     gains = vehicle.panel_gains
@@ -76,12 +95,20 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
     dead = _dead(relative[good], full)
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
-    bright = _brightness(vehicle, use_value)
+    bright = brightness(vehicle, use_value)
     dark = bright < DEAD_FRACTION * full
     idle = good & ~dark & (bright < IDLE_FRACTION * full)
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
-    albedo = _albedo(vehicle, relative[good & ~limited & ~idle & ~dark] / full)
-    floor = np.hypot(albedo * full * gains, vehicle.telemetry.noise or 0.0)
+    aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
+    idle, limited = idle & ~aside, limited & ~aside
+    clean = good & ~limited & ~idle & ~dark
+    albedo, seen = _albedo(vehicle, relative[clean] / full)
+    told = estimate_gains(vehicle, use_value[clean], full, dead)
+    gains = gains * told.factor
+    noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
+    untold = np.hypot(albedo, told.sigma * use_value / (full * gains))  # whose gains may be off by their prior
+    share = np.where(use_value > SURELY_LIT * albedo * full * gains, untold if told.spread is None else told.spread, albedo)
+    floor = np.hypot(share * full * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
     sigma = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA) * largest * limited[:, None]
     sigma = np.hypot(sigma, floor)
@@ -92,19 +119,38 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     use[some] = DOWNWEIGHTED
     why = np.where(why != "", why, np.where(dark, "dropped: no panel lit", np.where(idle, IDLE, "used")))
     why = np.where(limited & (use != DROPPED), BELOW_FULL, why)
+    why = np.where(aside & (use == USED), ASIDE, why)
     why = np.where(some & ~limited, BEYOND_FULL, why)
     return xr.Dataset(
         {
             "sigma": (("time", "panel"), sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
             "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), full), {"units": "1"}),
-            "scale_sigma": ("time", np.where(limited, LIMITED_SCALE, CLEAN_SCALE), {"units": "1"}),
+            "scale_sigma": ("time", np.where(limited, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}),
+            "gain": ("panel", gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
+            "gain_sigma": ("panel", told.sigma * vehicle.panel_gains),
+            "gain_cov": (("panel", "panel2"), told.covariance * np.outer(vehicle.panel_gains, vehicle.panel_gains)),
             "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
             "why": ("time", why.astype(np.str_)),
             "dead": ("panel", dead),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs={"full_sun": float(full), "albedo": float(albedo), "full_sun_from": source},
+        attrs={"full_sun": float(full), "albedo": float(albedo),
+               "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
+               "noise": float(noise), "spread": np.nan if told.spread is None else told.spread},
     )
+
+
+def lit_threshold(vehicle: Vehicle, telemetry: xr.Dataset) -> float | None:
+    """What a reading must exceed to count as lit by the Sun and not by the Earth, in its unit: twice the light on dark faces.
+
+    None where the vehicle file gives a threshold, too few samples tell that light, or it is no more than six sigma of noise.
+    """
+    if vehicle.telemetry.lit_threshold is not None or telemetry.sizes["time"] < DEAD_SAMPLES:
+        return None
+    about = panel_quality(vehicle, telemetry).attrs
+    light = about["albedo"] * about["full_sun"] * float(vehicle.panel_gains.max())
+    told = about["albedo_samples"] >= DEAD_SAMPLES and light > SURELY_LIT * LIT_SIGMAS * about["noise"]
+    return SURELY_LIT * light if told else None
 
 
 def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,19 +181,10 @@ def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     unit = {"power_W": "W", "current_A": "A"}[vehicle.telemetry.quantity]
     if vehicle.gain_unit == unit:
         return 1.0, "the gains of the vehicle file"
-    bright = _brightness(vehicle, np.nan_to_num(relative) * vehicle.panel_gains)
+    bright = brightness(vehicle, np.nan_to_num(relative) * vehicle.panel_gains)
     if not len(bright) or bright.max() <= 0:
         return 1.0, "nothing: no panel is lit"
     return float(np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)), "the brighter samples of the file"
-
-
-def _brightness(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
-    """Factor (n) by which readings exceed the model at the direction that fits them best."""
-    if not len(value):
-        return np.zeros(0)
-    direction, _ = best_directions(vehicle, value)
-    shape = panel_power(vehicle, direction)
-    return (value * shape).sum(axis=1) / np.maximum((shape**2).sum(axis=1), 1e-300)
 
 
 def _dead(relative: np.ndarray, full: float) -> np.ndarray:
@@ -156,13 +193,43 @@ def _dead(relative: np.ndarray, full: float) -> np.ndarray:
     return (high < DEAD_FRACTION * full) & (lit >= DEAD_SAMPLES) & (high < np.max(high))
 
 
-def _albedo(vehicle: Vehicle, share: np.ndarray) -> float:
-    """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read."""
+def _aside(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> np.ndarray:
+    """Samples (n) that a Sun of full strength in some direction explains although their panels together give less.
+
+    Panels that do not look all around see the Sun shortened where it stands aside. A dead panel is none of them: that it is
+    lit is a fault and no geometry.
+    """
+    model = (full * panel_power(vehicle, sphere(DIRECTIONS)))[:, ~dead]
+    model = model[(model.sum(axis=1) > 0) & ~(full * panel_power(vehicle, sphere(DIRECTIONS)))[:, dead].any(axis=1)]
+    gains = vehicle.panel_gains[~dead]
+    found = np.zeros(len(value), dtype=bool)
+    for start in range(0, len(value) if len(model) else 0, CHUNK):
+        part = value[start : start + CHUNK][:, ~dead] / gains
+        square = (part**2).sum(axis=1)[:, None] - 2 * part @ (model / gains).T + ((model / gains) ** 2).sum(axis=1)
+        found[start : start + CHUNK] = square.min(axis=1) < len(gains) * (ASIDE_FRACTION * full) ** 2
+    return found
+
+
+def _quantum(value: np.ndarray) -> float:
+    """Step of quantised readings: the smallest difference, where most differences are whole multiples of it; else zero."""
+    steps = np.unique(value[np.isfinite(value)][:QUANTUM_SAMPLES])
+    gaps = np.diff(steps)
+    gaps = gaps[gaps > 1e-9 * max(np.abs(steps).max(initial=0.0), 1e-300)]
+    if len(gaps) < 5:
+        return 0.0
+    turns = gaps / gaps.min()
+    return float(gaps.min()) if np.mean(np.abs(turns - np.round(turns)) < 0.01) > 0.9 else 0.0
+
+
+def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
+    """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
+    how many readings tell it."""
     opposite = vehicle.panel_normals_B @ vehicle.panel_normals_B.T < -0.99
     readings = [share[share[:, j] > 0.3, i] for i, j in np.argwhere(opposite)]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
-    return float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if len(dark) >= 10 else ALBEDO_DEFAULT
+    told = len(dark) >= 10
+    return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(dark)
 
 
 def reasons(quality: Any) -> dict[str, int]:

@@ -8,13 +8,16 @@ import numpy as np
 
 from sunspin.measure.tables import Table
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle_sensors import SunSensor
+from sunspin.vehicle_sensors import Attitude, SunSensor
 
 RADIAL_SIGMA = 0.02
 """Sigma along the direction itself: a chord is shorter than its arc, and the covariance must have full rank."""
 
 ABSURD = 1e12
 """A cell beyond this is no reading in any unit."""
+
+UNIT = 0.02
+"""A quaternion whose length is farther from one than this is none."""
 
 AGREE = 0.5
 """Sensors that see different Suns cancel: a mean direction shorter than this is none."""
@@ -29,16 +32,18 @@ def sensor_columns(vehicle: Vehicle) -> list[str]:
     """Columns that the vehicle's sensors read."""
     sensors = vehicle.sensors
     names = [name for s in sensors.sun_sensors for name in (s.x_column, s.y_column, s.light_column) if name]
-    for part in (sensors.gyro, sensors.magnetometer):
+    for part in (sensors.gyro, sensors.attitude, sensors.magnetometer):
         names += list(part.columns) if part is not None else []
-    return names
+    return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
 
 
 def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """Variables for a Dataset over `time` from the sensor columns that the table has (missing ones are left out).
 
     `sun_sensor_B` (time, axis) unit, body axes, with `sun_sensor_cov_B` (time, axis, axis2): NaN where no sensor sees the Sun;
-    `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in the column's unit, zero taken off. Cells without a number are NaN.
+    `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in the column's unit, zero taken off;
+    `attitude_B_from_N` (time, quaternion); `wheel_speed_rad_s` (time, wheel).
+    Cells without a number are NaN.
     """
     found: dict[str, Any] = {}
     sensors = vehicle.sensors
@@ -49,12 +54,39 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
         found["sun_sensor_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
     gyro, magnetometer = sensors.gyro, sensors.magnetometer
     if gyro is not None and all(name in table.header for name in gyro.columns):
-        value = gyro.scale_rad_s * (_numbers(table, gyro.columns) - gyro.zero)
+        value = gyro.scale_rad_s * (unwrapped(_numbers(table, gyro.columns), gyro.wraps_at) - gyro.zero)
         found["gyro_B"] = (("time", "axis"), value, {"units": "rad s-1", "long_name": "gyro, body axes"})
     if magnetometer is not None and all(name in table.header for name in magnetometer.columns):
-        value = _numbers(table, magnetometer.columns) - magnetometer.zero
+        value = unwrapped(_numbers(table, magnetometer.columns), magnetometer.wraps_at) - magnetometer.zero
         found["field_B"] = (("time", "axis"), value, {"long_name": "magnetometer less its zero, body axes"})
+    attitude = sensors.attitude
+    if attitude is not None and all(name in table.header for name in attitude.columns):
+        value = _quaternions(attitude, _numbers(table, attitude.columns))
+        about = {"units": "1", "long_name": "attitude as given, scalar last, from reference frame to body"}
+        found["attitude_B_from_N"] = (("time", "quaternion"), value, about)
+    speeds = [wheel.speed_column for wheel in vehicle.wheels]
+    if speeds and all(name in table.header for name in speeds if name) and any(speeds):
+        nothing = np.full(len(table.rows), np.nan)
+        value = [nothing if w.speed_column is None else w.speed_scale_rad_s * _numbers(table, [w.speed_column])[:, 0]
+                 for w in vehicle.wheels]  # fmt: skip
+        found["wheel_speed_rad_s"] = (("time", "wheel"), np.stack(value, axis=1), {"units": "rad s-1"})
     return found
+
+
+def unwrapped(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
+    """Counts whose upper half stands for negative numbers (65535 for -1 where they wrap at 65536)."""
+    return counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
+
+
+def _quaternions(form: Attitude, values: np.ndarray) -> np.ndarray:
+    """Unit quaternions B_from_N (n, 4), scalar last; NaN where the columns hold no unit quaternion."""
+    if form.scalar == "first":
+        values = values[:, [1, 2, 3, 0]]
+    if form.rotates == "B_to_N":
+        values = values * [-1.0, -1.0, -1.0, 1.0]
+    size = np.linalg.norm(values, axis=1, keepdims=True)
+    good = np.abs(size - 1) < UNIT
+    return np.where(good, values / np.where(good, size, 1.0), np.nan)
 
 
 def _numbers(table: Table, names: Any) -> np.ndarray:
@@ -121,4 +153,5 @@ def _one_sensor(
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     along = np.cross(across, direction)
     parts = ((along, np.full(n, sensor.x_sigma_rad)), (across, y_sigma), (direction, np.full(n, RADIAL_SIGMA)))
-    return direction, sum(axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts)
+    information = [axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts]
+    return direction, np.sum(information, axis=0)

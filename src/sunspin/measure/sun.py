@@ -19,8 +19,8 @@ from sunspin.errors import InputError, sentence
 from sunspin.measure.panels import Pattern, arrangement, lit_patterns, observable_patterns, panel_power, plane_basis
 from sunspin.vehicle import Vehicle
 
-CHUNK = 20_000
-"""Samples solved at once: some tens of MB for a hundred candidates."""
+NUMBERS = 10_000_000
+"""Candidates times panels times samples solved at once: some 200 MB."""
 
 LIT_FRACTION = 0.02
 """Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
@@ -66,12 +66,9 @@ def is_reconstructed(status: Any) -> np.ndarray:
 
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     """The lit patterns that geometry allows and from which a direction follows: three independent normals, no rule against."""
-    found = []
-    for pattern in lit_patterns(vehicle):
-        lit = np.array([name in pattern for name in vehicle.panel_names])
-        if _pattern_status(vehicle, tuple(lit.tolist()))[0] in RECONSTRUCTED:
-            found.append(pattern)
-    return frozenset(found)
+    patterns = lit_patterns(vehicle)
+    found = _pattern_statuses(vehicle, [tuple(name in pattern for name in vehicle.panel_names) for pattern in patterns])
+    return frozenset(pattern for pattern, (status, _) in zip(patterns, found, strict=True) if status in RECONSTRUCTED)
 
 
 @lru_cache(maxsize=4096)
@@ -94,11 +91,12 @@ def _status_cached(key: tuple, lit: tuple[bool, ...]) -> tuple[SunStatus, str]:
     return status, STATUS_TEXT[status]
 
 
-def _pattern_status(vehicle: Vehicle, lit: tuple[bool, ...]) -> tuple[SunStatus, str]:
+def _pattern_statuses(vehicle: Vehicle, patterns: list[tuple[bool, ...]]) -> list[tuple[SunStatus, str]]:
     names = vehicle.panel_names
     possible = frozenset(tuple(name in pattern for name in names) for pattern in observable_patterns(vehicle))
     rules = tuple((tuple(names.index(name) for name in rule.all_dark), rule.reason) for rule in vehicle.sun_rules)
-    return _status_cached((tuple(map(tuple, vehicle.panel_normals_B.tolist())), possible, rules), lit)
+    key = (tuple(map(tuple, vehicle.panel_normals_B.tolist())), possible, rules)
+    return [_status_cached(key, lit) for lit in patterns]
 
 
 def sun_directions(
@@ -166,7 +164,7 @@ def _flagged(base: xr.Dataset | None, n: int) -> np.ndarray:
 def _statuses(vehicle: Vehicle, lit: np.ndarray, finite: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
     inverse = inverse.ravel()
-    found = [_pattern_status(vehicle, tuple(row)) for row in patterns.tolist()]
+    found = _pattern_statuses(vehicle, [tuple(row) for row in patterns.tolist()])
     status = np.array([code for code, _ in found], dtype=np.int8)[inverse]
     texts = np.array([text for _, text in found], dtype=object)[inverse]
     status[~finite] = SunStatus.MISSING
@@ -179,7 +177,7 @@ def _candidate_maps(normals: tuple, gains: tuple) -> tuple[np.ndarray, np.ndarra
     """Matrices (n_map, 3, n_panel) that turn powers into candidate directions, and fixed candidates (n_vertex, 3)."""
     from sunspin.vehicle import Panel
 
-    panels = [Panel(str(k), normal, gain) for k, (normal, gain) in enumerate(zip(normals, gains, strict=True))]
+    panels = tuple(Panel(str(k), normal, gain) for k, (normal, gain) in enumerate(zip(normals, gains, strict=True)))
     cells = arrangement(Vehicle("", panels=panels))
     rows = np.array(gains)[:, None] * np.array(normals)
     maps = []
@@ -198,8 +196,9 @@ def best_directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np
     maps, fixed = _candidate_maps(tuple(map(tuple, vehicle.panel_normals_B.tolist())), tuple(vehicle.panel_gains.tolist()))
     fixed_shape = panel_power(vehicle, fixed)
     direction, delta = np.zeros((len(power), 3)), np.full(len(power), 2.0)
-    for start in range(0, len(power), CHUNK):
-        part = slice(start, start + CHUNK)
+    chunk = max(1, NUMBERS // ((len(maps) + len(fixed)) * power.shape[1]))
+    for start in range(0, len(power), chunk):
+        part = slice(start, start + chunk)
         size = np.linalg.norm(power[part], axis=1)
         target = power[part] / np.where(size > 0, size, 1.0)[:, None]
         candidates = np.einsum("mik,nk->nmi", maps, target)

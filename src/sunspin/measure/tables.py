@@ -8,6 +8,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,9 +17,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.errors import TelemetryError, sentence
+from sunspin.outside import read_bytes
 
 MAX_FILE_BYTES = 500_000_000
 """A year of 1 Hz samples of six panels is about this much."""
+
+MAX_COLUMNS = 10_000
+"""No telemetry has more; a file of one line of commas does."""
+
+MAX_CELLS = 100_000_000
+"""Cells of a file in columns, which may hold any number of them in few bytes: beyond these it would not fit into memory."""
+
+DELIMITERS = ",;\t"
+"""What may part the columns: the one that the header has most of."""
+
+DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+\s*)$")
+"""A number as written where the semicolon parts the columns."""
 
 
 class Table(NamedTuple):
@@ -33,7 +48,7 @@ class Table(NamedTuple):
 def read_table(path: Path) -> Table:
     """Read a table; the kind of file is told by its first bytes, not by its name."""
     where = str(path)
-    content = _read_bytes(path, where)
+    content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
     if content[:4] == b"PAR1":
         return _from_columns(_parquet(content, where), where, content)
     if content[:8] == b"\x89HDF\r\n\x1a\n":
@@ -41,23 +56,6 @@ def read_table(path: Path) -> Table:
     if content[:3] == b"CDF":
         raise TelemetryError(sentence("this is NetCDF of version 3", do="convert it to NetCDF-4 (nccopy -k nc4)", where=where))
     return _from_text(content, where)
-
-
-def _read_bytes(path: Path, where: str) -> bytes:
-    try:
-        if path.is_dir():
-            raise TelemetryError(sentence("this is a folder, not a telemetry file", where=where))
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise TelemetryError(
-                sentence(f"the file is larger than {MAX_FILE_BYTES / 1e6:.0f} MB", do="cut it into parts", where=where)
-            )
-        return path.read_bytes()
-    except OSError as error:
-        raise TelemetryError(
-            sentence(f"the file cannot be read ({error.strerror or error})", do="check the path", where=where)
-        ) from None
-    except ValueError as error:
-        raise TelemetryError(sentence(f"this is not a path ({error})", where=repr(where))) from None
 
 
 def _from_text(content: bytes, where: str) -> Table:
@@ -82,10 +80,13 @@ def _split(text: str, where: str, sha256: str) -> Table:
     while skipped < len(lines) and (lines[skipped].startswith("#") or not lines[skipped].strip()):
         comments.append(lines[skipped].lstrip("# ").strip())
         skipped += 1
-    reader = csv.reader(lines[skipped:], strict=True)
+    mark = max(DELIMITERS, key=lines[skipped].count) if skipped < len(lines) else ","
+    reader = csv.reader(lines[skipped:], strict=True, delimiter=mark)
     records = _records(reader, skipped, where)
     header = next(records, (0, []))[1]
     header = [cell.strip() for cell in header]
+    if len(header) > MAX_COLUMNS:
+        raise TelemetryError(sentence(f"the file has more than {MAX_COLUMNS} columns", got=len(header), where=where))
     rows, numbers = [], []
     for number, cells in records:
         if len(cells) != len(header):
@@ -96,11 +97,11 @@ def _split(text: str, where: str, sha256: str) -> Table:
                     where=f"{where}, line {number}",
                 )
             )
-        rows.append(cells)
+        rows.append([DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells] if mark == ";" else cells)
         numbers.append(number)
     if not rows:
         raise TelemetryError(sentence("the file has a header but no samples", where=where))
-    repeated = sorted({name for name in header if header.count(name) > 1})
+    repeated = sorted(name for name, count in Counter(header).items() if count > 1)
     if repeated:
         raise TelemetryError(sentence("two columns share a name", got=repeated[0], do="rename one", where=where))
     return Table(header, rows, numbers, [c for c in comments if c], sha256)
@@ -129,23 +130,27 @@ def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
             sentence("reading Parquet needs pyarrow", do='pip install "sunspin[parquet]", or save the file as CSV', where=where)
         ) from None
     try:
+        about = pq.read_metadata(pa.BufferReader(content))
+        if about.num_rows * max(about.num_columns, 1) > MAX_CELLS:
+            raise TelemetryError(
+                sentence(f"the file has more than {MAX_CELLS:.0e} cells", got=f"{about.num_rows} rows of {about.num_columns}",
+                         do="cut it into parts", where=where)
+            )  # fmt: skip
         table = pq.read_table(pa.BufferReader(content))
         return {str(name): table[name].to_numpy() for name in table.column_names}
-    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise TelemetryError(sentence(f"this Parquet file cannot be read ({error})", where=where)) from None
+    except TelemetryError:
+        raise
+    except Exception as error:  # a damaged file makes the library raise whatever comes
+        raise TelemetryError(sentence(f"this Parquet file cannot be read ({str(error)[:200]})", where=where)) from None
 
 
 def _netcdf(content: bytes, where: str) -> dict[str, np.ndarray]:
     """Every variable over the one dimension that the samples share; (time, panel) becomes a column per panel."""
-    import xarray as xr
+    from sunspin.measure.netcdf import read_netcdf
 
-    try:
-        with xr.open_dataset(io.BytesIO(content), engine="h5netcdf", decode_timedelta=False) as data:
-            data = data.load()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-        raise TelemetryError(sentence(f"this NetCDF file cannot be read ({error})", where=where)) from None
+    data = read_netcdf(io.BytesIO(content), where, TelemetryError)
     sizes = {name: size for name, size in data.sizes.items() if name in data.coords or len(data.sizes) == 1}
-    axis = "time" if "time" in data.sizes else max(sizes, key=sizes.get, default=None)
+    axis = "time" if "time" in data.sizes else max(sizes, key=lambda name: sizes[name], default=None)
     if axis is None:
         raise TelemetryError(sentence("the NetCDF file has no dimension of samples", do="name it time", where=where))
     found: dict[str, np.ndarray] = {}

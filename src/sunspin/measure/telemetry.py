@@ -6,6 +6,7 @@ rewrite a file to have it read.
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta
 from importlib import metadata
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.errors import TelemetryError, sentence
-from sunspin.measure.sensors import ABSURD, read_sensors
+from sunspin.measure.sensors import ABSURD, read_sensors, unwrapped
 from sunspin.measure.tables import Table, read_table
 from sunspin.vehicle import TelemetryForm, Vehicle
 
@@ -24,6 +25,12 @@ FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 
 NEGATIVE_SIGMAS = 5.0
 """With a stated noise, values down to minus this many sigma are noise around zero and not an error."""
+
+COLDEST_C, HOTTEST_C = -200.0, 250.0
+"""No solar panel in flight is colder or hotter: such a reading is none."""
+
+LEAST_FACTOR = 0.2
+"""A temperature correction below this is beyond any linear law and left out."""
 
 UNITS = {"power_W": "W", "current_A": "A"}
 
@@ -60,8 +67,9 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     time_at = _column(table, form.time_column, "the time", path)
     time, epoch = _times(form, [row[time_at] for row in table.rows], table, path)
     values, flag = _values(form, table, columns, path)
+    values, warmth = _at_reference(vehicle, table, values, path)
     flag |= _order_flags(form, time, table, path)
-    return _dataset(vehicle, path, table, time, epoch, values, flag, sensors)
+    return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth)
 
 
 def _column(table: Table, name: str, what: str, path: Path) -> int:
@@ -101,7 +109,8 @@ def _number(text: str) -> float:
 def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -> tuple[np.ndarray, np.ndarray]:
     cells = [[_number(row[column]) for column in columns] for row in table.rows]
     values = np.array(cells).reshape(len(table.rows), -1)
-    values = np.where(np.abs(values) < ABSURD, values, np.nan) * form.scale
+    values = np.where(np.abs(values) < ABSURD, values, np.nan)
+    values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
     floor = -NEGATIVE_SIGMAS * form.noise if form.noise is not None else 0.0
     flag = np.zeros(len(values), dtype=np.uint8)
     problems = (
@@ -123,12 +132,41 @@ def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -
     return values, flag
 
 
+def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """Values at the panels' reference temperature, and the temperatures; a panel without a reading takes the others' mean."""
+    form = vehicle.telemetry
+    if not form.temperature_columns or not values.shape[1]:
+        return values, {}
+    strange = [name for name in form.temperature_columns if name not in vehicle.panel_names]
+    if strange:
+        raise TelemetryError(sentence("telemetry.temperature_columns names a panel that the vehicle has not", got=strange[0]))
+    warm = np.full(values.shape, np.nan)
+    for panel, name in form.temperature_columns.items():
+        at = _column(table, name, f"temperature of panel {panel}", path)
+        warm[:, vehicle.panel_names.index(panel)] = [_number(row[at]) for row in table.rows]
+    warm *= form.temperature_scale
+    warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)
+    known = np.isfinite(warm)
+    mean = np.where(known, warm, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    mean = np.where(known.any(axis=1), mean, form.reference_temperature_C)
+    filled = np.where(known, warm, mean[:, None])
+    factor = 1 + form.temperature_coefficient_per_K * (filled - form.reference_temperature_C)
+    factor = np.where(factor > LEAST_FACTOR, factor, 1.0)
+    about = {"units": "degC", "long_name": "temperature of the panel"}
+    return values / factor, {"panel_temperature_C": (("time", "panel"), warm, about)}
+
+
 def _parse_utc(text: str) -> datetime | None:
+    text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
+    day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text)  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
     try:
-        moment = datetime.fromisoformat(text.strip())
-    except ValueError:
+        if day:
+            start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
+            text = start.date().isoformat() + (day[3] or "")
+        moment = datetime.fromisoformat(text)
+        return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except (ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
         return None
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
 
 
 def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> tuple[np.ndarray, datetime]:
@@ -149,15 +187,18 @@ def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> t
         )
 
     if form.time_format == "utc":
-        moments = [_parse_utc(cell) for cell in cells]
-        if None in moments:
-            raise bad(moments.index(None))
+        parsed = [_parse_utc(cell) for cell in cells]
+        moments = [moment for moment in parsed if moment is not None]
+        if len(moments) < len(parsed):
+            raise bad(parsed.index(None))
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
-    numbers = np.array([_number(cell) for cell in cells])
+    numbers = np.array([_number(cell) for cell in cells]) * form.time_scale_s
     if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > 1e11:
         raise bad(int(np.flatnonzero(~(np.abs(numbers) <= 1e11))[0]))
     if form.time_format == "elapsed":
+        if fixed is None:
+            raise TelemetryError(sentence("elapsed times need telemetry.epoch_utc in the vehicle file"))
         return numbers, fixed
     unix_zero = datetime(1970, 1, 1, tzinfo=UTC)
     epoch = fixed or unix_zero + timedelta(seconds=float(numbers[0]))

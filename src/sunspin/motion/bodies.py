@@ -43,8 +43,8 @@ class Bodies:
     def stack(cls, vehicles: Sequence[Vehicle]) -> Bodies:
         """The numbers of vehicles (n) that differ in inertia and friction only."""
         variants = [cls.of(vehicle) for vehicle in vehicles]
-        columns = zip(*([getattr(body, field.name) for field in fields(cls)[:-1]] for body in variants), strict=True)
-        return cls(*map(np.stack, columns), variants[0].axes_B)
+        names = [field.name for field in fields(cls)[:-1]]
+        return replace(variants[0], **{name: np.stack([getattr(body, name) for body in variants]) for name in names})
 
     def take(self, index: np.ndarray) -> Bodies:
         """The variants of these numbers; a single one is repeated."""

@@ -86,7 +86,7 @@ def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float)
     return inertia_kg_m2 / viscous * float(np.log1p(viscous * speed / coulomb))
 
 
-def spin_down_curve(t: FloatArray, c1: float, c2: float, c3: float) -> FloatArray:
+def spin_down_curve(t: FloatArray | float, c1: FloatArray | float, c2: float, c3: float) -> FloatArray:
     """Speed c1 exp(c2 t) + c3 (rad/s) at times t (s) of a wheel that runs down (paper, section 2.2)."""
     return c1 * np.exp(c2 * t) + c3
 

@@ -19,7 +19,7 @@ so every mode is a smooth system and mode changes are events of the callers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -27,12 +27,13 @@ from sunspin.motion.bodies import Bodies
 from sunspin.vehicle import Vehicle
 
 Scalar = Any  # a float, a heyoka expression or a SymPy symbol
+Vector: TypeAlias = Sequence[Any] | np.ndarray  # scalars, or an array whose first axis are the components
 
 
 class WheelParameters(NamedTuple):
     """One wheel in one mode. `free` is 1 where the wheel turns freely (its torque is friction) and 0 where it is held."""
 
-    axis: tuple[Scalar, Scalar, Scalar]
+    axis: tuple[Scalar, ...]  # three
     inverse_inertia: Scalar  # 1 / J
     free: Scalar  # 1 or 0
     coulomb: Scalar  # sign(W) * (mu0 + brake): signed Coulomb torque, N m
@@ -42,22 +43,22 @@ class WheelParameters(NamedTuple):
 class Parameters(NamedTuple):
     """All that :func:`rhs` needs besides the state: A^-1 as (xx, xy, xz, yy, yz, zz), K (N m s), the wheels."""
 
-    inverse: tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-    held_momentum: tuple[Scalar, Scalar, Scalar]
+    inverse: tuple[Scalar, ...]  # six
+    held_momentum: tuple[Scalar, ...]  # three
     wheels: tuple[WheelParameters, ...]
 
 
-def cross(a: Sequence[Scalar], b: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+def cross(a: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
     """a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
+def dot(a: Vector, b: Vector) -> Scalar:
     """a . b for three components."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def symmetric_times(m: Sequence[Scalar], b: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+def symmetric_times(m: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
     """M b for a symmetric M given as (xx, xy, xz, yy, yz, zz)."""
     return (
         m[0] * b[0] + m[1] * b[1] + m[2] * b[2],
@@ -66,7 +67,7 @@ def symmetric_times(m: Sequence[Scalar], b: Sequence[Scalar]) -> tuple[Scalar, S
     )
 
 
-def body_rate(H: Sequence[Scalar], h: Sequence[Scalar], p: Parameters) -> tuple[Scalar, Scalar, Scalar]:
+def body_rate(H: Vector, h: Vector, p: Parameters) -> tuple[Scalar, Scalar, Scalar]:
     """omega (rad/s, B) from total momentum and the wheels' axial momenta; `h` of a held wheel is not used."""
     rest = [H[k] - p.held_momentum[k] for k in range(3)]
     for h_i, wheel in zip(h, p.wheels, strict=True):
@@ -74,18 +75,18 @@ def body_rate(H: Sequence[Scalar], h: Sequence[Scalar], p: Parameters) -> tuple[
     return symmetric_times(p.inverse, rest)
 
 
-def wheel_speed(h_i: Scalar, omega: Sequence[Scalar], wheel: WheelParameters) -> Scalar:
+def wheel_speed(h_i: Scalar, omega: Vector, wheel: WheelParameters) -> Scalar:
     """W (rad/s), speed of a free wheel relative to the body."""
     return h_i * wheel.inverse_inertia - dot(wheel.axis, omega)
 
 
-def wheel_torque(h_i: Scalar, omega: Sequence[Scalar], wheel: WheelParameters) -> Scalar:
+def wheel_torque(h_i: Scalar, omega: Vector, wheel: WheelParameters) -> Scalar:
     """Torque on the wheel along its axis (N m), zero where it is held: what holds it follows from the motion."""
     return wheel.free * (-wheel.coulomb - wheel.viscous * wheel_speed(h_i, omega, wheel))
 
 
 def rhs(
-    H: Sequence[Scalar], h: Sequence[Scalar], r: Sequence[Scalar], p: Parameters, spin: Scalar = 0
+    H: Vector, h: Vector, r: Vector, p: Parameters, spin: Scalar = 0
 ) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...], tuple[Scalar, ...]]:
     """Time derivatives (dH, dh, dr) in body axes; paper eqs. (3), (4), (5), (7) in terms of momenta.
 
@@ -98,7 +99,7 @@ def rhs(
     return cross(H, left), torques, cross(r, left)
 
 
-def spun(H: Sequence[Scalar], r: Sequence[Scalar], cosine: Scalar, sine: Scalar, along: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def spun(H: Vector, r: Vector, cosine: Scalar, sine: Scalar, along: Scalar) -> tuple[Scalar, ...]:
     """r in body axes, from its value in the axes that turn about H, after a turn by the angle a = spin |H| t.
 
     `cosine` is cos a, `sine` is sin a / |H|, `along` is (1 - cos a) H.r / |H|^2; H.r is an invariant.
@@ -107,14 +108,14 @@ def spun(H: Sequence[Scalar], r: Sequence[Scalar], cosine: Scalar, sine: Scalar,
     return tuple(cosine * r[k] + sine * x[k] + along * H[k] for k in range(3))
 
 
-def quaternion_rate(q: Sequence[Scalar], omega: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+def quaternion_rate(q: Vector, omega: Vector) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """dq/dt of q = B_from_N, scalar last: -1/2 (omega, 0) * q."""
     x, y, z, w = q
     a, b, c = (0.5 * component for component in omega)
     return (-(a * w + b * z - c * y), -(b * w + c * x - a * z), -(c * w + a * y - b * x), a * x + b * y + c * z)
 
 
-def body_acceleration(H: Sequence[Scalar], h: Sequence[Scalar], p: Parameters) -> tuple[Scalar, Scalar, Scalar]:
+def body_acceleration(H: Vector, h: Vector, p: Parameters) -> tuple[Scalar, Scalar, Scalar]:
     """domega/dt (rad/s2, B)."""
     omega = body_rate(H, h, p)
     moment = list(cross(H, omega))
@@ -125,7 +126,7 @@ def body_acceleration(H: Sequence[Scalar], h: Sequence[Scalar], p: Parameters) -
 
 
 def holding_torque(
-    H: Sequence[Scalar], h: Sequence[Scalar], p: Parameters, wheel: WheelParameters, inertia: Scalar
+    H: Vector, h: Vector, p: Parameters, wheel: WheelParameters, inertia: Scalar
 ) -> Scalar:
     """J u.domega/dt (N m): the torque on a held wheel that keeps its speed; a stuck one breaks away beyond mu0 (eq. 6)."""
     return inertia * dot(wheel.axis, body_acceleration(H, h, p))

@@ -113,7 +113,7 @@ def _speeds(vehicle: Vehicle, value: npt.ArrayLike | None) -> np.ndarray:
         raise InputError(
             sentence(
                 f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",
-                got=f"shape {np.shape(value)}",
+                got="none" if value is None else f"shape {np.shape(value)}",
             )
         )
     return speeds

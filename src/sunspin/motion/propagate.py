@@ -245,7 +245,7 @@ def _piece(run: _Run, ta, t_stop: float):
     outcome, dense = int(result[0]), result[4]
     run.y = ta.state.copy()
     run.pending = -outcome - 1 if -2 * len(run.wheels) <= outcome < 0 else None
-    run.t = ta.time if run.pending is not None else target
+    run.t = float(ta.time if run.pending is not None else target)
     if not np.all(np.isfinite(run.y)):
         raise MotionError(sentence(f"the motion left the range of numbers at t = {run.t:g} s", do="check the rates' unit"))
     return dense
@@ -339,11 +339,12 @@ def _require_known_past(run: _Run, i: int) -> None:
     if state.turning is m.Turning.STUCK and stopped is None:
         raise MotionError(
             sentence(
-                f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t:.6g} s and a wheel that sticks forgets its past",
+                f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t + 0.0:.6g} s and a wheel that "
+                "sticks forgets its past",
                 do="give the time it stopped as stopped_at_s",
             )
         )
-    if state.turning is m.Turning.STUCK and stopped >= run.t:
+    if state.turning is m.Turning.STUCK and stopped is not None and stopped >= run.t:
         if stopped > run.t:
             raise MotionError(
                 sentence(f"stopped_at_s = {stopped:g} s lies after t = {run.t:g} s, at which the wheel is already at rest")

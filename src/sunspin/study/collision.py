@@ -29,6 +29,9 @@ SIGMA_PERIOD_S = 2.0
 """One sigma of a magnetometer period quoted in whole seconds, for a motion that is no simple rotation."""
 
 KERNEL = ("philae_spk", "LORB_C_G_FIXED_RBD_7_V2_0.BSP")
+LARGEST = 1e9
+"""km or km/s: what a damaged kernel may well exceed."""
+
 J2000_UTC = "2000-01-01T12:00:00"
 TDB_MINUS_UTC_S = 67.184
 """In November 2014: 35 leap seconds and 32.184 s."""
@@ -53,7 +56,19 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
         `speed_before`, `speed_after`, `velocity_change`, `speed_before_landing`, `speed_after_landing` in m/s, comet-fixed,
         taken at the second of the event and one second later; `path_length` in m.
     """
-    states = _KernelStates(Path(folder).joinpath(*KERNEL))
+    path = Path(folder).joinpath(*KERNEL)
+    try:
+        facts = _facts(case, _KernelStates(path))
+    except spice_errors() as error:
+        short = " ".join(str(error).split()).strip("= ")[:200]
+        what = f"the trajectory kernel cannot be read ({short})"
+        raise InputError(sentence(what, do="download it again", where=str(path))) from None
+    if not all(0 <= value < 1e3 * LARGEST for value in facts.values()):
+        raise InputError(sentence("the trajectory kernel holds no speeds of this landing", do="download it again", where=str(path)))
+    return facts
+
+
+def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
     begin, collision, landing = (_tdb(case, name) for name in ("first_touchdown", "collision", "second_touchdown"))
     before, after = states(collision), states(collision + 1.0)
     down, up = states(landing), states(landing + 1.0)
@@ -72,6 +87,15 @@ def _tdb(case: Case, event: str) -> float:
     """TDB seconds past J2000 of an event."""
     moment = case.timeline.event(event)
     return utc_seconds(moment.refined_utc or moment.utc, J2000_UTC) + TDB_MINUS_UTC_S
+
+
+def spice_errors() -> type[Exception]:
+    """What SPICE raises on files that are damaged; where it is not installed, nothing that is ever raised."""
+    try:
+        from spiceypy.utils.exceptions import SpiceyError
+    except ImportError:
+        return InputError
+    return SpiceyError
 
 
 class _KernelStates:
@@ -97,7 +121,8 @@ class _KernelStates:
         self.handle = spiceypy.spklef(str(path))
 
     def __call__(self, tdb_s: float) -> np.ndarray:
-        return 1e3 * np.array(self.spice.spkpvn(self.handle, self.summary, tdb_s)[1])
+        state = np.array(self.spice.spkpvn(self.handle, self.summary, tdb_s)[1])
+        return np.where(np.abs(state) < LARGEST, 1e3 * np.clip(state, -LARGEST, LARGEST), np.nan)
 
     def __del__(self) -> None:
         if hasattr(self, "handle"):

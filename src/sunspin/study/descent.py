@@ -174,8 +174,9 @@ def _fit_rows(r: Descent) -> list[Row]:
         ),
         Row(
             "descent_rate_cubic", case.published["descent_rate_cubic"].what, published.tolist(), fit.coefficients.tolist(),
-            "rad/s, rad/s2, rad/s3, rad/s4", CUBIC_CHI2, distance <= CUBIC_CHI2,
-            _twin(r, f"chi-square of the difference {distance:.1f} with 4 degrees, sigma {_digits(fit.sigma)}; rounding of the "
+            "rad/s, rad/s2, rad/s3, rad/s4", (np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(), bool(distance <= CUBIC_CHI2),
+            _twin(r, f"chi-square of the difference {distance:.1f} with 4 degrees, at most {CUBIC_CHI2:g} is asked for, which "
+                     f"the tolerances follow from; sigma {_digits(fit.sigma)}; rounding of the "
                      f"printed omega_0 is {half_digit:.2f} rad at the end; E of the printed cubic here {r.published_E:.5f}"),
             "paper, section 3.1",
         ),

@@ -129,7 +129,8 @@ def _sun_rows(landing: Landing) -> list[Row]:
     top = float(landing.paper["off"]["rz"].values[np.nonzero(np.nansum(share, axis=0))[0][-1]] + 1 / share.shape[1])
     lowest = {name: float(np.nanmin(lowest_rz(found["held"]))) for name, found in (
         ("small", landing.paper_small), ("large", landing.paper))}  # fmt: skip
-    area = float(density(landing.paper["off"])["density"].sum() * 2 / share.shape[1])
+    areas = [float(density(landing.paper[name])["density"].sum() * 2 / share.shape[1]) for name in ("off", "held")]
+    negative = [off["rz_time_below_0"].value, held["rz_time_below_0"].value]
     n = landing.paper["off"].sizes["run"]
     return [
         published_row(
@@ -151,7 +152,15 @@ def _sun_rows(landing: Landing) -> list[Row]:
             f"{held['rz_ever_below_-0.2']} go there at "
             "some time: rare in time, not in runs", "rarely below -0.2",
         ),
-        _ours(case, "rz_density_area", "area under the densities of r_z", area, "1", "sum over bins times width", 1.0),
+        _ours(
+            case, "rz_often_negative", "share of the time with r_z < 0 after the collision: wheel off, held", negative, "1",
+            f"off {off['rz_time_below_0']} of the time, in {off['rz_ever_below_0']} of the runs; held {held['rz_time_below_0']}, "
+            f"{held['rz_ever_below_0']}", "often",
+        ),
+        Row(
+            "rz_density_area", "area under the densities of r_z: wheel off, held", 1.0, areas, "1", 1e-6,
+            bool(np.all(np.abs(np.array(areas) - 1) <= 1e-6)), "sum over bins times width", "paper, section 3.3, Fig. 13",
+        ),
         _ours(
             case, "collision_runs", case.published["collision_runs"].what, n, "1",
             "the first 400 of these are what a study of 400 would have drawn", case.published["collision_runs"].value,

@@ -62,7 +62,26 @@ def dataset(rows: Any, values: dict[str, np.ndarray]) -> xr.Dataset:
         "flag_values": [int(o) for o in Outcome],
         "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
-    return _with_shape(result, rows.vehicle, shape).assign_attrs(_attrs(rows))
+    result = _with_shape(result, rows.vehicle, shape).assign_attrs(_attrs(rows))
+    result.attrs["not_told"] = " ".join(filter(None, [result.attrs["not_told"], _without_attitude(rows, values)]))
+    return result
+
+
+def _without_attitude(rows: Any, values: dict[str, np.ndarray]) -> str:
+    """In how many runs momentum and Sun were parallel, as far as that shows."""
+    if rows.lands:
+        lost = values["contact_point"] < 0
+    elif rows.vehicle.antenna is not None:
+        lost = np.isnan(values["antenna_share"])
+    else:
+        return ""
+    count = int(np.count_nonzero(lost & (values["outcome"] == 0)))
+    if count == 0:
+        return ""
+    return (
+        f"In {count} of {len(lost)} runs momentum and Sun were parallel at a time: how far the vehicle is turned about them is not "
+        "known then, so nothing is told of first contact, antenna and rest."
+    )
 
 
 def _with_shape(result: xr.Dataset, vehicle: Vehicle, shape: Shape | None) -> xr.Dataset:
@@ -116,6 +135,11 @@ def not_told(rows: Any) -> list[str]:
         found.append(f"Without {missing} in the vehicle file the collision cannot be computed, so the motion goes on undisturbed.")
     if shape is None:
         found.append("Without a hull and legs in the vehicle file it cannot be told what touches the ground first.")
+    elif not rows.lands:
+        found.append(
+            f"At {rows.scenario.landing_speed_m_s:g} m/s the last metres may take {rows.approach_s:.0f} s, longer than the "
+            "flight: what touches the ground first cannot be told."
+        )
     elif not shape.complete:
         found.append("Without a hull in the vehicle file only the legs can touch first: nothing is told of body, panels and rest.")
     elif shape.normals_B is None:

@@ -198,7 +198,8 @@ def _height_rows(r: Precession) -> list[Row]:
     twin = "synthetic" if r.synthetic else "measured"
     return [
         published_row(
-            r.case, "sun_height_range", typical.tolist(), 8.0,
+            r.case, "sun_height_range", typical.tolist(), (high - low) / 10,
+            f"published: roughly; tolerance: a tenth of the range; "
             f"mean over {height.shape[0] * height.shape[1]} points of the four lines; smallest {height.min():.1f}, largest "
             f"{height.max():.1f}; directions of the {twin} telemetry {told[0]:.0f} to {told[1]:.0f}",
         ),
@@ -227,7 +228,8 @@ def _constancy_rows(r: Precession) -> list[Row]:
         ),
         Row(
             "range_of_z_lines", "the same on the points of the four lines: median and largest", 0.0,
-            [float(np.median(on_lines)), float(on_lines.max())], "1", None, None,
+            [float(np.median(on_lines)), float(on_lines.max())], "1", 0.1, bool(on_lines.max() <= 0.1),
+            f"{float(np.mean(on_lines <= 0.1)):.0%} of the points change by 0.1 or less; "
             "the range widens as the wheel's share of the momentum goes to a body that is not symmetric about z",
             "paper, sections 2.2 and 3.2",
         ),

@@ -201,14 +201,20 @@ def smallest_on_lines(case: Case, lines: list[tuple], wheel_speed_rad_s: float) 
     return float(np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s), axis=1).min())
 
 
-def twin_truth(case: Case) -> np.ndarray | None:
-    """The true rate (3) in rad/s at the first sample after touchdown, where the telemetry is the case's own twin."""
+def twin_file(case: Case) -> dict[str, Any]:
+    """What made the telemetry, where it is the case's own twin; else nothing."""
     own, truth = case.folder / "telemetry.csv", case.folder / "twin_truth.toml"
     if not (own.is_file() and truth.is_file()):
-        return None
+        return {}
     if hashlib.sha256(own.read_bytes()).hexdigest() != case.telemetry.attrs.get("sha256"):
-        return None
-    return np.array(tomllib.loads(truth.read_text("utf-8"))["omega_B"])
+        return {}
+    return tomllib.loads(truth.read_text("utf-8"))
+
+
+def twin_truth(case: Case) -> np.ndarray | None:
+    """The true rate (3) in rad/s at the first sample after touchdown, where the telemetry is the case's own twin."""
+    known = twin_file(case)
+    return np.array(known["omega_B"]) if known else None
 
 
 def with_telemetry(case: Case, telemetry: xr.Dataset) -> Case:

@@ -15,7 +15,10 @@ STATEMENT = "contradiction_"
 
 @dataclass(frozen=True)
 class Row:
-    """A published figure and ours: agrees is None where the comparison is not one of equal things (see the note)."""
+    """A published figure and ours: agrees is None where the comparison is not one of equal things (see the note).
+
+    `by_construction`: it agrees because what was measured here was made from it, which tests the code and not the paper.
+    """
 
     id: str
     what: str
@@ -26,6 +29,13 @@ class Row:
     agrees: bool | None
     note: str
     source: str
+    by_construction: bool = False
+
+
+def source_of(place: str) -> str:
+    """Where a figure stands: a place in the paper, or the source of a fact that the paper does not state."""
+    elsewhere = place.removeprefix("not stated; ")
+    return elsewhere if elsewhere != place else f"paper, {place}"
 
 
 def published_row(case: Case, key: str, ours: Any, tolerance: float | list[float] | None, note: str = "") -> Row:
@@ -35,7 +45,7 @@ def published_row(case: Case, key: str, ours: Any, tolerance: float | list[float
     if tolerance is not None:
         agrees = bool(np.all(np.abs(np.asarray(ours, float) - np.asarray(published.value, float)) <= tolerance))
     return Row(
-        key, published.what, published.value, ours, published.unit, tolerance, agrees, note, f"paper, {published.place}"
+        key, published.what, published.value, ours, published.unit, tolerance, agrees, note, source_of(published.place)
     )
 
 

@@ -12,6 +12,7 @@ import xarray as xr
 
 from sunspin.errors import InputError, sentence
 from sunspin.motion.friction import spin_down_time
+from sunspin.motion.kernel import OUTCOME_TEXT, Outcome
 from sunspin.study.outcomes import outcomes
 from sunspin.study.scenario import Scenario, delayed, strategy_of
 from sunspin.study.tally import Estimate, estimate, per_run, tally
@@ -60,6 +61,9 @@ def compare(
         name = strategy_of(vehicle, strategy).name
         own = None if store is None else Path(store) / name.replace(":", "-")
         runs[name] = outcomes(vehicle, candidates, strategy, n, seed, scenario=scenario, store=own, **options)
+        if (runs[name]["outcome"].values != 0).all():
+            why = "; ".join(OUTCOME_TEXT[Outcome(code)] for code in np.unique(runs[name]["outcome"].values))
+            raise InputError(sentence(f"no run of the strategy {name!r} could be computed", got=why))
     names = list(runs)
     tallies = {name: tally(found) for name, found in runs.items()}
     quantities = list(tallies[names[0]])
@@ -136,6 +140,8 @@ def best_delay(
     All delays are tried on the same draws; the uncertainty is that of the Monte Carlo runs and their scenario, not of the
     models (vertical, terrain, hull). The largest of many noisy means is biased upward: look at `as_good_s`, not at `value`.
     """
+    if not vehicle.wheels:
+        raise InputError(sentence(f"vehicle {vehicle.name!r} has no wheel to switch off"))
     table, runs = compare(vehicle, candidates, [delayed(t) for t in delays_s], n, seed, scenario, **options)
     each = [per_run(found).get(metric) for found in runs.values()]
     if each[0] is None or not np.isfinite(each[0]).any():

@@ -14,6 +14,9 @@ from sunspin.study.contact import KINDS
 LOW_RZ = (-0.5, -0.2, 0.0)
 """Bounds of r_z of which the paper speaks."""
 
+TRUTHS = ("touch_", "lowest_", "rest_", "rz_ever_", "antenna_at_")
+"""How the names of questions begin that a run answers with yes or no."""
+
 
 class Estimate(NamedTuple):
     """A mean over runs and its standard error."""
@@ -28,7 +31,8 @@ class Estimate(NamedTuple):
 def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
     """Weighted mean of values (n) and its standard error sqrt(sum w^2 (x - mean)^2) / sum w; values NaN take no part.
 
-    For equal weights the error is that of the mean of n runs (with n, not n - 1); for truth values sqrt(p (1 - p) / n).
+    For equal weights the error is that of the mean of n runs (with n, not n - 1); for truth values sqrt(p (1 - p) / n). One
+    value has no error that could be told (NaN).
     """
     x = np.asarray(values, dtype=np.float64)
     w = np.ones_like(x) if weights is None else np.asarray(weights, dtype=np.float64)
@@ -39,7 +43,19 @@ def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Est
         return Estimate(np.nan, np.nan)
     x, w = x[use], w[use]
     mean = float(w @ x / w.sum())
-    return Estimate(mean, float(np.sqrt(w**2 @ (x - mean) ** 2) / w.sum()))
+    return Estimate(mean, float(np.sqrt(w**2 @ (x - mean) ** 2) / w.sum()) if x.size > 1 else np.nan)
+
+
+def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
+    """Weighted share of truth values (n) and its standard error, as `estimate`; but what happened in all runs, or in none, is not
+    certain: its error is that of a share of (k + 1) / (n + 2), k of n runs, which is about 1 / n (rule of succession).
+    """
+    x = np.asarray(happened, dtype=np.float64)
+    found = estimate(x, weights)
+    if found.value not in (0.0, 1.0):
+        return found
+    n = effective_runs(np.isfinite(x) * (1.0 if weights is None else np.asarray(weights, dtype=np.float64)))
+    return Estimate(found.value, float(np.sqrt((n + 1) / n) / (n + 2)))
 
 
 def effective_runs(weights: npt.ArrayLike) -> float:
@@ -80,7 +96,9 @@ def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int =
 
 def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, Estimate]:
     """Probabilities and means of all that the runs tell (names as in `per_run`); what they do not tell is absent."""
-    found = {name: estimate(values, weights) for name, values in per_run(runs).items()}
+    found = {
+        name: (probability if name.startswith(TRUTHS) else estimate)(values, weights) for name, values in per_run(runs).items()
+    }
     return {name: value for name, value in found.items() if np.isfinite(value.value)}
 
 

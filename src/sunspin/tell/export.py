@@ -15,10 +15,15 @@ import numpy as np
 import xarray as xr
 
 from sunspin.errors import InputError, OutputError, sentence
+from sunspin.measure.netcdf import read_netcdf
+from sunspin.motion.propagate import MAX_RATE
 from sunspin.tell.results import write_netcdf, write_whole
 
 LOCAL_FRAME = "SUNSPIN_LOCAL"
 """Name of a frame that is fixed in inertial space, but nobody knows how."""
+
+LONGEST_S = 1e10
+"""Three centuries: what is farther from the epoch is no time of a mission."""
 
 SOURCES = ("rates.nc", "trajectory.nc")
 """Files of a results folder that hold an attitude."""
@@ -51,11 +56,7 @@ def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
     for name in SOURCES:
         path = Path(folder) / name
         if path.is_file():
-            try:
-                with xr.open_dataset(path, engine="h5netcdf") as data:
-                    return data.load(), path
-            except (OSError, ValueError, KeyError) as error:
-                raise InputError(sentence(f"the results cannot be read ({error})", where=str(path))) from None
+            return read_netcdf(path, str(path), InputError), path
     raise InputError(
         sentence("no attitude here", got="neither " + " nor ".join(SOURCES), where=str(folder),
                  do="write one with `sunspin rates ... --out DIR` or `sunspin simulate ... --out DIR`")
@@ -82,14 +83,21 @@ def attitude_of(data: xr.Dataset, frame: str | None = None, epoch_utc: str | Non
     if missing:
         raise InputError(sentence(f"the results have no {', '.join(missing)}"))
     quaternion = np.asarray(data["B_from_N"], dtype=np.float64)
-    size = np.linalg.norm(quaternion, axis=-1)
+    size = np.linalg.norm(np.clip(quaternion, -2.0, 2.0), axis=-1)  # a damaged file may hold what cannot be squared
     if quaternion.ndim != 2 or quaternion.shape[1] != 4 or not np.all(np.abs(size - 1) < 1e-6):
         raise InputError(sentence("the attitude of these results is not a list of unit quaternions", got=quaternion.shape))
-    t = np.asarray(data["time"], dtype=np.float64)
+    t, omega = (np.asarray(data[name], dtype=np.float64) for name in ("time", "omega_B"))
+    if t.shape != quaternion.shape[:1] or omega.shape != (len(t), 3) or not np.isfinite(omega).all():
+        shapes = f"{t.shape}, {omega.shape}"
+        raise InputError(sentence("the times or rates of these results do not belong to their attitudes", got=shapes))
+    if np.any(np.abs(omega) > MAX_RATE):
+        raise InputError(sentence(f"these results hold rates beyond {MAX_RATE:g} rad/s", do="write them again"))
+    if not len(t) or not np.all(np.abs(t) < LONGEST_S) or np.any(np.diff(t) <= 0):
+        raise InputError(sentence("the times of these results do not increase, or are no times", got=f"{len(t)} times"))
     part = np.asarray(data["pass_of"]) if "pass_of" in data else np.zeros(len(t), dtype=int)
     return Attitude(
         t, _epoch(epoch_utc or data.attrs.get("epoch_utc")), quaternion / size[:, None],
-        np.asarray(data["omega_B"], dtype=np.float64), part, str(data.attrs.get("vehicle", "UNKNOWN")), wanted,
+        omega, part, str(data.attrs.get("vehicle", "UNKNOWN")), wanted,
         bool(data.attrs.get("synthetic", 0)),
     )  # fmt: skip
 

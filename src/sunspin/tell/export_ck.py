@@ -6,6 +6,7 @@ C-kernel orients, and the local frame N, which is not related to any other: SPIC
 
 from __future__ import annotations
 
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.errors import InputError, OutputError, sentence
+from sunspin.motion.propagate import MAX_RATE
 from sunspin.tell.export import Attitude
 from sunspin.tell.results import write_whole
 
@@ -124,6 +126,9 @@ def kernel_rates(kernels: list[str], frame: str, base: str, et: np.ndarray) -> n
     """Angular velocity (n, 3) rad/s of `frame` against `base`, in axes of `frame`, from SPICE kernels; NaN where none covers."""
     sp = spice()
     pool = [str(path) for path in kernels]
+    for path in pool:
+        if not (path.isprintable() and Path(path).is_file()):
+            raise InputError(sentence("there is no such kernel", got=path, do="give the paths of SPICE kernels"))
     try:
         sp.furnsh(pool)
         return np.array([_rate(sp, frame, base, float(t)) for t in et])
@@ -131,7 +136,8 @@ def kernel_rates(kernels: list[str], frame: str, base: str, et: np.ndarray) -> n
         raise InputError(sentence(f"the kernels cannot be used ({_short(error)})", got=", ".join(pool))) from None
     finally:
         for path in pool:
-            sp.unload(path)
+            with suppress(sp.exceptions.SpiceyError):  # one that was not loaded
+                sp.unload(path)
 
 
 def _rate(sp: Any, frame: str, base: str, et: float) -> np.ndarray:
@@ -140,6 +146,8 @@ def _rate(sp: Any, frame: str, base: str, et: float) -> np.ndarray:
     except sp.exceptions.SpiceNOFRAMECONNECT:
         return np.full(3, np.nan)
     rotation, omega_base = sp.xf2rav(transform)
+    if not np.all(np.abs(omega_base) < MAX_RATE):
+        raise InputError(sentence(f"the kernels hold rates beyond {MAX_RATE:g} rad/s", do="check them: they may be damaged"))
     return rotation @ omega_base
 
 

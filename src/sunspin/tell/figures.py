@@ -115,7 +115,7 @@ def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) ->
         doubtful = part["best_B"].values[(part["status"].values == SunStatus.IMPOSSIBLE) & (part["n_lit"].values >= 3)]
         axes.scatter(*doubtful.T, s=9, color=COLOURS[1], depthshade=False)
         more = f", {len(doubtful)} doubtful" if len(doubtful) else ""
-        axes.set_title(f"{name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9)
+        axes.set_title(f"{chr(65 + k)}: {name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9)
     figure.suptitle(_title("Directions to the Sun in body axes", synthetic), fontsize=10)
     return figure
 
@@ -125,7 +125,7 @@ def _sphere(axes: Any) -> None:
     axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc")
     axes.set_box_aspect((1, 1, 1), zoom=1.15)
     for name in "xyz":
-        getattr(axes, f"set_{name}label")(name, labelpad=-12, fontsize=8)
+        getattr(axes, f"set_{name}label")(f"{name} (1)", labelpad=-6, fontsize=8)
         getattr(axes, f"set_{name}ticks")([-1, 0, 1])
         axes.tick_params(axis=name, labelsize=6, pad=-3)
 
@@ -148,7 +148,7 @@ def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray]) -> Figure:
 def examples_figure(runs: list[xr.Dataset]) -> Figure:
     """The Sun's track on the sphere and its components for several initial rates (paper, Fig. 6)."""
     figure = Figure(figsize=(11, 7.5), layout="constrained")
-    rows = figure.subfigures(2, 1, height_ratios=(1.2, 1))
+    rows = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)[:, 0]
     lower = rows[1].subplots(3, len(runs), sharex=True, sharey=True, squeeze=False)
     for k, run in enumerate(runs):
         r, minutes = run["sun_B"].values, run["time"].values / 60
@@ -199,7 +199,7 @@ def level_set_figure(
         axes.set_ylabel(r"$\omega_y$ (rad/s)")
         axes.set_zlabel(r"$\omega_z$ (rad/s)" if k == 0 else "")
         if k:
-            axes.set_zticks([])
+            axes.zaxis.set_ticks([])
         axes.set(xlim=(-0.5, 1), ylim=(-0.5, 1), zlim=(-0.3, 0.3))
         axes.set_title(name, fontsize=9)
     figure.suptitle(f"{title}; dashed: the paper's lines", fontsize=10)
@@ -218,6 +218,7 @@ def _clipped(point: np.ndarray, direction: np.ndarray) -> np.ndarray:
 def thresholds_figure(table: list[dict[str, Any]], chosen: float) -> Figure:
     """Points of the near-minimum set, and distance of its lines from the published ones, against the factor."""
     figure = Figure(figsize=(8, 3.6), layout="constrained")
+    figure.suptitle("Near-minimum set of the published lines' distribution", fontsize=10)
     left, right = figure.subplots(1, 2)
     factors = [row["factor"] for row in table]
     left.semilogy(factors, [max(row["points"], 1) for row in table], "o-", color=COLOURS[0])

@@ -14,7 +14,7 @@ from sunspin.tell.figures import COLOURS
 def draw(result: Precession) -> Figure:
     """Height of the Sun on each line, whole window and its first and last ten minutes; nutation angle; swing of the axis."""
     figure = Figure(figsize=(11.5, 7), layout="constrained")
-    upper, lower = figure.subfigures(2, 1)
+    upper, lower = figure.subfigures(2, 1, squeeze=False)[:, 0]
     for k, axes in enumerate(upper.subplots(1, 4, sharey=True)):
         _heights(axes, result, k)
     nutation, swing = lower.subplots(1, 2)

@@ -66,7 +66,7 @@ def sun_and_rates_figure(currents: xr.Dataset, sensors: xr.Dataset, beacons: xr.
     former's epoch on the latter's clock.
     """
     figure = Figure(figsize=(11, 7.2), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25))
+    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25), squeeze=False)[0]
     _sun_against_sensors(left, currents, beacons, shift_s)
     known = [n for n in _chosen(sensors) if np.isfinite(_gyro_at(sensors, beacons, n)).all()][-3:]
     grid = right.subplots(3, len(known), sharey="row", squeeze=False)

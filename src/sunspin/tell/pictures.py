@@ -15,7 +15,7 @@ from sunspin.study.reproduce import Reproduction
 from sunspin.study.worth import CONFIDENCE, Worth
 from sunspin.tell import figures as fig
 from sunspin.tell import figures_descent, figures_health, figures_outcomes, figures_precession, figures_sensitivity, figures_worth
-from sunspin.tell.report import Picture
+from sunspin.tell.results import Picture
 
 
 class Sheet(NamedTuple):

@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
+import shlex
 import time
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import xarray as xr
-
 from sunspin.cases import Case, load_case
 from sunspin.measure.telemetry import read_telemetry
 from sunspin.study import rebound as rb
 from sunspin.study import worth_told
 from sunspin.study.reproduce import Reproduction, compute, titles
-from sunspin.study.row import STATEMENT
+from sunspin.study.row import STATEMENT, Row
+from sunspin.tell.headline import headline
 from sunspin.tell.pictures import draw
-from sunspin.tell.report import number_text, write_report
-from sunspin.tell.results import results_folder, write_json, write_netcdf
+from sunspin.tell.report import write_report
+from sunspin.tell.results import CITE, Picture, results_folder, write_run
+from sunspin.tell.stored import store
+from sunspin.tell.text import number_text
+
+FIGURES = "The figures of the paper"
+
+SHOWN_BY_THE_PAPER = (
+    "structure of Philae", "panels, legs, wheel", "panel powers and Sun directions over time", "Sun directions in four phases",
+    "spin-down of the wheel", "three example motions", "histograms of r_z in these", "E over rates and over parameters",
+    "near-minimum points and four lines", "simulated and measured directions of the descent", "E against omega_0",
+    "angular velocities at the first touchdown", "densities of r_z after the collision, wheel off and held",
+)  # fmt: skip
+"""What Figs. 1, 2 ... of the paper show."""
 
 
 @dataclass(frozen=True)
@@ -59,26 +73,51 @@ def reproduce(
     folder = results_folder(out, "reproduce")
     result = compute(case, seed=seed, coarser=coarser, workers=workers, progress=progress)
     pictures = draw(result, folder)
-    _write_data(result, folder)
+    store(result, folder)
+    by_part = {titles()[name]: rows for name, rows in result.rows_by_part.items()} | {FIGURES: figure_rows(pictures)}
     summary = {
         "version": metadata.version("sunspin"),
+        "title": "How Philae tumbled",
         "seed": seed,
         "synthetic_telemetry": result.synthetic,
         "seconds": round(time.perf_counter() - began, 1),
         "missing": result.missing,
-        "figures": [asdict(row) for row in result.rows],
+        "headline": headline(result),
+        "conclusions": conclusions(result),
+        "command": _command(telemetry, seed, coarser),
+        "inputs": _inputs(case),
+        "cite": CITE,
+        "figures": [asdict(row) | {"part": part} for part, rows in by_part.items() for row in rows],
     }
-    write_json(folder / "summary.json", summary)
-    report = write_report(
-        folder / "report.html",
-        title="How Philae tumbled: the reconstruction, run again",
-        synthetic=result.synthetic,
-        conclusions=conclusions(result),
-        pictures=pictures,
-        rows={titles()[name]: rows for name, rows in result.rows_by_part.items()},
-        provenance=_provenance(case, summary),
-    )
-    return Written(folder, report, summary)
+    write_run(folder, summary, case.name, case.telemetry, pictures)
+    return Written(folder, write_report(folder), summary)
+
+
+def _command(telemetry: str | Path | None, seed: int, coarser: int) -> str:
+    words = ["sunspin", "reproduce", "--seed", str(seed)]
+    words += [] if telemetry is None else ["--telemetry", str(telemetry)]
+    return shlex.join(words + ([] if coarser == 1 else ["--coarser", str(coarser)]))
+
+
+def _inputs(case: Case) -> list[dict[str, str]]:
+    """The files that the study was made from, with their hashes."""
+    said = case.telemetry.attrs
+    found = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}]
+    for name in ("vehicle.toml", "timeline.toml", "published.toml"):
+        digest = hashlib.sha256((case.folder / name).read_bytes()).hexdigest()
+        found.append({"what": name.removesuffix(".toml"), "file": name, "sha256": digest})
+    return found
+
+
+def figure_rows(pictures: list[Picture]) -> list[Row]:
+    """One row for each numbered figure of the paper: what it shows, the files that show it here."""
+    found = []
+    for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
+        mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.path.name)]
+        ours = ", ".join(p.path.name for p in mine) or ("not drawn" if number > 2 else "not drawn: a picture of the lander")
+        note = " ".join(p.caption for p in mine)
+        found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}"))
+    return found
 
 
 def conclusions(result: Reproduction) -> list[str]:
@@ -116,34 +155,3 @@ def conclusions(result: Reproduction) -> list[str]:
         "with the recomputed value and what it changes."
     )
     return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
-
-
-def _write_data(result: Reproduction, folder: Path) -> None:
-    attrs = {"synthetic": int(result.synthetic), "seed": result.seed, "sunspin_version": metadata.version("sunspin")}
-    write_netcdf(folder / "sun.nc", result.sun)
-    scan = result.parts["level_set"]
-    for name, family in (("scan_telemetry", scan.twin), ("scan_published_lines", scan.clean)):
-        data = family.emd.to_dataset().assign_attrs(attrs)
-        if family.lines is not None:
-            data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
-        data["near_minimum"] = (("near_point", "rate_axis"), family.points, {"units": "rad/s", "factor": family.factor})
-        write_netcdf(folder / f"{name}.nc", data)
-    backward = xr.Dataset(
-        {"omega_B": (("point", "axis"), result.parts["touchdown"].omega_B, {"units": "rad/s"})},
-        coords={"axis": ["x", "y", "z"]},
-        attrs=attrs,
-    )
-    write_netcdf(folder / "touchdown.nc", backward)
-
-
-def _provenance(case: Case, summary: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "version": f"sunspin {summary['version']}",
-        "seed": summary["seed"],
-        "telemetry": f"{case.telemetry.attrs['file']}, SHA-256 {case.telemetry.attrs['sha256']}",
-        "telemetry is synthetic": "yes" if summary["synthetic_telemetry"] else "no",
-        "seconds": summary["seconds"],
-        "model and published figures": "Baranyai, Balazs, Varkonyi: Partial reconstruction of the rotational motion of Philae "
-        "spacecraft during its landing on comet 67P/Churyumov-Gerasimenko",
-        "run again with": f"sunspin reproduce --seed {summary['seed']}",
-    }

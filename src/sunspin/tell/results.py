@@ -4,16 +4,34 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sunspin.errors import OutputError, sentence
+from sunspin.vehicle_file import vehicle_text
 
 MARKER = ".sunspin-results"
 """A file that says that sunspin made the folder, and with which command."""
+
+
+CITE = (
+    "T. Baranyai, A. Balázs and P. L. Várkonyi: Partial reconstruction of the rotational motion of Philae spacecraft during its "
+    "landing on comet 67P/Churyumov–Gerasimenko"
+)
+"""The source of the model."""
+
+
+class Picture(NamedTuple):
+    """A PNG in the results folder, what it shows in words, and its caption."""
+
+    path: Path
+    alt: str
+    caption: str
 
 
 def results_folder(path: Any, command: str) -> Path:
@@ -28,10 +46,13 @@ def results_folder(path: Any, command: str) -> Path:
                 raise OutputError(
                     sentence(f"the folder holds results of `sunspin {maker}`", do="choose another --out", where=str(folder))
                 )
-        elif any(folder.iterdir()):
+        elif any(not _is_left(entry) for entry in folder.iterdir()):
             raise OutputError(
                 sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
             )
+        for entry in folder.iterdir():
+            if _is_left(entry):
+                entry.unlink(missing_ok=True)
         write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
     except OSError as error:
         raise OutputError(
@@ -40,11 +61,30 @@ def results_folder(path: Any, command: str) -> Path:
     return folder
 
 
+PART = re.compile(r"\..+\.(\d{1,9})\.part")
+
+
+def _is_left(entry: Path) -> bool:
+    """Whether a file is what a killed run had begun to write: the process in its name is no more."""
+    named = PART.fullmatch(entry.name)
+    if named is None or int(named[1]) == os.getpid():
+        return False
+    try:
+        os.kill(int(named[1]), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        pass
+    return False
+
+
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """Let `write` fill a temporary file beside the target, then rename it: the target is never half written."""
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         write(part)
+        with open(part, "rb") as file:
+            os.fsync(file.fileno())  # or a power failure may leave an empty file under the final name
         os.replace(part, target)
     except OSError as error:
         raise OutputError(
@@ -80,3 +120,26 @@ def plain(value: Any) -> Any:
 def write_netcdf(target: Path, data: Any) -> Path:
     """Write an xarray object as NetCDF-4."""
     return write_whole(target, lambda part: data.to_netcdf(part, engine="h5netcdf"))
+
+
+def write_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None,
+pictures: Sequence[Picture] = ()) -> None:
+    """Write what a report of the run needs beside its results: `summary.json`, the vehicle's file, the samples, the captions.
+
+    Parameters
+    ----------
+    summary : dict
+        Of the command, with "command", the line that repeats the run.
+    vehicle : name of a built-in vehicle or path of a vehicle file
+    telemetry : Dataset of `read_telemetry`
+    """
+    if vehicle is not None:
+        text = vehicle_text(vehicle)
+        write_whole(folder / "vehicle.toml", lambda part: part.write_text(text, "utf-8"))
+    if telemetry is not None:
+        write_netcdf(folder / "telemetry.nc", telemetry)
+    if pictures:
+        write_json(
+            folder / "figures.json", [{"file": p.path.name, "alt": p.alt, "caption": p.caption} for p in pictures]
+        )
+    write_json(folder / "summary.json", {"version": metadata.version("sunspin"), **summary})

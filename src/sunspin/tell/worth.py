@@ -13,8 +13,8 @@ from sunspin.study import worth as study
 from sunspin.study import worth_told
 from sunspin.tell import figures as fig
 from sunspin.tell.pictures import worth_sheet
-from sunspin.tell.report import Picture, write_report
-from sunspin.tell.results import results_folder, write_json
+from sunspin.tell.report import write_report
+from sunspin.tell.results import Picture, results_folder, write_json, write_run
 
 
 def worth(
@@ -48,7 +48,8 @@ def worth(
     found = study.compute(known, twins, **options)
     rows, told = worth_told.rows(known, found, [], confidence), worth_told.sentences(found, confidence)
     summary = {
-        "version": metadata.version("sunspin"), "synthetic_telemetry": True, "command": found.command, "seed": found.seed,
+        "version": metadata.version("sunspin"), "synthetic_telemetry": True, "title": "What the answer is worth",
+        "command": found.command, "seed": found.seed,
         "confidence": confidence, "seconds": round(time.perf_counter() - began, 1), "sentences": told,
         "figures": [asdict(row) for row in rows],
     }  # fmt: skip
@@ -56,10 +57,6 @@ def worth(
         write_json(folder / "worth.json", study.to_json(found))
         sheet = worth_sheet(found, known.published, confidence)
         picture = Picture(fig.save(sheet.make(), folder, sheet.name)[0], sheet.alt, sheet.caption)
-        write_report(
-            folder / "report.html", title="What the answer is worth", synthetic=True, conclusions=told, pictures=[picture],
-            rows={"The method on twins of known truth": rows},
-            provenance={"version": f"sunspin {summary['version']}", "run again with": found.command,
-                        "seconds": summary["seconds"]},
-        )  # fmt: skip
+        write_run(folder, summary, case, None, [picture])
+        write_report(folder)
     return summary | {"folder": None if folder is None else str(folder)}

@@ -24,7 +24,9 @@ from sunspin.motion.kernel.split_lanes import MAX_MAIN_ANGLE, MAX_SIDE_ANGLE
 from sunspin.motion.kernel.tolerance import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.vehicle import Vehicle
 
-MAX_STEPS = 10**8
+MAX_STEPS = 2_000_000
+"""Steps of one row, some seconds of computing and a thousand times what 45 min of tumbling take: more is a slip of units."""
+
 LADDER = 2.0**0.125
 """Ratio of neighbouring step counts: at most 9 % more steps than asked for, few enough rungs to fill blocks."""
 

@@ -1,0 +1,75 @@
+"""What the site adds to Sphinx: equations as MathML, and pages that are written by the program and not by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+
+
+def inline_math(translator, node: nodes.math) -> None:
+    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    raise nodes.SkipNode
+
+
+def block_math(translator, node: nodes.math_block) -> None:
+    """An equation, its number at the right and a link to it."""
+    target = f' id="{node["ids"][0]}"' if node.get("ids") else ""
+    translator.body.append(f'<div class="math"{target}>')
+    if node.get("number"):
+        link = f'<a class="headerlink" href="#{node["ids"][0]}" title="Link to this equation">¶</a>' if target else ""
+        translator.body.append(f'<span class="eqno">({node["number"]}){link}</span>')
+    translator.body.append(tex2mathml(node.astext(), as_block=True) + "</div>\n")
+    raise nodes.SkipNode
+
+
+def commands() -> str:
+    """The command line, as each command's --help says it."""
+    import click
+
+    from sunspin.cli import cli
+    from sunspin.cli.common import COMMANDS, SECTIONS, SUMMARIES
+
+    parts = ["# The command line", "", "Written by the commands' own `--help`.", ""]
+    top = click.Context(cli, info_name="sunspin", max_content_width=100)
+    grouped = [name for names in SECTIONS.values() for name in names]
+    for name in [*grouped, *(name for name in COMMANDS if name not in grouped)]:
+        command = cli.get_command(top, name)
+        assert command is not None
+        text = command.get_help(click.Context(command, info_name=name, parent=top, max_content_width=100, terminal_width=100))
+        parts += [f"## {name}", "", SUMMARIES[name], "", "```text", text, "```", ""]
+    return "\n".join(parts)
+
+
+def examples() -> str:
+    """The numbered programs of examples/, each under the first line of its docstring."""
+    import ast
+
+    parts = ["# Examples", "", "Short programs that run as they stand: `python examples/01_....py`. The tests run them.", ""]
+    for path in sorted((ROOT / "examples").glob("[0-9]*.py")):
+        title = (ast.get_docstring(ast.parse(path.read_text("utf-8"))) or path.stem).splitlines()[0].rstrip(".")
+        parts += [f"## {path.stem[:2]}. {title}", "", f"`examples/{path.name}`", ""]
+        parts += [f"```{{literalinclude}} ../examples/{path.name}", ":language: python", "```", ""]
+    return "\n".join(parts)
+
+
+def write_pages(app) -> None:
+    """Generated pages are rewritten only where they changed, so that a second build is short."""
+    from evidence_page import page
+
+    written = {"cli.md": commands(), "examples.md": examples(), "believe.md": page(app.config.evidence_file or None)}
+    for name, text in written.items():
+        target = HERE / name
+        if not target.exists() or target.read_text("utf-8") != text:
+            target.write_text(text, "utf-8")
+
+
+def setup(app) -> dict:
+    app.add_html_math_renderer("mathml", inline_renderers=(inline_math, None), block_renderers=(block_math, None))
+    app.add_config_value("evidence_file", "", "env")
+    app.connect("builder-inited", write_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,124 @@
+"""`sunspin posterior`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options
+from sunspin.errors import InputError, sentence
+
+
+@click.command()
+@click.argument("vehicle")
+@click.argument("telemetry", required=False)
+@click.option("--from", "begin", type=float, help="Use samples from this time on, s from the epoch.")
+@click.option("--to", "end", type=float, help="Use samples up to this time, s from the epoch.")
+@click.option("--phase", help="Use the samples of this phase of the file.")
+@click.option("--prior", "priors", multiple=True, help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
+              "friction, gain, noise, scale; also time_s and max_rate_rad_s. Repeatable.")
+@click.option("--rate", "rates", multiple=True, help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.")
+@click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True,
+              help="What the wheels do in this stretch.")
+@click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
+@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
+              "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
+@output_options()
+@run_options
+@data_option
+def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, wheel_mode, draws, store, out, as_json, quiet, seed,
+              workers, data) -> None:  # fmt: skip
+    """Every motion that the panel readings allow, with its probability, or the word that none fits.
+
+    Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
+    modes.csv. Without TELEMETRY the case's own is used.
+
+    \b
+    Examples:
+      sunspin posterior philae --out philae-posterior
+      sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
+    """
+    from sunspin.infer.posterior import posterior as run
+    from sunspin.infer.posterior_verdict import summary as told
+    from sunspin.measure.telemetry import read_telemetry
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    samples = _own(vehicle) if telemetry is None else read_telemetry(find_telemetry(telemetry, data), craft)
+    seen = [_observation("rate", text, 1) for text in rates] + [_observation("gyro", text, 3) for text in gyros]
+    if out is not None:
+        from sunspin.tell.results import results_folder
+
+        results_folder(out, "posterior")  # refuse before the work, not after it
+    tree = run(
+        craft, samples, dict(_prior(text) for text in priors), seed, begin_s=begin, end_s=end, phase=phase, observations=seen,
+        wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet),
+    )  # fmt: skip
+    summary = told(tree)
+    lines = _lines(summary, tree)
+    if out is not None:
+        lines.append(f"Results: {write(out, tree)}")
+    report(summary, lines, as_json, quiet)
+
+
+def _own(name: str) -> Any:
+    from sunspin.cases import case_names, load_case
+
+    if name not in case_names():
+        raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
+    return load_case(name).telemetry
+
+
+def _prior(text: str) -> tuple[str, float]:
+    key, _, value = text.partition("=")
+    return key.strip(), numbers(value, f"--prior {key.strip()}", 1)[0]
+
+
+def _observation(kind: str, text: str, count: int) -> dict[str, Any]:
+    t, *value, sigma = numbers(text, f"--{kind}", count + 2)
+    return {"kind": kind, "t_s": t, "value": value, "sigma": sigma}
+
+
+def _lines(summary: dict[str, Any], tree: Any) -> list[str]:
+    lines = [summary["verdict"]]
+    if summary["synthetic_telemetry"]:
+        lines.append("  synthetic telemetry: not measured")
+    rate = summary["rate_rad_s"]
+    low, high = rate["low_90"], rate["high_90"]
+    lines.append(f"  angular speed at the first sample {rate['median']:.4f} rad/s, 90 % in {low:.4f} to {high:.4f}")
+    for mode in summary["modes"][:12]:
+        omega, sigma = (", ".join(f"{x:.4f}" for x in mode[key]) for key in ("omega_B", "sigma"))
+        fit = f"chi-square {mode['chi_square']:.0f}"
+        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) rad/s  {fit}")
+    lines.append(
+        f"  predictive p {summary['p_value']:.3g}, worth {summary['effective_draws']:.0f} draws, "
+        f"Pareto k {summary['pareto_k']:.2f}; priors {tree.attrs['priors']}"
+    )
+    return lines
+
+
+def write(out: Path, tree: Any) -> Path:
+    """Write the posterior as NetCDF, its modes as CSV, and a corner plot."""
+    import pandas as pd
+
+    from sunspin.tell.figures import save
+    from sunspin.tell.figures_posterior import corner_figure, search_figure
+    from sunspin.tell.results import results_folder, write_netcdf, write_whole
+
+    folder = results_folder(out, "posterior")
+    write_netcdf(folder / "posterior.nc", tree)
+    modes = tree["modes"]
+    columns: dict[str, Any] = {"weight": modes["weight"].values, "log_evidence": modes["log_evidence"].values}
+    for k, axis in enumerate("xyz"):
+        columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
+        columns[f"sigma_{axis}_rad_s"] = modes["omega_cov_B"].values[:, k, k] ** 0.5
+    columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
+    label = "# synthetic telemetry\n" if tree.attrs.get("synthetic") else ""
+    text = label + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
+    write_whole(folder / "modes.csv", lambda part: part.write_text(text, "utf-8"))
+    save(corner_figure(tree), folder, "corner")
+    save(search_figure(tree), folder, "search")
+    return folder

@@ -1,0 +1,247 @@
+"""The calibrated posterior: every motion that panel readings allow, with its probability, or the word that none fits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.special import logsumexp
+
+from sunspin.errors import InputError, sentence
+from sunspin.infer.posterior_check import Check, check
+from sunspin.infer.posterior_data import Readings, readings
+from sunspin.infer.posterior_fit import chunk_rows
+from sunspin.infer.posterior_likelihood import Likelihood
+from sunspin.infer.posterior_model import Model, State, model
+from sunspin.infer.posterior_modes import Modes, Search, at_reference, plan
+from sunspin.infer.posterior_verdict import Found, spoilt_panels, verdict
+from sunspin.infer.posterior_widths import Sample, resampled, sample
+from sunspin.measure.panels import panel_power
+from sunspin.measure.sun import best_directions, is_reconstructed, sun_directions
+from sunspin.motion import kernel as k
+from sunspin.vehicle import Vehicle
+
+DIRECTION_ERROR = 1e-6
+"""Error of directions (rad) in the likelihood."""
+
+EDGE = 0.97
+"""Draws beyond this part of the largest rate searched say that the truth may be outside."""
+
+LEAST_WEIGHT = 1e-4
+"""Regions with less weight are not listed."""
+
+
+def posterior(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    *,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    phase: str | None = None,
+    observations: Sequence[Mapping[str, Any]] = (),
+    wheel_mode: str | Sequence[str] = "coast",
+    draws: int = 4000,
+    workers: int | None = None,
+    store: str | Path | None = None,
+    progress: bool = False,
+) -> xr.DataTree:
+    """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    telemetry : Dataset of `read_telemetry`
+        One stretch of motion without blows; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
+    priors : mapping, optional
+        Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain`
+        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s; `max_rate_rad_s`, the
+        ball in which rates are uniform. Default: what the vehicle's file states, else the values in
+        `sunspin.infer.posterior_model`; the result's attributes say which.
+    seed : int
+        The same seed gives the same bits, for any number of workers and however often the run was stopped.
+    observations : list of mappings
+        ``{"kind": "rate" | "gyro" | "direction", "t_s": ..., "value": ..., "sigma": ...}``: angular speed, body rate, or
+        direction of the Sun seen otherwise; `t_s` from the epoch.
+    wheel_mode : "coast", "hold", "brake", or one per wheel
+    draws : int
+        Draws in the result.
+    workers, store, progress
+        As in :func:`sunspin.infer.ensemble.ensemble`; the folder `store` resumes every stage.
+
+    Returns
+    -------
+    xarray.DataTree
+        Group `posterior` over (chain, draw): `omega_B` (rad/s), `sun_B`, `wheel_speed_rad_s` at the first sample, the other
+        unknowns by name, `mode_id`, `log_weight` (all alike: the draws are resampled). Group `modes`: centre, covariance,
+        weight, evidence, chi-square, number of starts. Group `search`: trace of the enumeration; group `sampling`: trace of the
+        evidence. attrs: `verdict` and `verdict_word` ("unique", "aliases", "line", "not sure", "not explained"), `p_value`.
+
+    Raises
+    ------
+    InputError
+        Priors, observations or a window that make no sense; too few samples.
+    """
+    _whole(seed, draws)
+    data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
+    scale = brightness(vehicle, data)
+    unknown, told = model(vehicle, priors, scale, wheel_mode)
+    chosen = plan(unknown, data, scale)
+    there, chosen = at_reference(unknown, chosen, data)
+    here = data.since(chosen.anchor)
+    search = Search(workers, None if store is None else Path(store), progress)
+    modes = search.modes(there, here, chosen, scale)
+    likelihood = Likelihood(there, here, DIRECTION_ERROR)
+    drawn = sample(likelihood, modes, seed, search.run, chunk_rows(likelihood))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    picked = resampled(drawn.log_weight, draws, rng)
+    checked = check(likelihood, drawn.state.take(picked), rng)
+    tree = _tree(likelihood, modes, drawn, picked)
+    tree.attrs |= _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
+    edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
+    if edge > 0.01:
+        modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
+    _judge(tree, modes, drawn, checked, here, vehicle, remarks)
+    return tree
+
+
+def _whole(seed: Any, draws: Any) -> None:
+    for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise InputError(sentence(f"{name} must be a whole number of at least {least}", got=value))
+
+
+def brightness(vehicle: Vehicle, data: Readings) -> float:
+    """A first guess of the scale: the median over samples that give a direction, else the largest reading's."""
+    value = np.where(data.used, data.value, 0.0)
+    told = is_reconstructed(sun_directions(vehicle, value, noise=data.sigma)["status"].values) & data.used.all(axis=1)
+    if told.any():
+        shape = panel_power(vehicle, best_directions(vehicle, value[told])[0])
+        return float(np.median(np.sum(shape * value[told], axis=1) / np.sum(shape**2, axis=1)))
+    return float((value / vehicle.panel_gains).max())
+
+
+def at_first_sample(likelihood: Likelihood, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rates, directions and wheel speeds (n, ...) at the first sample of states at the reference."""
+    model_, data = likelihood.model, likelihood.data
+    back = float(data.t_s[0])
+    rows = model_.rows(state)
+    if back == 0.0:
+        return state.omega, state.sun, rows.wheel_speed_rad_s
+    run = k.run_rows(model_.vehicle, rows, [back], wheel_mode=model_.wheel_mode, direction_error=DIRECTION_ERROR)
+    return run.omega_B[:, 0], run.sun_B[:, 0], run.wheel_speed_rad_s[:, 0]
+
+
+def _tree(likelihood: Likelihood, modes: Modes, drawn: Sample, picked: np.ndarray) -> xr.DataTree:
+    state = drawn.state.take(picked)
+    omega, sun, wheels = at_first_sample(likelihood, state)
+    values = likelihood.model.values(state.u)
+    each = ("chain", "draw")
+    variables: dict[str, Any] = {
+        "omega_B": ((*each, "axis"), omega[None], {"units": "rad s-1", "long_name": "body rate at the first sample"}),
+        "sun_B": ((*each, "axis"), sun[None], {"units": "1", "long_name": "direction to the Sun at the first sample"}),
+        "wheel_speed_rad_s": ((*each, "wheel"), wheels[None], {"units": "rad s-1"}),
+        "mode_id": (each, drawn.region[picked][None]),
+        "log_weight": (each, np.full((1, len(picked)), -np.log(len(picked))), {"units": "1"}),
+        "log_likelihood_sum": (each, drawn.log_likelihood[picked][None], {"units": "1"}),
+    }
+    for i, x in enumerate(likelihood.model.unknowns):
+        if x.kind != "wheel_speed":
+            about = {"units": x.unit, "prior_centre": x.centre, "prior_sigma": x.sigma}
+            variables[x.name] = (each, values[:, i][None], about)
+    coords = {
+        "axis": ["x", "y", "z"], "wheel": [wheel.name for wheel in likelihood.model.vehicle.wheels],
+        "chain": [0], "draw": np.arange(len(picked)),
+    }  # fmt: skip
+    groups = {
+        "posterior": xr.Dataset(variables, coords), "modes": _modes(likelihood, modes, drawn),
+        "search": xr.Dataset(
+            {name: ("stage", np.array(modes.trace)[:, i]) for i, name in enumerate(("samples", "hypotheses", "kept"))}
+        ),
+        "sampling": xr.Dataset(
+            {name: ("round", drawn.trace[:, i]) for i, name in enumerate(("log_evidence", "effective_share", "pareto_k"))}
+        ),
+    }  # fmt: skip
+    return xr.DataTree.from_dict(groups)
+
+
+def _modes(likelihood: Likelihood, modes: Modes, drawn: Sample) -> xr.Dataset:
+    """The regions, by falling weight, from their draws."""
+    count = max(1, int(np.count_nonzero(drawn.share > LEAST_WEIGHT)))
+    weight = np.exp(drawn.log_weight - logsumexp(drawn.log_weight))
+    rows = []
+    for region in range(count):
+        inside = np.flatnonzero((drawn.region == region) & (weight > 0))
+        inside = inside[np.argsort(-weight[inside], kind="stable")[:2000]]
+        share = weight[inside] / weight[inside].sum()
+        state = drawn.state.take(inside)
+        omega, sun, _ = at_first_sample(likelihood, state)
+        mean = share @ omega
+        middle = share @ sun
+        best = int(np.argmax(drawn.log_likelihood[inside]))
+        rows.append((
+            mean, np.einsum("n,ni,nj->ij", share, omega - mean, omega - mean), middle / np.linalg.norm(middle),
+            drawn.share[region], drawn.evidence + np.log(drawn.share[region]), omega[best],
+            *chi_square(likelihood, state.take([best])), int(modes.hits[drawn.of_mode == region].sum()),
+        ))  # fmt: skip
+    names = (
+        ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
+        ("sun_B", ("mode", "axis"), "1"), ("weight", ("mode",), "1"), ("log_evidence", ("mode",), "1"),
+        ("best_omega_B", ("mode", "axis"), "rad s-1"),
+        ("chi_square", ("mode",), "1"), ("lit_readings", ("mode",), "1"), ("starts", ("mode",), "1"),
+    )  # fmt: skip
+    columns = zip(names, zip(*rows, strict=True), strict=True)
+    return xr.Dataset(
+        {name: (dims, np.array(values), {"units": unit}) for (name, dims, unit), values in columns},
+        coords={"mode": np.arange(count), "axis": ["x", "y", "z"]},
+    )
+
+
+def chi_square(likelihood: Likelihood, state: State) -> tuple[float, int]:
+    """Sum of squared differences of lit readings, in stated sigmas, and their number."""
+    raw, _ = likelihood.misfit(likelihood.predict(state), state.u)
+    used, lit, _ = likelihood.kinds
+    return float(np.sum((raw[0] / likelihood.data.sigma)[used & lit] ** 2)), int(np.count_nonzero(used & lit))
+
+
+def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Model, data: Readings) -> dict[str, Any]:
+    carried = ("epoch_utc", "synthetic", "file", "sha256", "comments")
+    about = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
+    return about | {
+        "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "samples": len(data), "reference_sample": chosen.anchor,
+        "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
+        "max_rate_rad_s": unknown.max_rate, "searched_rate_rad_s": float(chosen.limit),
+        "sunspin_version": metadata.version("sunspin"),
+    }  # fmt: skip
+
+
+def _judge(
+    tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
+) -> None:
+    table = tree["modes"]
+    doubts = list(modes.notes)
+    told = table["weight"].values >= 0.01
+    if np.any(table["starts"].values[told] == 1):
+        doubts.append("a region of weight was reached from one start only, so others may have been missed")
+    spoilt = spoilt_panels(vehicle.panel_names, checked.outliers, data.lit)
+    found = Found(
+        table["weight"].values, table["omega_B"].values,
+        np.sqrt(np.linalg.eigvalsh(table["omega_cov_B"].values)[:, -1].clip(0)), table["starts"].values,
+        float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
+        drawn.effective, doubts,
+    )  # fmt: skip
+    word, text = verdict(found)
+    if word == "not explained":
+        text += f"; rates up to {tree.attrs['searched_rate_rad_s']:.3g} rad/s were searched"
+    tree.attrs |= {
+        "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
+        "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,
+        "remarks": "; ".join(remarks), "spoilt_readings": float(checked.outliers.sum()),
+    }  # fmt: skip

@@ -1,0 +1,181 @@
+"""Many starts to their best fits at once: damped least squares with weights that let go of outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sunspin.infer.identity import code, plain
+from sunspin.infer.posterior_likelihood import Likelihood, moved
+from sunspin.infer.posterior_model import State
+
+FILES = (
+    "infer/posterior_data.py", "infer/posterior_model.py", "infer/posterior_likelihood.py", "infer/posterior_fit.py",
+    "infer/posterior_cells.py", "infer/posterior_widths.py",
+)  # fmt: skip
+"""Files whose text decides what the rows of a posterior give."""
+
+FIRST_DAMPING, LESS, MORE = 1e-3, 0.2, 8.0
+"""Of a step, as a part of the curvature; after a step that helped it falls, after one that did not it grows."""
+
+LARGEST_TURN = 0.5
+"""rad by which one step may turn the Sun within the window."""
+
+READINGS_AT_ONCE = 2_500_000
+"""Derivatives held in memory at once by one worker."""
+
+
+def chunk_rows(likelihood: Likelihood) -> int:
+    """Rows that one worker fits at once."""
+    size = likelihood.data.value.size * likelihood.model.dimension * len(likelihood.nodes[0])
+    return int(np.clip(READINGS_AT_ONCE // max(size, 1), 8, 1024))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Row -> the best fit that its start leads to.
+
+    `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
+    `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
+    and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits.
+    """
+
+    likelihood: Likelihood
+    start: State = field(repr=False)
+    levels: tuple[tuple[float, int], ...]
+    still: bool = False
+    curved: bool = False
+    free: np.ndarray | None = None
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.start)
+
+    @property
+    def outputs(self) -> Mapping[str, Any]:
+        d = self.likelihood.model.dimension
+        out = {"omega": ("float64", (3,)), "sun": ("float64", (3,)), "u": ("float64", (d - 5,)), "cost": ("float64", ())}
+        return {**out, "hessian": ("float64", (d, d)), "readings": ("float64", ())} if self.curved else out
+
+    def identity(self) -> dict[str, Any]:
+        return {**code(*FILES), "fit": plain(self)}
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None)
+        search.free = self.free
+        for factor, steps in self.levels:
+            search.widen(factor)
+            for _ in range(steps):
+                search.step()
+        if self.free is None:
+            search.fit_noise()
+        if self.curved:
+            for _ in range(2):
+                search.fit_noise()
+                search.step()
+                search.step()
+        state = search.state
+        out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": search.objective}
+        return {**out, "hessian": search.curvature(), "readings": search.cost} if self.curved else out
+
+
+class _Search:
+    """A batch of starts on its way; every row by itself."""
+
+    def __init__(self, likelihood: Likelihood, state: State, still: bool) -> None:
+        self.likelihood, self.state, self.still = likelihood, state, still
+        self._prior = np.concatenate([np.zeros(5), np.ones(state.u.shape[1])])
+        self._factor = 1.0
+        self.free: np.ndarray | None = None
+        self._load(state)
+
+    def _load(self, state: State) -> None:
+        _, self._raw, self._extra, self._jacobian = self._look(state)
+        self._damping = np.full(len(state), FIRST_DAMPING)
+
+    def _look(self, state: State) -> tuple[Any, ...]:
+        base, raw, extra, jacobian = self.likelihood.linearised(state, self.still)
+        return base.fine & np.isfinite(raw).all(axis=1), raw, extra, jacobian
+
+    def _sigma(self, state: State) -> np.ndarray:
+        return self._factor * self.likelihood.noise(state.u)
+
+    def widen(self, factor: float) -> None:
+        """Set the noise to `factor` times what it is."""
+        self._factor = factor
+        self._damping[:] = FIRST_DAMPING
+        self._judge()
+
+    def _judge(self) -> None:
+        self.cost, s, w = self.likelihood.weigh(self._raw, self._extra, self._sigma(self.state))
+        self._scaled = np.sqrt(w)[:, :, None] * (self._jacobian / s[:, :, None])
+        self._residual = np.sqrt(w) * self._raw / s
+        self.objective = self.cost + 0.5 * np.sum(self.state.u**2, axis=1)
+
+    def step(self) -> None:
+        normal = np.einsum("nri,nrj->nij", self._scaled, self._scaled) + np.diag(self._prior)
+        gradient = np.einsum("nri,nr->ni", self._scaled, self._residual)
+        gradient[:, 5:] += self.state.u
+        if self.free is not None:
+            normal = np.einsum("ai,nij,jb->nab", self.free.T, normal[:, :5, :5], self.free)
+            gradient = gradient[:, :5] @ self.free
+        diagonal = np.einsum("nii->ni", normal)
+        floor = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
+        damped = normal + np.einsum("ni,ij->nij", self._damping[:, None] * diagonal + floor, np.eye(normal.shape[1]))
+        move = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
+        if self.free is not None:
+            move = np.concatenate([move @ self.free.T, np.zeros_like(self.state.u)], axis=1)
+        trial = self._moved(move)
+        fine, raw, extra, jacobian = self._look(trial)
+        cost = self.likelihood.weigh(raw, extra, self._sigma(trial))[0] + 0.5 * np.sum(trial.u**2, axis=1)
+        better = fine & (cost < self.objective)
+        self.state = State(*(np.where(better[:, None], new, old) for new, old in zip(
+            (trial.omega, trial.sun, trial.u), (self.state.omega, self.state.sun, self.state.u), strict=True)))  # fmt: skip
+        self._raw = np.where(better[:, None], raw, self._raw)
+        self._extra = np.where(better[:, None], extra, self._extra)
+        self._jacobian = np.where(better[:, None, None], jacobian, self._jacobian)
+        self._damping = np.where(better, self._damping * LESS, self._damping * MORE)
+        self._judge()
+
+    def _moved(self, move: np.ndarray) -> State:
+        window = self.likelihood.data.reach_s
+        turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
+        turn = np.maximum(turn / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
+        move = move / np.maximum(turn, 1.0)[:, None]
+        omega = self.state.omega + move[:, :3]
+        limit = self.likelihood.model.max_rate
+        omega = omega * np.minimum(1.0, limit / np.maximum(np.linalg.norm(omega, axis=1, keepdims=True), 1e-12))
+        return State(omega, moved(self.state.sun, move[:, 3:5]), np.clip(self.state.u + move[:, 5:], -8.0, 8.0))
+
+    def fit_noise(self) -> None:
+        """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm."""
+        model = self.likelihood.model
+        places = model.where("noise")
+        if not places:
+            return
+        at, lit = places[0], self.likelihood.kinds[1] & self.likelihood.kinds[0]
+        width, u = model.unknowns[at].sigma, np.array(self.state.u)
+        for _ in range(8):
+            s = self.likelihood.noise(u)
+            _, each, w = self.likelihood.weigh(self._raw, self._extra, s)
+            share = (s[:, None] / each) ** 2 * w  # time tags' errors do not scale with the noise
+            spread = np.sum(np.where(lit, share * (self._raw / each) ** 2, 0.0), axis=1)
+            count = np.sum(np.where(lit, share, 0.0), axis=1)
+            slope = width * (count - spread) + u[:, at]
+            u[:, at] = np.clip(u[:, at] - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1), -5, 5)
+        self.state = State(self.state.omega, self.state.sun, u)
+        self._damping[:] = FIRST_DAMPING
+        self._judge()
+
+    def curvature(self) -> np.ndarray:
+        """Second derivatives (n, D, D) of minus the log posterior, by Gauss and Newton."""
+        normal = np.einsum("nri,nrj->nij", self._scaled, self._scaled) + np.diag(self._prior)
+        model = self.likelihood.model
+        for i in model.where("noise"):
+            lit = self.likelihood.kinds[1] & self.likelihood.kinds[0]
+            squares = np.sum(np.where(lit, self._residual**2, 0.0), axis=1)
+            normal[:, 5 + i, 5 + i] = 1 + 2 * model.unknowns[i].sigma ** 2 * squares
+        return normal

@@ -1,0 +1,307 @@
+"""From starts to modes: least squares over windows that grow, without copies and without what the readings rule out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from sunspin.infer import posterior_cells as c
+from sunspin.infer.ensemble import ensemble, worker_count
+from sunspin.infer.identity import code, plain
+from sunspin.infer.posterior_data import Readings
+from sunspin.infer.posterior_fit import FILES, Fit, chunk_rows
+from sunspin.infer.posterior_likelihood import Likelihood, tangents
+from sunspin.infer.posterior_model import Model, State
+
+GROWTH = 1.5
+"""Factor by which the window grows: what is known of the phase then still carries."""
+
+FEW = 5
+"""Samples up to which one is added at a time."""
+
+FIRST_LEVELS, LEVELS, LAST_LEVELS = ((3.0, 2), (1.0, 2)), ((3.0, 2), (1.0, 3)), ((2.0, 3), (1.0, 8))
+"""(factor on the noise, steps) of least squares on the first samples, while the window grows, and on all samples."""
+
+SLACK = 10.0
+"""What a true motion's misfit may have beyond three sigmas of its expectation: one or two readings that are no good."""
+
+SLACK_STILL = 4.0
+"""The same while inertia, friction and wheel are left as they are."""
+
+APART = 0.4
+"""rad at the end of the next window: hypotheses nearer to each other are one."""
+
+SUN_APART = 0.3
+"""The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
+
+NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
+"""Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
+
+LOOK = 0.6
+"""rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
+
+MOST_FEW, MOST = 100_000, 6_000
+"""Hypotheses carried on at most, on few samples and on more; the verdict says when there were more."""
+
+KEPT_ANYWAY = 100
+"""Hypotheses carried on where the readings rule out all."""
+
+DROP, MOST_MODES = 30.0, 300
+"""Modes less probable than the best by exp(-30) are left out, and more than this."""
+
+SAME = 9.0
+"""Squared distance, in sigmas of both, below which two fits are one mode."""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What was found, best first: centres, minus the log posterior (n) but for a constant, curvature (n, D, D), how many
+    starts came together in each (n); `trace`: samples, hypotheses before and after, at each stage; `notes` for the verdict."""
+
+    state: State
+    objective: np.ndarray
+    hessian: np.ndarray
+    hits: np.ndarray
+    trace: tuple[tuple[int, int, int], ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where the search starts: sample taken as the reference, samples tried, grid step, directions, largest rate."""
+
+    anchor: int
+    tried: np.ndarray
+    edge: float
+    suns: np.ndarray
+    limit: float
+
+
+def plan(model: Model, data: Readings, scale: float) -> Plan:
+    """The reference whose neighbourhood needs the fewest cells; among the first third of the samples, as a wheel may stop."""
+    restless = all(wheel.speed_rad_s != 0 for wheel in model.vehicle.wheels)
+    last = max(1, len(data) // 3) if restless else 0
+    lit = np.flatnonzero(data.lit.any(axis=1))
+    choices = [a for a in lit if a <= max(last, lit[0])][:40]
+    best, least = None, np.inf
+    for a in choices:
+        around = _neighbours(data, a)
+        suns = c.sun_candidates(model, data, scale, a)
+        edge = c.grid_edge(data.t_s[around] - data.t_s[a])
+        told = [len(c.sun_candidates(model, data, scale, i)) for i in around] if len(choices) < 15 else [1, 1]
+        work = len(suns) * edge**-3.0 * np.prod(told)
+        if work < least:
+            best, least = (int(a), around, edge, suns), work
+    anchor, around, edge, suns = best
+    limit = model.max_rate
+    if c.cell_count(limit, edge) * len(suns) > c.MAX_CELLS:
+        limit = edge * ((c.MAX_CELLS / len(suns) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
+    return Plan(anchor, around, edge, suns, limit)
+
+
+def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Plan]:
+    """Model and plan with the plan's sample as the reference, and a ball of rates there that holds what comes of the prior's.
+
+    Wheels that run down hand over their momentum, and unequal moments let |omega| vary: uniform in a ball stays uniform, as the
+    motion keeps volumes in rate space, but its edge moves. A truth beyond the edge would be lost, and a wrong motion found.
+    """
+    after = float(data.t_s[chosen.anchor])
+    there = replace(model, after_s=after)
+    if after == 0.0:
+        return there, chosen
+    moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
+    none = np.zeros((1, len(model.unknowns)))
+    spins = np.abs(there.wheel_speeds(none) - model.wheel_speeds(none))[0] * [w.inertia_kg_m2 for w in model.vehicle.wheels]
+    wider = model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * float(np.sum(spins)) / moments[0]
+    limit = chosen.limit if chosen.limit < model.max_rate else wider
+    return replace(there, max_rate=wider), replace(chosen, limit=limit)
+
+
+def _neighbours(data: Readings, a: int) -> np.ndarray:
+    """The sample before and the one after, or at an end the two next; dark ones count too, as they bound the direction."""
+    low = 1 if a > 0 else 0
+    around = np.array([a - 1, a + 1]) if low and a + 1 < len(data) else np.array([a + 1, a + 2] if a == 0 else [a - 2, a - 1])
+    return around[(around >= 0) & (around < len(data))]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad."""
+
+    likelihood: Likelihood
+    state: State
+    scale: float
+    outputs: ClassVar[Mapping[str, Any]] = {"allowed": ("bool", ())}
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.state)
+
+    def identity(self) -> dict[str, Any]:
+        return {**code(*FILES), "look": plain(self)}
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        seen = self.likelihood.predict(self.state.take(index)).sun[:, :, self.likelihood.middle]
+        return {"allowed": c.shortfall(self.likelihood.model, self.likelihood.data, seen, LOOK, self.scale) <= c.LIMIT}
+
+
+class Search:
+    """One enumeration: keeps store, workers and bar for its stages."""
+
+    def __init__(self, workers: int | None, store: Path | None, progress: bool) -> None:
+        self.workers, self.store, self.progress = workers, store, progress
+        self.stage = 0
+
+    def run(self, function: Any, label: str, chunk: int) -> dict[str, np.ndarray]:
+        """All rows of a function, kept in a folder of its own."""
+        store = None if self.store is None else self.store / f"{self.stage:02d}-{label.replace(' ', '-')}"
+        self.stage += 1
+        return ensemble(function, workers=self.workers, chunk=chunk, store=store, progress=self.progress, label=label)
+
+    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> State:
+        """Starts around the reference; `data` counts time from it."""
+        near = data.take(chosen.tried)
+        tried = replace(near, others=())
+        grid = c.Attitudes(replace(model, max_rate=chosen.limit), tried.t_s, chosen.edge)
+        turn = self.run(grid, "grid of rates", 8192)["turn"]
+        cells = c.Starts(grid, turn, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
+        return cells.found(worker_count(self.workers))
+
+    def fit(self, likelihood: Likelihood, state: State, levels, label: str, **options: Any) -> dict[str, np.ndarray]:
+        return self.run(Fit(likelihood, state, levels, **options), label, chunk_rows(likelihood))
+
+    def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
+        """All modes; `model` and `data` have the plan's sample as the reference."""
+        state = self.starts(model, data, chosen, scale)
+        notes: list[str] = []
+        if chosen.limit < model.max_rate * (1 - 1e-9):
+            notes.append(f"only rates up to {chosen.limit:.3g} rad/s could be searched")
+        if not len(state):
+            state = _anything(model, chosen)
+            notes.append("no rate explains even the first samples")
+        hits = np.ones(len(state), dtype=np.int64)
+        used = np.sort(np.append(chosen.tried, chosen.anchor))
+        trace, first = [], True
+        noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
+        while True:
+            part = data.take(used)
+            likelihood = Likelihood(model, part)
+            still = len(used) < FEW
+            fitted = self.fit(likelihood, state, FIRST_LEVELS if first else LEVELS, f"{len(used)} samples", still=still)
+            following = _grown(data, used)
+            reach = float(np.abs(data.t_s[following]).max())
+            state = State(fitted["omega"], fitted["sun"], fitted["u"])
+            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, still, noisy)
+            notes += [f"{note} ({len(used)} samples)"] if note else []
+            trace.append((len(used), len(state), len(keep)))
+            state, first = state.take(keep), False
+            if len(following) == len(used):
+                return self._last(likelihood, state, hits, trace, notes)
+            keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
+            if keep.any():
+                state, hits = state.take(keep), hits[keep]
+            used = following
+
+    def _looked(self, model: Model, coming: Readings, state: State, scale: float) -> np.ndarray:
+        """Which hypotheses (n) the nearest of the coming samples allows; one run each, where a fit takes fifty."""
+        nearest = coming.take(np.array([np.argmin(np.abs(coming.t_s))]))
+        look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale)
+        return self.run(look, "looking ahead", 8192)["allowed"]
+
+    def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
+        found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", curved=True)
+        order = np.argsort(found["cost"], kind="stable")
+        order = order[found["cost"][order] < found["cost"][order[0]] + DROP]
+        state, cost, hessian = State(found["omega"], found["sun"], found["u"]), found["cost"], found["hessian"]
+        kept: list[int] = []
+        count: list[int] = []
+        for i in order:
+            near = same_mode(state, hessian, int(i), kept)
+            if near is not None:
+                count[near] += int(hits[i])
+            elif len(kept) < MOST_MODES:
+                kept.append(int(i))
+                count.append(int(hits[i]))
+            elif not any("modes" in note for note in notes):
+                notes.append(f"more than {MOST_MODES} modes")
+        trace.append((len(likelihood.data), len(state), len(kept)))
+        index = np.array(kept)
+        return Modes(state.take(index), cost[index], hessian[index], np.array(count), tuple(trace), tuple(notes))
+
+
+def offset(state: State, i: int, others: np.ndarray) -> np.ndarray:
+    """Coordinates (m, D) of hypotheses `others` as seen from number `i`: rates, tangent of the direction, u."""
+    return coordinates(state.take(others), state.take(np.array([i])))
+
+
+def coordinates(state: State, centre: State) -> np.ndarray:
+    """Coordinates (n, D) of states about one centre: the direction by the great circle to it."""
+    e1, e2 = tangents(centre.sun)
+    along = np.clip(state.sun @ centre.sun[0], -1.0, 1.0)
+    side = np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1)
+    size = np.linalg.norm(side, axis=1)
+    stretch = np.arctan2(size, along) / np.maximum(size, 1e-15)
+    side = side * np.where(size > 1e-15, stretch, 1.0)[:, None]
+    return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
+
+
+def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int]) -> int | None:
+    """Which of the kept ones the fit `i` is a copy of, if any."""
+    if not kept:
+        return None
+    d = offset(state, i, np.array(kept))
+    distance = np.minimum(np.einsum("mi,mij,mj->m", d, hessian[kept], d), np.einsum("mi,ij,mj->m", d, hessian[i], d))
+    nearest = int(np.argmin(distance))
+    return nearest if distance[nearest] < SAME else None
+
+
+def _anything(model: Model, chosen: Plan) -> State:
+    """Starts where there is no hope: rest, and turns about the axes."""
+    rates = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * min(0.3, 0.5 * model.max_rate)
+    suns = np.tile(chosen.suns[0], (len(rates), 1))
+    return State(rates + 1e-4, suns, np.zeros((len(rates), len(model.unknowns))))
+
+
+def _grown(data: Readings, used: np.ndarray) -> np.ndarray:
+    """The samples of the next window: one more while there are few, then all within a longer time."""
+    distance = np.abs(data.t_s)
+    rest = np.setdiff1d(np.arange(len(data)), used)
+    if not len(rest):
+        return used
+    nearest = rest[np.argmin(distance[rest])]
+    if len(used) < FEW:
+        return np.sort(np.append(used, nearest))
+    half = max(GROWTH * distance[used].max(), distance[nearest])
+    return np.union1d(used, np.flatnonzero(distance <= half * (1 + 1e-9)))
+
+
+def expected(data: Readings) -> float:
+    """Numbers that a motion must explain: lit readings and other observations."""
+    return float(data.lit.sum() + sum(o.value.size for o in data.others))
+
+
+def _thinned(
+    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, still: bool, noisy: float
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
+    n = expected(data)
+    limit = (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+    order = np.argsort(cost, kind="stable")
+    order = order[np.isfinite(cost[order])]
+    possible = order[cost[order] <= limit]
+    note = ""
+    if not len(possible):
+        possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
+    box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / SUN_APART], axis=1)
+    _, first, inverse = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
+    rank = np.argsort(first, kind="stable")  # best first
+    most = MOST_FEW if len(data) < FEW else MOST
+    if len(rank) > most:  # evenly by how well they fit: all of a line fits well, and its ends are wanted too
+        rank = rank[np.unique(np.linspace(0, len(rank) - 1, most).round().astype(int))]
+        note = "more hypotheses than could be followed"
+    return possible[first[rank]], counts[rank], note

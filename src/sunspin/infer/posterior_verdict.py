@@ -1,0 +1,124 @@
+"""What the posterior says, in words; above all when it does not know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+NOT_EXPLAINED = 0.002
+"""Chance of readings this bad below which no motion found explains them; and the noise's distance that does the same."""
+
+NOISE_LIMIT = 3.5
+
+TAIL_LIMIT, EFFECTIVE_LIMIT = 0.55, 700.0
+"""Pareto's k above which, and number of effective draws below which, the sample is not to be trusted."""
+
+COUNTS = 0.01
+"""A region with less weight is not counted."""
+
+UNIQUE = 0.99
+
+LINE_TURN, LINE_REGIONS = 0.15, 25
+"""A region longer than this in rad/s, or as many regions as this, are a line rather than points."""
+
+PANEL_SHARE = 0.4
+"""A panel with this part of its readings spoilt, and at least three of them, is named."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the verdict is made of: regions' weights, rates (r, 3), longest sigma of each (rad/s), starts that led to each, interval
+    of the samples (s), check, tail, effective draws, remarks that put the search in doubt."""
+
+    weight: np.ndarray
+    rate: np.ndarray
+    length: np.ndarray
+    hits: np.ndarray
+    interval_s: float
+    p: float
+    noise_sigmas: float
+    spoilt: list[str]
+    tail: float
+    effective: float
+    doubts: list[str]
+
+
+def verdict(found: Found) -> tuple[str, str]:
+    """A word ("unique", "aliases", "line", "not explained", "not sure") and the sentence."""
+    told = np.flatnonzero(found.weight >= COUNTS)
+    if found.p < NOT_EXPLAINED or abs(found.noise_sigmas) > NOISE_LIMIT:
+        return "not explained", _not_explained(found)
+    doubts = list(found.doubts)
+    if found.tail > TAIL_LIMIT or found.effective < EFFECTIVE_LIMIT:
+        worth = f"{found.effective:.0f} draws (Pareto k {found.tail:.2f})"
+        doubts.append(f"the sample is worth only {worth}: widths and weights are rough")
+    text = _regions(found, told)
+    word = "line" if _is_line(found, told) else "unique" if len(told) == 1 and found.weight[0] >= UNIQUE else "aliases"
+    if found.spoilt:
+        text += "; " + "; ".join(found.spoilt)
+    if doubts:
+        return "not sure", f"not sure: {'; '.join(doubts)}; as far as it goes, {text}"
+    return word, text
+
+
+def _is_line(found: Found, told: np.ndarray) -> bool:
+    return bool(len(told) >= LINE_REGIONS or found.length[told].max(initial=0.0) > LINE_TURN)
+
+
+def _regions(found: Found, told: np.ndarray) -> str:
+    if _is_line(found, told):
+        reach = 2 * max(float(found.length[told].max()), float(np.ptp(found.rate[told], axis=0).max()) / 2)
+        return f"a line: motions over {reach:.2g} rad/s fit alike, and the data do not single one out"
+    best = f"{np.linalg.norm(found.rate[0]):.4f} rad/s"
+    if len(told) == 1 and found.weight[0] >= UNIQUE:
+        return f"unique: one region of motions, turning at {best}, fits the readings"
+    if len(told) == 1:
+        others = int((found.weight > 0).sum()) - 1
+        return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the weight, {others} others the rest"
+    gaps = np.linalg.norm(found.rate[told][:, None] - found.rate[told][None], axis=-1)
+    gap = float(np.median(np.min(gaps + np.diag(np.full(len(told), np.inf)), axis=1)))
+    text = f"{len(told)} aliases, {gap:.3g} rad/s apart, cannot be told apart"
+    text += f"; the first, turning at {best}, holds {found.weight[0]:.0%}"
+    return f"{text} (one turn more between samples would be {2 * np.pi / found.interval_s:.3g} rad/s)"
+
+
+def _not_explained(found: Found) -> str:
+    text = f"not explained: no motion fits; readings as far from the best motion as these have a probability of {found.p:.2g}"
+    if abs(found.noise_sigmas) > NOISE_LIMIT:
+        side = "more" if found.noise_sigmas > 0 else "less"
+        text = "not explained: no motion fits unless the noise is far "
+        text += f"{side} than the vehicle file states ({found.noise_sigmas:+.1f} sigma)"
+    if found.spoilt:
+        text += "; " + "; ".join(found.spoilt)
+    return f"{text}; the vehicle, the window or the state of the wheels is not what was assumed, or a panel is shadowed or dead"
+
+
+def spoilt_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
+    """Sentences on panels of which much is no sunlight; `outliers` (K, P) as in the check, `lit` (K, P)."""
+    told = []
+    count, base = outliers.sum(axis=0), np.maximum(np.maximum(lit, outliers > 0.5).sum(axis=0), 1)
+    for name, n, of in zip(names, count, base, strict=True):
+        if n >= 3 and n > PANEL_SHARE * of:
+            told.append(f"panel {name} contradicts the motion in about {n:.0f} readings (shadow, dead panel or wrong name)")
+    return told
+
+
+def summary(tree: Any) -> dict[str, Any]:
+    """The main numbers of a posterior as plain data."""
+    posterior, modes = tree["posterior"], tree["modes"]
+    rate = np.linalg.norm(posterior["omega_B"].values.reshape(-1, 3), axis=1)
+    low, median, high = (float(np.quantile(rate, q)) for q in (0.05, 0.5, 0.95))
+    return {
+        "verdict": tree.attrs["verdict"], "verdict_word": tree.attrs["verdict_word"],
+        "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
+        "modes": [
+            {"weight": float(w), "omega_B": o.tolist(), "sigma": np.sqrt(np.diag(c)).tolist(), "chi_square": float(x),
+             "starts": int(h)}
+            for w, o, c, x, h in zip(modes["weight"].values, modes["omega_B"].values, modes["omega_cov_B"].values,
+                                     modes["chi_square"].values, modes["starts"].values, strict=True)
+        ],
+        "p_value": float(tree.attrs["p_value"]), "effective_draws": float(tree.attrs["effective_draws"]),
+        "pareto_k": float(tree.attrs["pareto_k"]), "synthetic_telemetry": bool(tree.attrs.get("synthetic", 0)),
+    }  # fmt: skip

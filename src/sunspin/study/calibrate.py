@@ -1,0 +1,222 @@
+"""Is the posterior right? Twins drawn from its own prior, their ranks in it, and how often its regions hold the truth.
+
+    python -m sunspin.study.calibrate OUT --twins 100 --kind unknown
+
+Every twin is a file in OUT, written whole; the same command goes on where it was stopped. Twin i depends on seed and i alone.
+Kinds: "known" and "unknown" are drawn from the prior that the posterior is told; "shadow", "dead", "jitter" break its assumptions
+a little; "swapped" and "wheel_off" are telemetry of another model, which the predictive check has to refuse.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.stats import binomtest, kstest
+
+from sunspin.cases import load_case
+from sunspin.errors import SunspinError
+from sunspin.infer.posterior import DIRECTION_ERROR, brightness, posterior
+from sunspin.infer.posterior_data import readings
+from sunspin.infer.posterior_likelihood import Likelihood
+from sunspin.infer.posterior_model import Model, State, model
+from sunspin.motion import gyrostat as g
+from sunspin.study.twin import Truth, twin
+from sunspin.vehicle import Friction, Vehicle, Wheel
+
+KINDS = ("known", "unknown", "shadow", "dead", "jitter", "swapped", "wheel_off")
+
+QUANTITIES = ("omega_x", "omega_y", "omega_z", "momentum", "theta", "alpha", "log_likelihood")
+"""What is ranked: rates, |H|, the angles of H from z and from the Sun, and the log-likelihood."""
+
+KNOWN = {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
+
+JITTER_S = 6.0
+"""Sample times are irregular by up to this."""
+
+TAG_S = 0.1
+"""Error of the time tags of the kind "jitter"."""
+
+NEAR_SIGMAS = 4.5
+"""A mode counts as the true one within this many sigmas of its rates."""
+
+
+def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
+    """One draw of the prior, at the first sample; the scale is left at its centre, as its prior is all but flat."""
+    direction = rng.standard_normal((2, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    omega = unknown.max_rate * rng.random() ** (1 / 3) * direction[:1]
+    u = rng.standard_normal((1, len(unknown.unknowns)))
+    u[:, unknown.where("scale")] = 0.0
+    return State(omega, direction[1:], u)
+
+
+def vehicle_of(unknown: Model, truth: State) -> Vehicle:
+    """The vehicle with the truth's inertia, friction and wheel inertia."""
+    body = unknown.bodies(truth.u)
+    wheels = tuple(
+        Wheel(w.name, w.axis_B, float(body.wheel_inertia_kg_m2[0, i]), w.speed_rad_s,
+              Friction(float(body.coulomb_N_m[0, i]), float(body.viscous_N_m_s[0, i])))
+        for i, w in enumerate(unknown.vehicle.wheels)
+    )  # fmt: skip
+    return replace(unknown.vehicle, inertia_kg_m2=body.inertia_kg_m2[0], wheels=wheels)
+
+
+def make(vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int):
+    """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
+    priors: dict[str, Any] = {"max_rate_rad_s": max_rate} | (KNOWN if kind == "known" else {})
+    scale = vehicle.telemetry.noise / (0.02 * float(vehicle.panel_gains.max()))
+    unknown, _ = model(vehicle, priors, scale)
+    truth = prior_truth(unknown, rng)
+    t = interval_s * np.arange(samples) + np.concatenate([[0.0], rng.uniform(-1, 1, samples - 1)]) * min(JITTER_S, interval_s / 4)
+    noise = vehicle.telemetry.noise * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
+    speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
+    told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise)
+    telemetry = twin(vehicle_of(unknown, truth), told, seed=int(rng.integers(2**31)))
+    return _spoilt(telemetry, kind, rng), truth, unknown, priors
+
+
+def _spoilt(telemetry: xr.Dataset, kind: str, rng: np.random.Generator) -> xr.Dataset:
+    telemetry = telemetry.copy(deep=True)
+    name = "power_W" if "power_W" in telemetry else "current_A"
+    value = telemetry[name].values
+    if kind == "shadow":  # the panel that gives most, in three samples after another
+        start = int(rng.integers(len(value) - 3))
+        panel = int(np.argmax(value[start : start + 3].sum(axis=0)))
+        value[start : start + 3, panel] *= 0.3
+    elif kind == "dead":
+        value[:, int(rng.integers(value.shape[1]))] = 0.0
+    elif kind == "swapped":
+        a, b = rng.choice(value.shape[1], 2, replace=False)
+        value[:, [a, b]] = value[:, [b, a]]
+    elif kind == "jitter":
+        times = telemetry["time"].values + TAG_S * rng.standard_normal(len(value))
+        telemetry = telemetry.assign_coords(time=("time", times, telemetry["time"].attrs))
+    return telemetry
+
+
+def quantities(vehicle: Vehicle, unknown: Model, state: State) -> dict[str, np.ndarray]:
+    """Rates, |H|, theta and alpha (n) of states at the first sample."""
+    momentum = g.total_momentum(unknown.bodies(state.u), state.omega, unknown.wheel_speeds(state.u))
+    size = np.linalg.norm(momentum, axis=1)
+    return {
+        "omega_x": state.omega[:, 0], "omega_y": state.omega[:, 1], "omega_z": state.omega[:, 2], "momentum": size,
+        "theta": np.arccos(np.clip(momentum[:, 2] / size, -1, 1)),
+        "alpha": np.arccos(np.clip(np.sum(momentum * state.sun, axis=1) / size, -1, 1)),
+    }  # fmt: skip
+
+
+def judge(
+    vehicle: Vehicle, telemetry: xr.Dataset, truth: State, unknown: Model, priors: dict[str, Any], seed: int, **options: Any
+) -> dict[str, Any]:
+    """Run the posterior on a twin and compare it with the truth."""
+    tree = posterior(vehicle, telemetry, priors, seed, **options)
+    found = tree["posterior"]
+    omega = found["omega_B"].values[0]
+    # u of the draws, in the order of the model that knows the scale's centre
+    data, _, _ = readings(vehicle, telemetry)
+    model_, _ = model(vehicle, priors, brightness(vehicle, data))
+    u = np.stack([_value(found, x.name) for x in model_.unknowns], axis=1)
+    centre, sigma = (np.array([getattr(x, key) for x in model_.unknowns]) for key in ("centre", "sigma"))
+    drawn = State(omega, found["sun_B"].values[0], (u - centre) / sigma)
+    own = np.array(truth.u)
+    for i in model_.where("scale"):
+        own[:, i] = (unknown.values(truth.u)[:, i] - model_.unknowns[i].centre) / model_.unknowns[i].sigma
+    exact = State(truth.omega, truth.sun, own)
+    likelihood = Likelihood(model_, data, DIRECTION_ERROR)
+    log_true = float(likelihood(exact)[0])
+    every, true = quantities(vehicle, model_, drawn), quantities(vehicle, model_, exact)
+    every["log_likelihood"], true["log_likelihood"] = found["log_likelihood_sum"].values[0], np.array([log_true])
+    density = every["log_likelihood"] + model_.log_prior(drawn)
+    level = float(np.mean(density > log_true + model_.log_prior(exact)[0]))
+    modes = tree["modes"]
+    off = truth.omega[0] - modes["omega_B"].values
+    spread = modes["omega_cov_B"].values + 1e-14 * np.eye(3)
+    distance = [float(o @ np.linalg.solve(c, o)) ** 0.5 for o, c in zip(off, spread, strict=True)]
+    return {
+        "ranks": {name: float(np.mean(every[name] < true[name][0])) for name in QUANTITIES}, "level": level,
+        "recalled": bool(min(distance) < NEAR_SIGMAS), "main": bool(distance[0] < NEAR_SIGMAS), "modes": len(distance),
+        "weight_of_true": float(modes["weight"].values[int(np.argmin(distance))]) if min(distance) < NEAR_SIGMAS else 0.0,
+        "word": tree.attrs["verdict_word"], "verdict": tree.attrs["verdict"], "p": tree.attrs["p_value"],
+        "noise_sigmas": tree.attrs["noise_sigmas"], "effective": tree.attrs["effective_draws"], "pareto_k": tree.attrs["pareto_k"],
+        "log_true": log_true, "log_best": float(every["log_likelihood"].max()), "error": float(np.min(np.linalg.norm(off, axis=1))),
+        "sigma": float(np.sqrt(np.trace(modes["omega_cov_B"].values[0]))), "omega": truth.omega[0].tolist(),
+    }  # fmt: skip
+
+
+def _value(found: Any, name: str) -> np.ndarray:
+    return found["wheel_speed_rad_s"].values[0][:, 0] if name.startswith("wheel_speed") else found[name].values[0]
+
+
+def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Figures of many twins, each share with its 95 % interval (Clopper and Pearson)."""
+
+    def share(hits: list[bool]) -> list[float]:
+        interval = binomtest(int(sum(hits)), len(hits)).proportion_ci()
+        return [float(np.mean(hits)), float(interval.low), float(interval.high)]
+
+    if not rows:
+        return {"twins": 0}
+    confident = [row for row in rows if row["word"] in ("unique", "aliases", "line")]
+    return {
+        "twins": len(rows), "words": dict(Counter(row["word"] for row in rows)),
+        "recall": share([row["recalled"] for row in rows]), "in_50": share([row["level"] <= 0.5 for row in rows]),
+        "in_90": share([row["level"] <= 0.9 for row in rows]),
+        "not_explained": share([row["word"] == "not explained" for row in rows]),
+        "confident_misses": sum(not row["recalled"] for row in confident), "confident": len(confident),
+        "ranks_p": {name: float(kstest([row["ranks"][name] for row in rows], "uniform").pvalue) for name in QUANTITIES},
+        "pareto_k": float(np.median([row["pareto_k"] for row in rows])),
+        "effective": float(np.median([row["effective"] for row in rows])),
+    }  # fmt: skip
+
+
+def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float = 0.25, samples: int = 23, interval_s: float = 120.0,
+              workers: int | None = None, vehicle: Vehicle | None = None) -> list[dict[str, Any]]:  # fmt: skip
+    """Judge twins 0 to `twins` - 1 of a kind, reading those that are in `out` already."""
+    craft = vehicle or load_case("philae").vehicle
+    folder = out / f"{kind}-{seed}-{max_rate:g}-{samples}-{interval_s:g}"
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for i in range(twins):
+        path = folder / f"{i:04d}.json"
+        if not path.is_file():
+            telemetry, truth, unknown, priors = make(craft, kind, max_rate, samples, interval_s, seed, i)
+            try:
+                row = judge(craft, telemetry, truth, unknown, priors, seed, workers=workers)
+            except SunspinError as error:
+                row = {"refused": str(error)}
+            part = path.with_suffix(".part")
+            part.write_text(json.dumps(row), "utf-8")
+            part.replace(path)
+        rows.append(json.loads(path.read_text("utf-8")))
+    return rows
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run twins and print what they say."""
+    parser = argparse.ArgumentParser(prog="python -m sunspin.study.calibrate", description=main.__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--twins", type=int, default=100)
+    parser.add_argument("--kind", choices=KINDS, default="unknown")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--max-rate", type=float, default=0.25)
+    parser.add_argument("--samples", type=int, default=23)
+    parser.add_argument("--interval", type=float, default=120.0)
+    parser.add_argument("--workers", type=int)
+    given = parser.parse_args(arguments)
+    rows = calibrate(given.out, given.kind, given.twins, given.seed, given.max_rate, given.samples, given.interval, given.workers)
+    good = [row for row in rows if "refused" not in row]
+    print(json.dumps(tally(good) | {"refused": len(rows) - len(good)}, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

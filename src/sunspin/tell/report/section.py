@@ -1,0 +1,137 @@
+"""What the page is made of, as data: sections of text, plots, tables; arrays in the compact form that plotly.js reads."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+COLOURS = ("@blue", "@orange", "@green", "@pink", "@gold", "@sky", "@ink", "@grey")
+"""Colour-blind safe (Okabe and Ito), in a light and a dark shade each: page.js puts in the numbers. "@blue:0.2" is translucent."""
+
+SYMBOLS = ("circle", "square", "diamond", "cross", "x", "circle-open", "square-open", "diamond-open")
+"""A second sign beside colour."""
+
+SEQUENTIAL = "Cividis"
+
+
+@dataclass
+class Plot:
+    """A plot: traces and layout as plotly.js has them, what it shows in words, its caption.
+
+    `views`: choices for the reader, each {"label", "show": indices of the visible traces, "layout": changes}. `narrow`: changes of
+    the layout in a narrow window. `numbers`: a table of what is drawn, for those who cannot see it.
+    """
+
+    id: str
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+    alt: str
+    caption: str = ""
+    height: int = 420
+    views: list[dict[str, Any]] = field(default_factory=list)
+    views_label: str = "Show"
+    narrow: dict[str, Any] = field(default_factory=dict)
+    numbers: Table | None = None
+    kind: str = "plot"
+
+
+@dataclass
+class Table:
+    """A table of text; `closed` tables open on demand."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    closed: bool = False
+    kind: str = "table"
+
+
+@dataclass
+class Text:
+    """Paragraphs."""
+
+    paragraphs: Sequence[str]
+    kind: str = "text"
+
+
+@dataclass
+class Special:
+    """A part with a template of its own: `kind` names it, `content` is its data for the template, `data` for the script."""
+
+    kind: str
+    content: dict[str, Any]
+    data: Any = None
+
+
+@dataclass
+class Section:
+    """A heading with what stands under it."""
+
+    id: str
+    title: str
+    lead: Sequence[str] = ()
+    items: list[Any] = field(default_factory=list)
+
+
+def packed(values: Any, dtype: str = "f4") -> dict[str, Any]:
+    """An array (1-D or 2-D) as base64 of its bytes, as plotly.js reads it."""
+    array = np.ascontiguousarray(np.asarray(values), dtype=np.dtype(dtype).newbyteorder("<"))
+    data = {"dtype": dtype, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
+    return data if array.ndim == 1 else data | {"shape": ",".join(map(str, array.shape))}
+
+
+def epoch_ms(epoch_utc: str | None) -> float | None:
+    """A UTC epoch in milliseconds since 1970, as date axes count."""
+    if not epoch_utc:
+        return None
+    try:
+        moment = datetime.fromisoformat(epoch_utc)
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp() * 1000.0
+
+
+def clock(seconds: Any, epoch_utc: str | None) -> dict[str, Any]:
+    """Times for an axis: milliseconds of UTC where the epoch is known, else seconds."""
+    zero = epoch_ms(epoch_utc)
+    values = np.asarray(seconds, dtype=np.float64)
+    return packed(values if zero is None else zero + 1000.0 * values, "f8")
+
+
+def instants(seconds: Sequence[float], epoch_utc: str | None) -> list[float]:
+    """The same as plain numbers, for the ends of an axis."""
+    zero = epoch_ms(epoch_utc)
+    return [float(t) if zero is None else zero + 1000.0 * float(t) for t in seconds]
+
+
+def utc_text(seconds: float, epoch_utc: str | None, date: bool = False) -> str:
+    """15:34:04 of the day, or the seconds where no epoch is known."""
+    zero = epoch_ms(epoch_utc)
+    if zero is None or not np.isfinite(seconds):
+        return f"{seconds:.1f} s"
+    moment = datetime.fromtimestamp(round(zero / 1000.0 + float(seconds)), UTC)
+    return moment.strftime("%Y-%m-%d %H:%M:%S" if date else "%H:%M:%S")
+
+
+def time_axis(epoch_utc: str | None, title: str = "") -> dict[str, Any]:
+    """Layout of a time axis."""
+    if epoch_ms(epoch_utc) is None:
+        return {"title": {"text": title or "time (s)"}}
+    day = str(epoch_utc)[:10]
+    return {
+        "type": "date", "title": {"text": title or f"UTC, {day}"}, "hoverformat": "%H:%M:%S",
+        "tickformatstops": [
+            {"dtickrange": [None, 59_999], "value": "%H:%M:%S"}, {"dtickrange": [60_000, 43_199_999], "value": "%H:%M"},
+            {"dtickrange": [43_200_000, None], "value": "%d %b %H:%M"},
+        ],
+    }  # fmt: skip
+
+
+def thin(count: int, most: int) -> np.ndarray:
+    """Indices of at most so many of `count` things, evenly."""
+    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))

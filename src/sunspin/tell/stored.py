@@ -1,0 +1,81 @@
+"""The results of the Philae study as files: all that its report is made from, and what a reader may want to compute with."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.study import rebound as rb
+from sunspin.study.reproduce import Reproduction
+from sunspin.tell.results import write_netcdf, write_whole
+
+SUFFIX = {"Descent": "descent"}
+
+
+def store(result: Reproduction, folder: Path) -> None:
+    """Write NetCDF files of every part that was computed, and the case's timeline."""
+    attrs = {"synthetic": int(result.synthetic), "seed": result.seed, "sunspin_version": metadata.version("sunspin")}
+    write_netcdf(folder / "sun.nc", result.sun)
+    timeline = result.case.folder / "timeline.toml"
+    write_whole(folder / "timeline.toml", lambda part: part.write_bytes(timeline.read_bytes()))
+    for name, data in datasets(result):
+        write_netcdf(folder / f"{name}.nc", data.assign_attrs(attrs))
+
+
+def datasets(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
+    """File name -> data."""
+    parts = result.parts
+    found = [*_scans(result), ("touchdown", _touchdown(parts["touchdown"]))]
+    if "sensitivity" in parts:
+        found += [("map_rates", parts["sensitivity"].rates.to_dataset()), ("map_parameters", _parameters(parts["sensitivity"]))]
+    if "landing" in parts:
+        found += [(f"outcomes-{name}", runs) for name, runs in parts["landing"].paper.items()]
+        found.append(("strategies", parts["landing"].strategies))
+    if "motions" in parts:
+        found += [(f"motion-{_file(name)}", run.assign_attrs(title=name)) for name, run in parts["motions"].candidates.items()]
+        found.append(("speed", parts["motions"].speed))
+    return found
+
+
+def _file(name: str) -> str:
+    return name.lower().replace(" ", "-")
+
+
+def _scans(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
+    scan, found = result.parts["level_set"], []
+    lines = rb.published_lines(result.case)
+    for name, family, about in (
+        ("scan_telemetry", scan.twin, "against the directions of this telemetry"),
+        ("scan_published_lines", scan.clean, "against the common distribution of the published lines"),
+    ):
+        data = family.emd.to_dataset()
+        if family.lines is not None:
+            data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
+        data["near_minimum"] = (("near_point", "rate_axis"), family.points, {"units": "rad/s", "factor": family.factor})
+        data["published_point"] = (("published_line", "rate_axis"), np.array([p for p, _ in lines]), {"units": "rad/s"})
+        data["published_direction"] = (("published_line", "rate_axis"), np.array([d for _, d in lines]), {"units": "1"})
+        if scan.truth and family is scan.twin:
+            data["truth"] = ("rate_axis", scan.truth["omega_B"], {"units": "rad/s"})
+        found.append((name, data.assign_attrs(about=about)))
+    return found
+
+
+def _touchdown(part: Any) -> xr.Dataset:
+    return xr.Dataset(
+        {
+            "omega_B": (("point", "axis"), part.omega_B, {"units": "rad/s"}),
+            "published_B": (("published", "axis"), part.published_B, {"units": "rad/s"}),
+        },
+        coords={"axis": ["x", "y", "z"]},
+    )
+
+
+def _parameters(part: Any) -> xr.Dataset:
+    data = part.parameters.to_dataset()
+    data["mu_0"].attrs["units"] = "N m"
+    data["theta_xx"].attrs["units"] = "kg m2"
+    return data

@@ -1,0 +1,32 @@
+"""Numbers as a person reads them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sunspin.tell.results import plain
+
+
+def number_text(value: Any, digits: int = 5) -> str:
+    """A number with so many digits, lists in brackets, anything else as it is."""
+    value = plain(value)
+    if isinstance(value, list):
+        return "[" + ", ".join(number_text(item, digits) for item in value) + "]"
+    if isinstance(value, dict):
+        return "; ".join(f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items())
+    if isinstance(value, float):
+        return f"{value:.{digits}g}" if np.isfinite(value) else "none"
+    return "none" if value is None else str(value)
+
+
+def turn_text(rate_rad_s: float) -> str:
+    """The time of one turn: seconds below two minutes, else minutes."""
+    seconds = 2 * np.pi / abs(rate_rad_s)
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
+
+
+def counted(n: int, noun: str) -> str:
+    """3 samples, 1 sample."""
+    return f"{n:,} {noun}{'' if n == 1 else 's'}".replace(",", " ")

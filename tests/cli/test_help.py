@@ -1,0 +1,85 @@
+"""What --help shows is true: every example can be given as it stands, and the cheap ones are run."""
+
+import re
+import shlex
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from sunspin.cli import cli
+from sunspin.cli.common import COMMANDS, SECTIONS, SUMMARIES
+
+ELSEWHERE = {
+    "rates": "minutes, or other people's data; the documents run it",
+    "decode": "other people's data",
+    "compare": "other people's kernels",
+    "reproduce": "minutes; it has tests of its own",
+    "worth": "minutes; it has tests of its own",
+    "posterior": "minutes; it has tests of its own",
+    "report": "needs the results of another command; it has tests of its own",
+}
+LONG = {"scan", "outcomes"}
+
+
+def examples(name: str) -> list[list[str]]:
+    """The words of each example of a command's help."""
+    command = cli.get_command(click.Context(cli), name)
+    text = re.split(r"Examples?\b", command.help or "")[-1]
+    return [shlex.split(line)[1:] for line in text.splitlines() if line.strip().startswith("sunspin ")]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_examples_are_understood(name):
+    """Parsed as the command line would, without running: names of options, choices, ranges, number of arguments."""
+    given = examples(name)
+    assert any(words[0] == name for words in given)
+    for words in given:
+        command = cli.get_command(click.Context(cli), words[0])
+        command.make_context(words[0], words[1:], resilient_parsing=False)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in COMMANDS if name not in ELSEWHERE]
+)
+def test_examples_run_in_the_folder_that_init_makes(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    runner = CliRunner()
+    if name != "init":
+        assert runner.invoke(cli, ["init", "."]).exit_code == 0
+    for words in examples(name):
+        done = runner.invoke(cli, words, catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_says_what_it_does(name):
+    command = cli.get_command(click.Context(cli), name)
+    assert not [option.name for option in command.params if isinstance(option, click.Option) and not option.help]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_speaks_json_and_can_be_quiet(name):
+    command = cli.get_command(click.Context(cli), name)
+    assert {"as_json", "quiet"} <= {option.name for option in command.params}
+
+
+def test_the_groups_of_the_help_are_of_commands_that_exist():
+    named = [name for names in SECTIONS.values() for name in names]
+    assert len(named) == len(set(named)) and set(named) <= set(COMMANDS)
+    text = CliRunner().invoke(cli, ["--help"]).output
+    assert all(re.search(rf"^  {name} ", text, re.MULTILINE) for name in COMMANDS)
+    assert all(len(line) < 80 for line in SUMMARIES.values())
+
+
+def test_a_misspelt_command_is_answered_with_the_likely_one():
+    with pytest.raises(click.UsageError, match="did you mean simulate"):
+        cli.main(["simulat"], standalone_mode=False)
+
+
+def test_the_name_of_a_case_stands_for_its_telemetry(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(cli, ["sun", "philae", "philae", "--json"], catch_exceptions=False)
+    assert '"synthetic_telemetry": true' in done.output
+    (tmp_path / "philae").write_text("time_utc\n")  # a file of that name goes first
+    assert CliRunner().invoke(cli, ["sun", "philae", "philae"]).exit_code != 0

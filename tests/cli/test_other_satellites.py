@@ -1,0 +1,151 @@
+"""Other people's satellites, as their operators would describe them, through every command; and their files corrupted.
+
+All telemetry here is synthetic (tests/satellites.py) but skCUBE's, which is used where it is found.
+"""
+
+import io
+import json
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import satellites
+from corrupted import BYTES, CELLS
+from sunspin import cli
+
+MAKERS = {
+    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng),
+    "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng),
+    "wheel, MET, Parquet": lambda folder, rng: satellites.wheeled(folder, rng),
+    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(folder, rng, form="netcdf", speed=False),
+}
+
+
+def sunspin(*arguments):
+    """The entry point in this process: exit code, what was printed, what was complained."""
+    before, sys.argv = sys.argv, ["sunspin", *map(str, arguments)]
+    out, err = io.StringIO(), io.StringIO()
+    try:
+        with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as stopped:
+            cli.main()
+    finally:
+        sys.argv = before
+    return stopped.value.code, out.getvalue(), err.getvalue()
+
+
+def fine(outcome):
+    code, out, err = outcome
+    assert (code, err) == (0, ""), err
+    return out
+
+
+def fine_or_a_sentence(arguments, told):
+    code, out, err = sunspin(*arguments)
+    assert code in (0, 2), (told, err)
+    if code == 2:
+        assert err.startswith("sunspin: error: ") and err.count("\n") == 1 and len(err) < 1500, (told, err)
+        assert "Traceback" not in err and out == "", (told, err)
+    return code
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_every_command_on_another_satellite(maker, tmp_path):
+    craft = MAKERS[maker](tmp_path, np.random.default_rng(3))
+    files = craft.vehicle, craft.telemetry
+    assert "samples" in fine(sunspin("check", *files))
+    fine(sunspin("sun", *files, "--out", tmp_path / "sun"))
+    about = json.loads(fine(sunspin("rates", *files, "--json", "--out", tmp_path / "rates")))
+    assert sum(about["samples"].values()) == len(craft.truth["time"])
+    with xr.open_dataset(tmp_path / "rates" / "rates.nc", engine="h5netcdf") as result:
+        result = result.load()
+    times = result["time"].values - result["sample"].values[0]
+    for k in range(result.sizes["pass_id"]):
+        at = (result["pass_of"] == k).values
+        truth = np.stack([np.interp(times[at], craft.truth["time"], craft.truth["omega_B"][:, j]) for j in range(3)], axis=1)
+        miss = np.linalg.norm(np.degrees(result["omega_mean_B"].values[k] - truth.mean(axis=0)), axis=1)
+        assert np.nanmin(miss) < 0.25, "no mode is near the truth"  # deg/s; they turn at 1 to 3
+    for form in ("aem", "aem-xml", "netcdf", "ck", "parquet"):
+        fine(sunspin("export", tmp_path / "rates", "--format", form, "--out", tmp_path / form))
+
+
+def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
+    craft = satellites.four_faces(tmp_path, np.random.default_rng(1))
+    about = json.loads(fine(sunspin("rates", craft.vehicle, craft.telemetry, "--json")))
+    first, second = about["passes"][0]["modes"][:2]
+    assert first["weight"] == pytest.approx(0.5, abs=0.02) and second["weight"] == pytest.approx(0.5, abs=0.02)
+    mirror = np.array(first["omega_deg_s"]) * [-1, -1, 1]  # the Sun's height above these faces is told but for its sign
+    np.testing.assert_allclose(second["omega_deg_s"], mirror, atol=0.05)
+
+
+def campaign(folder, makers, copies, seed, commands):
+    """Corrupt telemetry and vehicle files and run commands on them; how many ran, and how many were refused."""
+    count, refused = 0, 0
+    for m, maker in enumerate(makers):
+        home = folder / str(m)
+        home.mkdir()
+        craft = makers[maker](home, np.random.default_rng(m))
+        for which in ("telemetry", "vehicle"):
+            original = getattr(craft, which).read_bytes()
+            kinds = BYTES + (CELLS if getattr(craft, which).suffix == ".csv" else ())
+            for i in range(copies):
+                rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(m, which == "vehicle", i)))
+                kind = kinds[i % len(kinds)]
+                bad = home / f"bad{getattr(craft, which).suffix}"
+                bad.write_bytes(kind(original, rng))
+                files = (craft.vehicle, bad) if which == "telemetry" else (bad, craft.telemetry)
+                for command in commands:
+                    code = fine_or_a_sentence([command, *files], f"{maker}, {which}, {kind.__name__}, copy {i}, {command}")
+                    count, refused = count + 1, refused + (code == 2)
+    return count, refused
+
+
+SMALL = {
+    "six": lambda folder, rng: satellites.six_faces(folder, rng, n=14),
+    "four": lambda folder, rng: satellites.four_faces(folder, rng, n=14),
+    "wheel": lambda folder, rng: satellites.wheeled(folder, rng, n=12, form="parquet"),
+    "wheel nc": lambda folder, rng: satellites.wheeled(folder, rng, n=12, form="netcdf"),
+    "wheel csv": lambda folder, rng: satellites.wheeled(folder, rng, n=12, form="csv"),
+}
+
+
+def test_corrupted_files_give_a_sentence_and_never_a_traceback(tmp_path):
+    count, refused = campaign(tmp_path, SMALL, 16, 1, ("check", "sun"))
+    assert 0.3 * count < refused < count  # the campaign does corrupt, and does not refuse what can be read
+
+
+def test_rates_of_corrupted_files(tmp_path):
+    few = {name: SMALL[name] for name in ("four", "wheel csv")}
+    count, refused = campaign(tmp_path, few, 16, 2, ("rates",))
+    assert 0.3 * count < refused < count
+
+
+def test_corrupted_results_are_refused_by_export(tmp_path):
+    craft = satellites.four_faces(tmp_path, np.random.default_rng(0), n=20)
+    fine(sunspin("rates", craft.vehicle, craft.telemetry, "--out", tmp_path / "rates"))
+    original = (tmp_path / "rates" / "rates.nc").read_bytes()
+    refused = 0
+    for i in range(14):
+        bad = tmp_path / f"bad{i}"
+        bad.mkdir()
+        (bad / "rates.nc").write_bytes(BYTES[i % len(BYTES)](original, np.random.default_rng(i)))
+        refused += fine_or_a_sentence(["export", bad, "--out", tmp_path / f"out{i}"], BYTES[i % len(BYTES)].__name__) == 2
+    assert refused > 5
+
+
+@pytest.mark.slow
+def test_a_large_campaign_of_corrupted_files(tmp_path):
+    count, refused = campaign(tmp_path, SMALL, 160, 3, ("check", "sun", "rates"))
+    assert 0.3 * count < refused < count
+
+
+@pytest.mark.real_data
+def test_corrupted_beacons_of_skcube(data_dir, tmp_path):
+    for name in ("skcube_pwr.csv", "skcube_adcs.csv"):
+        original = (data_dir / "skcube" / name).read_bytes()
+        for i, kind in enumerate(BYTES + CELLS):
+            bad = tmp_path / name
+            bad.write_bytes(kind(original, np.random.default_rng(i)))
+            fine_or_a_sentence(["check", "skcube", bad], f"{name}, {kind.__name__}")

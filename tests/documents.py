@@ -1,0 +1,123 @@
+"""Code blocks of the documents, run as a reader would: one folder and one Python session to a page, blocks in their order.
+
+- ``python``: executed; a ``text`` block right after it is what it prints.
+- ``console``: lines that begin with ``$`` are commands; what stands below a command, if anything, is what it prints. `sunspin` runs
+  in this process (its start would cost more than its work), `cd` changes the folder, everything else goes to a shell.
+- ``toml``, ``csv`` whose first line is ``# file: NAME``: written to that file.
+
+In what is printed, ``...`` stands for anything, within a line or for lines. A block that cannot run here says so to its reader, in
+the line above it: ``*Not run by the tests: reason.*`` A block below ``<!-- slow -->`` runs with the long tests only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+from click.testing import CliRunner
+
+ROOT = Path(__file__).parents[1]
+NOT_RUN = re.compile(r"\*Not run by the tests: .{10,}\.\*")
+LANGUAGES = {"python", "console", "text", "toml", "csv", "html"}
+
+
+class Block(NamedTuple):
+    language: str
+    text: str
+    line: int
+    skipped: bool
+    slow: bool
+    printed: str | None
+
+
+def pages() -> list[Path]:
+    """All documents, but not those that the build of the site writes."""
+    written = {"believe.md", "cli.md", "examples.md"}
+    found = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    return sorted(path for path in found if path.name not in written and "build" not in path.parts)
+
+
+def blocks(text: str) -> list[Block]:
+    """The fenced blocks of a page; directives such as ``{toctree}`` are not code."""
+    found: list[Block] = []
+    lines = text.splitlines()
+    at, above, after = 0, "", False
+    while at < len(lines):
+        fence = re.match(r"(`{3,}|:{3,})(\S*)", lines[at])
+        if not fence:
+            above, after = (lines[at].strip(), False) if lines[at].strip() else (above, after)
+            at += 1
+            continue
+        end = next(k for k in range(at + 1, len(lines)) if lines[k].strip() == fence[1])
+        body = "\n".join(lines[at + 1 : end]) + "\n"
+        if fence[2] == "text" and after:
+            found[-1] = found[-1]._replace(printed=body)
+        elif not fence[2].startswith("{"):
+            found.append(Block(fence[2], body, at + 1, bool(NOT_RUN.search(above)), above == "<!-- slow -->", None))
+        after, above = fence[2] == "python", ""
+        at = end + 1
+    return found
+
+
+class Reader:
+    """Somebody who follows a page in a folder."""
+
+    def __init__(self, page: Path, folder: Path) -> None:
+        self.page, self.folder, self.names = page, folder, {"__name__": "__main__"}
+
+    def follow(self, block: Block) -> None:
+        if block.language == "python":
+            self._same(self._python(block), block.printed, block.line)
+        elif block.language == "console":
+            for command, printed in commands(block.text):
+                self._same(self._command(command), printed, block.line)
+        elif block.language in ("toml", "csv") and (name := re.match(r"# file: (\S+)\n", block.text)):
+            (self.folder / name[1]).write_text(block.text, "utf-8")
+
+    def _same(self, got: str, want: str | None, line: int) -> None:
+        if want is not None:
+            checker, flags = doctest.OutputChecker(), doctest.ELLIPSIS
+            assert checker.check_output(want, got, flags), f"{self.page.name}, block at line {line}: printed\n{got}"
+
+    def _python(self, block: Block) -> str:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.chdir(self.folder):
+            exec(compile("\n" * block.line + block.text, str(self.page), "exec"), self.names)  # our own file
+        return printed.getvalue()
+
+    def _command(self, command: str) -> str:
+        words = shlex.split(command, comments=True)
+        if words[0] == "cd":
+            self.folder = self.folder / words[1]
+            return ""
+        if words[0] == "sunspin":
+            from sunspin.cli import cli
+
+            with contextlib.chdir(self.folder):
+                done = CliRunner().invoke(cli, words[1:], catch_exceptions=False, prog_name="sunspin", terminal_width=100)
+            assert done.exit_code == 0, f"{self.page.name}: {command}\n{done.output}"
+            return done.output
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        ran = subprocess.run(command, shell=True, cwd=self.folder, env=os.environ | {"PATH": path}, capture_output=True, text=True)
+        assert ran.returncode == 0, f"{self.page.name}: {command}\n{ran.stdout}{ran.stderr}"
+        return ran.stdout
+
+
+def commands(text: str) -> list[tuple[str, str | None]]:
+    """The commands of a console block, each with what is shown below it, or None."""
+    found: list[tuple[str, str | None]] = []
+    for line in text.replace("\\\n", " ").splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], None))
+        elif found and line:
+            command, printed = found[-1]
+            found[-1] = (command, (printed or "") + line + "\n")
+    return found

@@ -1,0 +1,84 @@
+"""Tests as evidence: the mark that declares it, the fixture that records figures, the file that the documentation reads.
+
+    @pytest.mark.evidence("emd", "validated", "SciPy's linear programming")
+    def test_...(reached):
+        reached("largest difference", 3e-16, limit=1e-12)
+
+A test that says nothing of figures counts as passed or not. ``pytest --evidence FILE`` writes the file; what other runs have
+written there of the same version is kept, so that the long tests add to the short ones.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from docs.evidence_page import KINDS
+
+FIGURES = pytest.StashKey[dict]()
+RESULTS = pytest.StashKey[dict]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--evidence", metavar="FILE", help="write what the tests have shown, for the documentation")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        for mark in item.iter_markers("evidence"):
+            if len(mark.args) != 3 or mark.kwargs or mark.args[1] not in KINDS:
+                raise pytest.UsageError(f"{item.nodeid}: evidence takes a capability, one of {', '.join(KINDS)}, and against what")
+
+
+@pytest.fixture
+def reached(request: pytest.FixtureRequest):
+    """Record a figure: `reached(label, value, unit="", limit=None)`; an array counts with its largest value."""
+    figures = request.node.stash.setdefault(FIGURES, {})
+
+    def record(label: str, value, unit: str = "", limit: float | None = None) -> None:
+        figures[label] = {"value": float(np.max(value)), "unit": unit, "limit": limit}
+
+    return record
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
+    report = yield
+    if any(item.iter_markers("evidence")) and (report.when == "call" or report.outcome != "passed"):
+        note(item.config.stash.setdefault(RESULTS, {}), item.nodeid.split("[")[0], report, item.stash.get(FIGURES, {}))
+    return report
+
+
+def note(results: dict, test: str, report: pytest.TestReport, figures: dict) -> None:
+    """Add one report to the results of its test; the cases of a parametrised test are one entry with the range of figures."""
+    entry = results.setdefault(test, {"passed": 0, "failed": 0, "skipped": "", "figures": {}})
+    if report.outcome == "skipped":
+        entry["skipped"] = report.longrepr[2].removeprefix("Skipped: ") if isinstance(report.longrepr, tuple) else "skipped"
+        return
+    entry[report.outcome] += 1
+    for label, figure in figures.items():
+        value = figure["value"]
+        known = entry["figures"].setdefault(label, {**figure, "low": value, "high": value})
+        known["low"], known["high"] = min(known["low"], value), max(known["high"], value)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    file = session.config.getoption("--evidence")
+    results = session.config.stash.get(RESULTS, {})
+    if not file or not results:
+        return
+    machine = f"{sys.platform} {platform.machine()}"
+    head = {"version": metadata.version("sunspin"), "python": platform.python_version(), "machine": machine}
+    path = Path(file)
+    earlier = json.loads(path.read_text("utf-8")) if path.is_file() else {}
+    if {key: earlier.get(key) for key in head} == head:
+        skipped_now = {test for test, entry in results.items() if not (entry["passed"] or entry["failed"])}
+        results = earlier["tests"] | {t: e for t, e in results.items() if t not in skipped_now or t not in earlier["tests"]}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(head | {"tests": results}, indent=1, sort_keys=True), "utf-8")

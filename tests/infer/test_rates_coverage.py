@@ -1,0 +1,28 @@
+"""Do the intervals of rates hold what they say, with every kind of fault and all of them? The telemetry is synthetic."""
+
+import numpy as np
+import pytest
+
+from coverage_twins import FAULTS, coverage
+
+
+def test_intervals_hold_the_truth_with_all_faults_at_once():
+    """Eight twins, 24 components: enough to notice intervals that are wrong by a factor, which the control shows."""
+    found = coverage(FAULTS["everything"], 8, seed=5)
+    assert 0.25 < found.half < 0.8 and found.ninety > 0.66
+    assert found.too_narrow < 0.5
+    assert found.error < np.radians(0.05)  # of 1 to 3 deg/s
+
+
+TOO_NARROW = pytest.mark.xfail(reason="the Earth's light from one side is a bias in common, modelled as noise: 0.70", strict=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [pytest.param(name, marks=TOO_NARROW) if name == "albedo" else name for name in FAULTS])
+def test_intervals_hold_the_truth(name):
+    """Forty twins, 120 components, not independent within a twin: a share is known to about 5 %."""
+    found = coverage(FAULTS[name], 40, seed=1)
+    print(f"{name}: 50 % holds {found.half:.0%}, 90 % holds {found.ninety:.0%}, error {np.degrees(found.error):.3f} deg/s")
+    assert 0.35 < found.half < 0.8
+    assert found.ninety > 0.74
+    assert found.too_narrow < 0.55

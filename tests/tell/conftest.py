@@ -1,0 +1,79 @@
+"""Small results folders for the report's tests, each made once by the code that makes the large ones."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from browser import HOSTILE, Browser, found
+from sunspin.study import motions
+from sunspin.study import reproduce as rp
+from sunspin.tell import reproduction
+
+
+@pytest.fixture(scope="session")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `sunspin reproduce` writes, from a coarse grid and few runs, without drawn figures."""
+    folder = tmp_path_factory.mktemp("study")
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, value in (
+            (motions, "SPREAD_MOTIONS", 4), (motions, "LINE_POINTS", 3), (motions, "COLLISIONS", 40), (rp, "LEAST_RUNS", 40),
+            (rp, "LANDING_RUNS", 1), (rp, "PARTS", tuple(part for part in rp.PARTS if part.name != "precession")),
+            (reproduction, "draw", lambda *_: []),
+        ):  # fmt: skip
+            patch.setattr(module, name, value)
+        reproduction.reproduce(folder, coarser=25)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Results of the commands for a user's own vehicle, whose name and panels are hostile."""
+    from sunspin.cli import cli
+
+    root = tmp_path_factory.mktemp("user")
+    run = CliRunner()
+
+    def sunspin(*arguments: str) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["sunspin", *arguments])  # kept with the results as the line that repeats them
+            done = run.invoke(cli, arguments, catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+
+    sunspin("init", str(root / "mine"))
+    vehicle, telemetry = root / "mine" / "vehicle.toml", root / "mine" / "telemetry.csv"
+    text = vehicle.read_text("utf-8").replace('name = "my satellite"', f"name = '{HOSTILE}'")
+    assert HOSTILE in text
+    vehicle.write_text(text, "utf-8")
+    lines = telemetry.read_text("utf-8").splitlines(keepends=True)
+    telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
+    folders = {name: root / name for name in ("sun", "rates", "scan", "simulate", "outcomes")}
+    data = str(vehicle), str(telemetry)
+    sunspin("sun", *data, "--out", str(folders["sun"]))
+    sunspin("rates", *data, "--max-rate", "8", "--out", str(folders["rates"]))
+    grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
+    sunspin("scan", *data, *grid, "--lines", "0", "--out", str(folders["scan"]))
+    motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
+    sunspin("simulate", str(vehicle), *motion, "--duration", "300", "--out", str(folders["simulate"]))
+    sunspin("outcomes", "philae", "--runs", "20", "--strategy", "off", "--strategy", "held", "--out", str(folders["outcomes"]))
+    return folders
+
+
+SAMPLES = 16
+"""Lines of the telemetry that are kept: `rates` takes the longer the more samples there are."""
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One Chromium for all tests; where there is none they are skipped, but in CI (environment variable CI) they fail."""
+    if found() is None:
+        text = "no chromium on this machine: apt-get install chromium"
+        pytest.fail(text) if os.environ.get("CI") else pytest.skip(text)
+    one = Browser(tmp_path_factory.mktemp("browser"))
+    yield one
+    one.close()

@@ -1,0 +1,188 @@
+"""The report page as text: whole, safe, and never stopped by what it does not know."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from browser import HOSTILE
+from sunspin.cli import cli
+from sunspin.errors import InputError
+from sunspin.tell.report import write_report
+from sunspin.tell.report.page import _json, _script
+from sunspin.tell.results import MARKER
+
+
+class Page(HTMLParser):
+    """Elements by tag, text outside of scripts, content of the data element."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.data = ""
+        self._in: str | None = None
+        self.feed(path.read_text("utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._in = tag if tag in ("script", "style") else None
+        self._kind = dict(attrs).get("id")
+
+    def handle_endtag(self, tag):
+        self._in = None
+
+    def handle_data(self, data):
+        if self._in is None:
+            self.words.append(data)
+        elif self._in == "script" and self._kind == "data":
+            self.data += data
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def ids(self, tag: str) -> list[str]:
+        return [attrs["id"] for name, attrs in self.tags if name == tag and attrs.get("id")]
+
+
+@pytest.fixture(scope="module")
+def page(study) -> Page:
+    return Page(study / "report.html")
+
+
+def test_the_study_has_every_part_and_no_problem(page):
+    parts = [
+        "summary", "timeline", "lander", "powers", "sun-path", "rate-space", "maps", "outcomes", "strategies", "comparison",
+        "quality",
+        "findings", "provenance",
+    ]  # fmt: skip
+    assert [i for i in page.ids("section") if i in parts] == parts
+    assert "could not be" not in page.text
+
+
+def test_the_page_says_what_the_summary_says(study, page):
+    summary = json.loads((study / "summary.json").read_text("utf-8"))
+    assert len(summary["headline"]) == 3
+    for sentence in summary["headline"] + summary["conclusions"]:
+        assert " ".join(sentence.split()) in page.text
+    rows = {attrs["data-row"]: attrs["data-verdict"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs}
+    assert set(rows) == {row["id"] for row in summary["figures"]}
+    for row in summary["figures"]:
+        good = rows[row["id"]] in ("agrees", "stands", "made")
+        assert (rows[row["id"]] == "made") is row["by_construction"]
+        assert good is bool(row["agrees"]) and (rows[row["id"]] == "open") is (row["agrees"] is None)
+    for entry in summary["inputs"]:
+        assert entry["sha256"] in page.text
+    assert summary["command"] in page.text and f"sunspin {summary['version']}" in page.text and summary["cite"] in page.text
+
+
+def test_it_stands_alone_and_is_small(study, page):
+    assert (study / "report.html").stat().st_size < 15e6
+    for tag, attrs in page.tags:
+        for name in ("src", "href", "action", "poster", "data"):
+            value = attrs.get(name)
+            assert value is None or value.startswith(("#", "data:")), (tag, value)
+    policy = next(a["content"] for t, a in page.tags if t == "meta" and a.get("http-equiv") == "Content-Security-Policy")
+    assert "default-src 'none'" in policy
+    assert "MIT License" in page.text or "MIT license" in page.text
+
+
+def test_every_plot_has_words_and_axes_with_units(page):
+    named = {attrs["data-plot"]: attrs["aria-label"] for tag, attrs in page.tags if tag == "div" and "data-plot" in attrs}
+    plots = json.loads(page.data)["plots"]
+    assert set(named) == set(plots) and all(len(text) > 30 for text in named.values())
+    for name, plot in plots.items():
+        scene = plot["layout"].get("scene", {})
+        axes = [v for k, v in (plot["layout"] | scene).items() if re.fullmatch(r"[xyz]axis\d*", k)]
+        titles = [axis["title"]["text"] for axis in axes if "title" in axis]
+        told = [t for t in titles if re.search(r"\(.+\)|UTC|turn takes|component", t)]
+        assert told == titles and titles, (name, titles)
+
+
+def test_labels_from_outside_stay_text(user_runs):
+    for name, folder in user_runs.items():
+        read = Page(write_report(folder))
+        scripts = [attrs for tag, attrs in read.tags if tag == "script"]
+        assert [a.get("id") for a in scripts] == ["data", None, None, None], name
+        if name != "outcomes":
+            assert " ".join(HOSTILE.split()) in read.text, name
+        assert json.loads(read.data)["plots"]
+
+
+@pytest.mark.parametrize("text", ["</script>", "<!--<script>", "\u2028\u2029", "a&b'\"\\", "]]>"])
+def test_no_label_ends_the_script_it_stands_in(text):
+    made = _json({"label": text, text: 1})
+    assert not re.search(r"[<>&\u2028\u2029]", made) and json.loads(made) == {"label": text, text: 1}
+    assert "</script" not in _script(f"x = '{text}'") and "<!--" not in _script(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("sun", ["powers", "sun-path", "quality"]), ("rates", ["lander", "rates", "powers"]), ("scan", ["powers", "rate-space",
+        "maps"]),
+        ("simulate", ["lander", "trajectory", "sun-path"]), ("outcomes", ["outcomes", "strategies"]),
+    ],
+)  # fmt: skip
+def test_every_command_gets_its_parts(user_runs, name, expected):
+    read = Page(write_report(user_runs[name]))
+    assert [i for i in read.ids("section") if i in expected] == expected
+    assert "could not be" not in read.text and f"sunspin {name}" in read.text
+    assert any("data-plot" in attrs for _, attrs in read.tags)
+
+
+def test_what_it_does_not_know_it_lists_and_what_is_broken_it_names(user_runs, tmp_path):
+    folder = tmp_path / "odd"
+    shutil.copytree(user_runs["simulate"], folder)
+    xr.Dataset({"strange": ("thing", [1.0, np.nan, 3.0], {"units": "furlong"})}).to_netcdf(folder / "odd.nc", engine="h5netcdf")
+    xr.Dataset({"B_from_N": ("a", [1.0]), "sun_B": ("b", [2.0]), "omega_B": ("c", [3.0])}).to_netcdf(
+        folder / "wrong.nc", engine="h5netcdf"
+    )
+    (folder / "broken.nc").write_bytes(b"\x89HDF\r\n\x1a\nno")
+    (folder / "summary.json").write_text('{"half": ', "utf-8")
+    (folder / "figures.json").write_text('[{"file": 3}, 4]', "utf-8")
+    (folder / "vehicle.toml").write_text("name = 'x'\n[body]\nmass_kg = -1\n", "utf-8")
+    text = Page(write_report(folder)).text
+    assert "strange" in text and "furlong" in text and "1 to 3, mean 2" in text
+    for name in ("broken.nc", "summary.json", "vehicle.toml"):
+        assert f"{name} could not be read" in text
+
+
+def test_a_posterior_is_shown(tmp_path):
+    rng = np.random.default_rng(3)
+    draws = xr.Dataset(
+        {
+            "omega_B": (("draw", "axis"), rng.normal([0.1, 0.0, 0.2], 0.01, (50, 3))), "log_weight": ("draw", np.zeros(50)),
+            "mode_id": ("draw", np.repeat([0, 4], 25)),
+        }
+    )  # fmt: skip
+    tree = xr.DataTree.from_dict({"/posterior": draws, "/modes": xr.Dataset({"evidence": ("mode", [1.0, 2.0])})})
+    tree.attrs["verdict"] = "two modes <b> fit"
+    tree.to_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")
+    (tmp_path / MARKER).write_text("posterior\n", "utf-8")
+    read = Page(write_report(tmp_path))
+    assert "posterior" in read.ids("section") and "Two modes <b> fit." in read.text and "could not be" not in read.text
+
+
+def test_only_our_folders_are_taken(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        write_report(tmp_path / "none")
+    (tmp_path / "report.html").write_text("mine", "utf-8")
+    with pytest.raises(InputError, match="not a results folder"):
+        write_report(tmp_path)
+    assert (tmp_path / "report.html").read_text("utf-8") == "mine"
+
+
+def test_the_command_names_the_page(user_runs):
+    done = CliRunner().invoke(cli, ["report", str(user_runs["sun"]), "--json"], catch_exceptions=False)
+    said = json.loads(done.output)
+    assert Path(said["report"]).stat().st_size == said["bytes"]

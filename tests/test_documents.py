@@ -1,0 +1,104 @@
+"""The documents do what they say: every code block runs, or says to its reader why it is not run here."""
+
+import re
+import runpy
+
+import click
+import pytest
+
+from documents import LANGUAGES, ROOT, Block, Reader, blocks, commands, pages
+
+PAGES = {str(path.relative_to(ROOT)): path for path in pages()}
+BLOCKS = {name: blocks(path.read_text("utf-8")) for name, path in PAGES.items()}
+RUNS = ("python", "console")
+EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
+
+
+def runnable(name: str, slow: bool) -> list[Block]:
+    return [block for block in BLOCKS[name] if not block.skipped and (slow or not block.slow)]
+
+
+def cases() -> list:
+    found = []
+    for name in PAGES:
+        run = [block for block in BLOCKS[name] if block.language in RUNS and not block.skipped]
+        if any(not block.slow for block in run):
+            found.append(pytest.param(name, False, id=name))
+        if any(block.slow for block in run):
+            found.append(pytest.param(name, True, id=f"{name}-whole", marks=pytest.mark.slow))
+    return found
+
+
+@pytest.mark.parametrize(("name", "slow"), cases())
+def test_a_page_can_be_followed(name, slow, tmp_path, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    reader = Reader(PAGES[name], tmp_path)
+    for block in runnable(name, slow):
+        reader.follow(block)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_block_says_what_it_is(name):
+    """A block without a language would not be run and nobody would see it; indented commands neither."""
+    for block in BLOCKS[name]:
+        assert block.language in LANGUAGES, f"{name}, line {block.line}"
+    text = re.sub(r"^(`{3,}|:{3,}).*?^\1$", "", PAGES[name].read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    assert not re.search(r"^ {4,}(\$|sunspin|make|python|pip) ", text, re.MULTILINE), f"{name} has commands outside a console block"
+
+
+def test_the_runner_notices(tmp_path):
+    """Negative controls: wrong output, a command that fails, a block that raises."""
+    page = PAGES["README.md"]
+    for text in (
+        "```python\nprint(1)\n```\n\n```text\n2\n```\n",
+        "```console\n$ sunspin no-such-command\n```\n",
+        "```console\n$ echo one\ntwo\n```\n",
+        "```python\n1 / 0\n```\n",
+    ):
+        (block,) = blocks(text)
+        with pytest.raises((AssertionError, ZeroDivisionError, click.ClickException, SystemExit)):
+            Reader(page, tmp_path).follow(block)
+    (block,) = blocks("*Not run by the tests: it needs a cluster of machines.*\n\n```console\n$ false\n```\n")
+    assert block.skipped
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs(path, tmp_path, monkeypatch, capsys):
+    """Each ends with assertions of what it has shown; here they only must not fail."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    runpy.run_path(str(path), run_name="__main__")
+    assert capsys.readouterr().out.strip()
+
+
+def test_examples_are_numbered_without_gap():
+    assert [int(path.stem[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
+
+
+def test_links_lead_somewhere():
+    written = {"believe.md", "cli.md", "examples.md"}
+    for name, path in PAGES.items():
+        for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text("utf-8")):
+            assert link.split("/")[-1] in written or (path.parent / link).exists(), f"{name}: {link}"
+
+
+def test_every_equation_that_the_code_cites_is_on_the_page_of_the_model():
+    """Equations are numbered in their order on the page, and the code cites them as eq. N."""
+    text = (ROOT / "docs" / "model.md").read_text("utf-8")
+    numbered = len(re.findall(r"^\$\$ \(\w+\)$", text, re.MULTILINE))
+    cited = set()
+    for path in (ROOT / "src").rglob("*.py"):
+        for part in re.findall(r"\beqs?\. ([\d, and()-]+)", path.read_text("utf-8")):
+            cited |= {int(number) for number in re.findall(r"\d+", part)}
+    assert cited and max(cited) <= numbered, (max(cited), numbered)
+
+
+def test_the_reference_lists_the_public_face():
+    import sunspin
+
+    listed = re.findall(r"^\.\. auto\w+:: sunspin\.(\w+)$", (ROOT / "docs" / "api.md").read_text("utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(set(sunspin.__all__) - {"__version__"})
+
+
+def test_commands_of_a_console_block():
+    assert commands("$ a \\\n  b # c\nx\n\ny\n$ d\n") == [("a    b # c", "x\ny\n"), ("d", None)]

@@ -1,0 +1,67 @@
+"""The package as others get it: what is in the wheel and the source archive, and that the wheel works on its own."""
+
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Path:
+    pytest.importorskip("hatchling")
+    folder = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    return folder
+
+
+def run(code: str, folder: Path) -> str:
+    """Run code on the wheel's own files, not on those of the checkout."""
+    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONSAFEPATH": "1"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_wheel_works_on_its_own(built, tmp_path):
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path)
+    where = run("import sunspin; print(sunspin.__file__, sunspin.load_case('philae').telemetry.sizes['time'])", tmp_path).split()
+    assert where == [str(tmp_path / "sunspin" / "__init__.py"), "251"]
+    run("from sunspin.cli import cli; cli(['init', 'mine'], standalone_mode=False)", tmp_path)
+    assert (tmp_path / "mine" / "vehicle.toml").is_file() and (tmp_path / "sunspin" / "py.typed").is_file()
+
+
+def test_the_archives_hold_what_they_should_and_nothing_else(built):
+    (wheel,), (source,) = built.glob("*.whl"), built.glob("*.tar.gz")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert all(re.match(r"sunspin(-[\d.]+\.dist-info)?/", name) for name in names)
+    with tarfile.open(source) as archive:
+        inside = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
+    wanted = ["LICENSE", "CITATION.cff", "CHANGELOG.md", "tests/conftest.py", "docs/conf.py", "examples/01_sun_from_powers.py"]
+    assert set(wanted) <= inside
+    other = (".bsp", ".bc", ".zip", ".nc", ".tex")  # other people's data and results
+    assert not [name for name in [*names, *inside] if name.lower().endswith(other)]
+
+
+def test_one_version_everywhere():
+    version = PROJECT["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+    assert re.search(rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+
+
+def test_extras_keep_the_core_lean():
+    core = " ".join(PROJECT["dependencies"])
+    assert {"gpu", "cluster", "spice", "parquet", "docs", "test"} <= set(PROJECT["optional-dependencies"])
+    for heavy in ("pyarrow", "distributed", "spiceypy", "cuda", "sphinx"):
+        assert heavy not in core

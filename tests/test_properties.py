@@ -1,0 +1,207 @@
+"""Properties of the motion for many vehicles, wheels, axes and rates: what turns, mirrors, scales or reverses together.
+
+Few examples each by default; SUNSPIN_EXAMPLES=300 tries many, and so does the test marked slow.
+"""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.measure.sun import is_reconstructed
+from sunspin.motion import gyrostat as g
+from sunspin.motion import kernel as k
+from sunspin.vehicle import Friction, Panel, Vehicle
+from vehicles import random_vehicle
+
+EXAMPLES = int(os.environ.get("SUNSPIN_EXAMPLES", "6"))
+few = settings(max_examples=EXAMPLES, deadline=None, derandomize=EXAMPLES <= 6)
+seeds, wheels = st.integers(0, 2**32 - 1), st.integers(0, 3)
+T = np.linspace(0, 40, 9)
+
+
+def unit(rng):
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def case(seed: int, n_wheels: int, dry: float = 0.01, viscous: float = 1e-3, n_panels: int = 0):
+    """A random vehicle with a start: rates up to several rad/s, a Sun, wheel speeds."""
+    rng = np.random.default_rng(seed)
+    vehicle = random_vehicle(rng, n_wheels, dry, viscous)
+    panels = [Panel(str(i), unit(rng), rng.uniform(0.5, 2)) for i in range(n_panels)]
+    omega = unit(rng) * np.exp(rng.uniform(np.log(0.02), np.log(5.0)))
+    return replace(vehicle, panels=panels), omega, unit(rng), rng.uniform(-60, 60, n_wheels), rng
+
+
+def run(vehicle, omega, sun, speeds, t=T, **options):
+    return ss.propagate(vehicle, omega, sun, speeds if len(speeds) else None, t, **options)
+
+
+def close(a, b, turned_rad, tolerance=1e-10):
+    """Equal but for what rounding, multiplied by the way turned, may do."""
+    np.testing.assert_allclose(a, b, rtol=0, atol=tolerance * (1 + turned_rad) * max(1.0, float(np.abs(b).max(initial=0.0))))
+
+
+def changed(vehicle: Vehicle, matrix: np.ndarray) -> Vehicle:
+    """The vehicle turned (or mirrored) by an orthogonal matrix; a wheel's axis is a pseudovector."""
+    sign = np.linalg.det(matrix)
+    return Vehicle(
+        "changed", matrix @ vehicle.inertia_kg_m2 @ matrix.T, vehicle.mass_kg,
+        panels=[replace(p, normal_B=matrix @ p.normal_B) for p in vehicle.panels],
+        wheels=[replace(w, axis_B=sign * matrix @ w.axis_B) for w in vehicle.wheels],
+    )  # fmt: skip
+
+
+@few
+@given(seeds, wheels, st.booleans())
+def test_turning_or_mirroring_the_vehicle_turns_or_mirrors_its_motion(seed, n_wheels, mirror):
+    vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
+    matrix = Rotation.random(rng=rng).as_matrix() * (-1.0 if mirror else 1.0)
+    sign = -1.0 if mirror else 1.0
+    a = run(vehicle, omega, sun, speeds)
+    b = run(changed(vehicle, matrix), sign * matrix @ omega, matrix @ sun, speeds)
+    turned = np.linalg.norm(omega) * T[-1]
+    close(b["sun_B"].values, a["sun_B"].values @ matrix.T, turned, 1e-8)
+    close(b["omega_B"].values, sign * a["omega_B"].values @ matrix.T, turned, 1e-8)
+    close(b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values, turned, 1e-8)
+
+
+@few
+@given(seeds, st.integers(1, 2))
+def test_turning_the_vehicle_turns_what_the_kernel_gives(seed, n_wheels):
+    vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
+    matrix = Rotation.random(rng=rng).as_matrix()
+    ends = [
+        k.run_rows(v, k.Rows(w[None], r[None], speeds[None]), 40.0, direction_error=1e-8)
+        for v, w, r in ((vehicle, omega, sun), (changed(vehicle, matrix), matrix @ omega, matrix @ sun))
+    ]
+    assert all(end.outcome[0] == k.Outcome.FINE for end in ends)
+    close(ends[1].sun_B[0, 0], matrix @ ends[0].sun_B[0, 0], 1.0, 1e-6)
+    close(ends[1].sun_B[0, 0], matrix @ run(vehicle, omega, sun, speeds)["sun_B"].values[-1], 1.0, 1e-6)
+
+
+@few
+@given(seeds, st.integers(3, 8))
+def test_turning_the_panels_turns_the_direction_to_the_sun(seed, n_panels):
+    vehicle, _, _, _, rng = case(seed, 0, n_panels=n_panels)
+    matrix = Rotation.random(rng=rng).as_matrix()
+    suns = np.array([unit(rng) for _ in range(30)])
+    turned = changed(vehicle, matrix)
+    power = ss.panel_power(vehicle, suns)
+    close(ss.panel_power(turned, suns @ matrix.T), power, 0.0, 1e-14)
+    power = np.maximum(power + rng.normal(size=power.shape) * 0.003, 0)
+    a, b = (ss.sun_directions(v, power, lit_threshold=0.02) for v in (vehicle, turned))
+    assert np.array_equal(a["status"].values, b["status"].values)
+    told = is_reconstructed(a["status"])
+    close(b["sun_B"].values[told], (a["sun_B"].values @ matrix.T)[told], 0.0, 1e-9)
+    close(b["delta"].values[told], a["delta"].values[told], 0.0, 1e-12)
+
+
+@few
+@given(seeds, wheels, st.sampled_from([2.0, 3.7, 1e3, 1e-4]))
+def test_another_unit_of_mass_changes_no_motion(seed, n_wheels, factor):
+    vehicle, omega, sun, speeds, _ = case(seed, n_wheels)
+    heavier = Vehicle("heavier", factor * vehicle.inertia_kg_m2, wheels=[
+        replace(w, inertia_kg_m2=factor * w.inertia_kg_m2,
+                friction=Friction(factor * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s)) for w in vehicle.wheels
+    ])  # fmt: skip
+    a, b = run(vehicle, omega, sun, speeds), run(heavier, omega, sun, speeds)
+    turned = np.linalg.norm(omega) * T[-1]
+    close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
+    close(b["momentum_B"].values / factor, a["momentum_B"].values, turned, 1e-8)
+    assert list(a["event_what"].values) == list(b["event_what"].values)
+
+
+@few
+@given(seeds, wheels, st.sampled_from([0.5, 3.0, 60.0]))
+def test_another_unit_of_time_changes_no_way(seed, n_wheels, factor):
+    """Rates times f and torques times f^2 give the same orientations 1 / f earlier."""
+    vehicle, omega, sun, speeds, _ = case(seed, n_wheels)
+    faster = replace(vehicle, wheels=[
+        replace(w, friction=Friction(factor**2 * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s)) for w in vehicle.wheels
+    ])  # fmt: skip
+    a, b = run(vehicle, omega, sun, speeds), run(faster, factor * omega, sun, factor * speeds, T / factor)
+    turned = np.linalg.norm(omega) * T[-1]
+    close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
+    close(b["omega_B"].values / factor, a["omega_B"].values, turned, 1e-8)
+
+
+@few
+@given(seeds, st.permutations(range(3)))
+def test_the_order_of_wheels_does_not_matter(seed, order):
+    vehicle, omega, sun, speeds, _ = case(seed, 3)
+    other = replace(vehicle, wheels=[vehicle.wheels[i] for i in order])
+    a, b = run(vehicle, omega, sun, speeds), run(other, omega, sun, speeds[list(order)])
+    turned = np.linalg.norm(omega) * T[-1]
+    close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
+    close(b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values[:, list(order)], turned, 1e-8)
+
+
+@few
+@given(seeds, wheels)
+def test_without_friction_a_motion_reversed_goes_back(seed, n_wheels):
+    vehicle, omega, sun, speeds, _ = case(seed, n_wheels, dry=0.0, viscous=0.0)
+    end = run(vehicle, omega, sun, speeds).isel(time=-1)
+    back = run(vehicle, -end["omega_B"].values, end["sun_B"].values, -end["wheel_speed_rad_s"].values).isel(time=-1)
+    turned = np.linalg.norm(omega) * T[-1]
+    close(back["sun_B"].values, sun, turned, 1e-8)
+    close(-back["omega_B"].values, omega, turned, 1e-8)
+
+
+@few
+@given(seeds, wheels, st.sampled_from(["coast", "hold"]))
+def test_what_is_conserved_is_conserved_and_energy_never_made(seed, n_wheels, mode):
+    vehicle, omega, sun, speeds, _ = case(seed, n_wheels, dry=0.05, viscous=3e-3)
+    there = run(vehicle, omega, sun, speeds, np.linspace(0, 120, 121), wheel_mode=mode)
+    H, r = there["momentum_B"].values, there["sun_B"].values
+    size = np.linalg.norm(H[0])
+    for invariant in (np.linalg.norm(H, axis=1) / size, np.linalg.norm(r, axis=1), np.einsum("ij,ij->i", H, r) / size):
+        assert np.ptp(invariant) < 1e-11
+    if mode == "coast":  # a motor that holds a speed may do work
+        energy = g.kinetic_energy(vehicle, there["omega_B"].values, there["wheel_speed_rad_s"].values)
+        assert np.all(np.diff(energy) <= 1e-11 * energy[0])
+
+
+@few
+@given(seeds, st.integers(0, 2))
+def test_a_run_is_its_parts_one_after_the_other(seed, n_wheels):
+    vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
+    whole = run(vehicle, omega, sun, speeds)
+    middle = whole.isel(time=4)
+    rest = run(vehicle, middle["omega_B"].values, middle["sun_B"].values, middle["wheel_speed_rad_s"].values, T[4:])
+    close(rest["sun_B"].values, whole["sun_B"].values[4:], np.linalg.norm(omega) * T[-1], 1e-8)
+
+
+@few
+@given(seeds)
+def test_samples_are_answered_one_by_one(seed):
+    """Directions of many samples are those of each alone, to the bit, in any order."""
+    vehicle, _, _, _, rng = case(seed, 0, n_panels=6)
+    power = np.maximum(ss.panel_power(vehicle, np.array([unit(rng) for _ in range(25)])) + rng.normal(size=(25, 6)) * 0.01, 0)
+    order = rng.permutation(25)
+    all_, shuffled = (ss.sun_directions(vehicle, p, lit_threshold=0.03, noise=0.01) for p in (power, power[order]))
+    for name in ("sun_B", "delta", "status", "sigma_rad"):
+        assert all_[name].values[order].tobytes() == shuffled[name].values.tobytes(), name
+
+
+def test_a_property_would_notice():
+    """The negative control of this file: a vehicle that is not turned along with its start."""
+    vehicle, omega, sun, speeds, rng = case(3, 1)
+    matrix = Rotation.random(rng=rng).as_matrix()
+    a, b = run(vehicle, omega, sun, speeds), run(vehicle, matrix @ omega, matrix @ sun, speeds)
+    assert np.abs(b["sun_B"].values - a["sun_B"].values @ matrix.T).max() > 0.1
+
+
+@pytest.mark.slow
+def test_the_same_with_many_examples():
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow", __file__]
+    done = subprocess.run(command, env=os.environ | {"SUNSPIN_EXAMPLES": "200"}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:]

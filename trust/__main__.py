@@ -1,0 +1,28 @@
+"""``python -m trust``: one campaign, its figures, and exit code 1 if it found anything."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+CAMPAIGNS = {
+    "fuzz": "hostile vehicle files, telemetry and options through the command line",
+    "corrupt": "binary files damaged and opened: NetCDF, Parquet, Zarr stores, SPICE kernels, zip",
+    "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
+    "witnesses": "closed forms, published values and other software beside ours, digits matched",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m trust", description="Campaigns that try to break sunspin; see docs/trust.md.")
+    commands = parser.add_subparsers(dest="campaign", required=True)
+    for name, told in CAMPAIGNS.items():
+        import_module(f"trust.{name}_command").options(commands.add_parser(name, help=told, description=told))
+    options = parser.parse_args(arguments)
+    return import_module(f"trust.{options.campaign}_command").run(options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,207 @@
+"""Hostile vehicle files, tables and values of options, each drawn from a generator that is passed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from tests.corrupted import BYTES, CELLS
+
+NUMBERS = (
+    "0", "-0.0", "1", "-1", "2", "0.5", "nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "5e-324", "1e150", "1e-150", "1e12",
+    "-1e12", "1e30", "1e-30", "1e6", "1e-9", "0.1", "-0.1", "3", "100", "1000000000000",
+)  # fmt: skip
+
+WORDS = (
+    '""', '" "', '"x"', '"\\u0000"', '"\\u001b[31mred\\u001b[0m"', '"\\u202egnp"', '"<script>alert(1)</script>"', '"../../etc/passwd"',
+    '"/dev/zero"', "'''a\nb'''", '"%s%n{0}"', '"\\U0001F6F0"', '"' + "x" * 99 + '"', '"' + "x" * 5000 + '"', '"nan"', '"power_W"', '"flag"',
+    '"elapsed"', '"unix"', '"utc"', '"current_A"', '"2026-01-01T00:00:00Z"', '"0001-01-01T00:00:00+23:59"', '"time_utc"', '"px"', '"+X"', '"e\\u0301"',
+)  # fmt: skip
+
+ODD = (
+    "true", "false", "2026-01-01", "2026-01-01T00:00:00Z", "07:32:00", "[]", "[[]]", "{}", "[1, 2]", "[1, 2, 3]", "[0, 0, 0]",
+    "[1e308, 1e308, 1e308]", "[nan, 0, 0]", "[0, 0, 1.0009]", "[1e-200, 0, 0]", "[[1,0,0],[0,1,0],[0,0,1]]",
+    "[[1e308,0,0],[0,1e308,0],[0,0,1e308]]", "[[1e-308,0,0],[0,1e-308,0],[0,0,1e-308]]", "[[1,0,0],[0,1,0],[0,0,1e-30]]",
+    "[[1,0,0],[0,1,0]]", "[[1,0.999999,0],[0.999999,1,0],[0,0,1.5]]", "{ value = 1 }", "{ value = nan }", "{ value = [1, 0, 0] }",
+    "{ value = 1, sigma = -1 }", '{ value = 1, sigma = "x" }', '{ value = 1, source = "" }', "{ value = { value = 1 } }",
+    "{ sigma = 1 }", "{ a = 1 }", '["+X"]', '["a", "b", "c"]', '["px", "px", "px"]', '["px", "nowhere", "py"]', "9" * 400, "9" * 5000,
+    "-" + "9" * 310, "0x" + "f" * 300, "0x" + "f" * 5000, "1_000", "[" * 60 + "]" * 60, "[" * 4000 + "]" * 4000, "[" + "1," * 20000 + "1]",
+    '["' + "y" * 2000 + '"]', '"unfinished', "[1,", "{", "1.2.3", "--1", "1e", "0b12",
+)  # fmt: skip
+
+VALUES = NUMBERS + WORDS + ODD
+
+
+@cache
+def vehicles() -> tuple[str, ...]:
+    """Texts to start from: the template, the template with all its examples made valid, and the built-in ones."""
+    package = resources.files("sunspin")
+    template = package.joinpath("template", "vehicle.toml").read_text("utf-8")
+    opened = re.sub(r"^# (?=\[|[a-zA-Z_]+ = )", "", template, flags=re.MULTILINE)
+    built_in = [package.joinpath("cases", name, "vehicle.toml").read_text("utf-8") for name in ("philae", "skcube")]
+    return template, template, template, opened, *built_in
+
+
+def _pick(rng: np.random.Generator, things: tuple | list):
+    return things[int(rng.integers(len(things)))]
+
+
+def vehicle(rng: np.random.Generator) -> bytes:
+    """A vehicle file with one to four wrongs, or a bomb."""
+    text = _pick(rng, vehicles())
+    if rng.random() < 0.06:
+        return _pick(rng, BOMBS)(text).encode("utf-8", "surrogatepass")
+    if rng.random() < 0.1:
+        return _pick(rng, BYTES)(text.encode(), rng)
+    for _ in range(int(rng.integers(1, 5))):
+        text = _pick(rng, EDITS)(text, rng)
+    return text.encode("utf-8", "surrogatepass")
+
+
+def _assignments(text: str) -> list[re.Match]:
+    return list(re.finditer(r"^([^\s#\[][^=\n]*?)\s*=\s*([^#\n]*)", text, re.MULTILINE))
+
+
+def _value(text: str, rng: np.random.Generator) -> str:
+    """Another value for a key."""
+    found = _pick(rng, _assignments(text) or [re.match("", text)])
+    return text[: found.start()] + f"{found.group(1) if found.lastindex else 'x'} = {_pick(rng, VALUES)} " + text[found.end() :]
+
+
+def _number(text: str, rng: np.random.Generator) -> str:
+    """Another number somewhere."""
+    found = _pick(rng, list(re.finditer(r"(?<![\w.])-?\d[\d.eE+-]*", text)) or [re.match("", text)])
+    return text[: found.start()] + _pick(rng, NUMBERS) + text[found.end() :]
+
+
+def _word(text: str, rng: np.random.Generator) -> str:
+    found = _pick(rng, list(re.finditer(r'"[^"\n]*"', text)) or [re.match("", text)])
+    return text[: found.start()] + _pick(rng, WORDS) + text[found.end() :]
+
+
+def _line_gone(text: str, rng: np.random.Generator) -> str:
+    lines = text.splitlines(keepends=True)
+    if lines:
+        del lines[int(rng.integers(len(lines)))]
+    return "".join(lines)
+
+
+def _line_twice(text: str, rng: np.random.Generator) -> str:
+    lines = text.splitlines(keepends=True) or [""]
+    at = int(rng.integers(len(lines)))
+    return "".join([*lines[:at], lines[at], *lines[at:]])
+
+
+def _line_new(text: str, rng: np.random.Generator) -> str:
+    lines = text.splitlines(keepends=True)
+    known = [found.group(1) for found in _assignments(text)] or ["x"]
+    new = _pick(rng, [f"{_pick(rng, known)} = {_pick(rng, VALUES)}\n", "[[panel]]\n", "[body]\n", "[a.b.c]\n", "[[wheel]]\n", "x.y = 1\n",
+                      "[gyro]\n", "[antenna]\n", "[[leg]]\n", "[telemetry.columns]\n", "=\n", "\x00\n", "\ufeff\n"])  # fmt: skip
+    at = int(rng.integers(len(lines) + 1))
+    return "".join([*lines[:at], new, *lines[at:]])
+
+
+def _table_moved(text: str, rng: np.random.Generator) -> str:
+    parts = re.split(r"^(?=\[)", text, flags=re.MULTILINE)
+    i, k = rng.integers(len(parts), size=2)
+    parts[i], parts[k] = parts[k], parts[i]
+    return "".join(parts)
+
+
+EDITS = (_value, _value, _value, _number, _number, _number, _word, _line_gone, _line_twice, _line_new, _table_moved)
+
+AXES = ("[1, 0, 0]", "[0, 1, 0]", "[0, 0, 1]", "[0.6, 0.8, 0]", "[0, 0.6, 0.8]", "[-0.6, 0, 0.8]")
+
+
+def _many(head: str, line: Callable[[int], str], n: int, keep_panels: bool = True) -> Callable[[str], str]:
+    def bomb(text: str) -> str:
+        if not keep_panels:
+            text = "name = 'many'\n[telemetry]\ntime_column = 'time_utc'\n"
+        return text + "\n" + "".join(f"[[{head}]]\nname = 'n{i}'\n{line(i)}" for i in range(n))
+
+    return bomb
+
+
+def _spread(i: int) -> str:
+    v = np.random.default_rng(i).normal(size=3)
+    return str((v / np.linalg.norm(v)).tolist())
+
+
+BOMBS: tuple[Callable[[str], str], ...] = (
+    _many("panel", lambda i: f"cells = 1\nnormal_B = {_spread(i)}\n", 60, keep_panels=False),
+    _many("panel", lambda i: f"cells = 1\nnormal_B = {_spread(i)}\n", 4000, keep_panels=False),
+    _many("panel", lambda i: f"cells = 1\nnormal_B = {AXES[i % 6]}\n", 3000, keep_panels=False),
+    _many("wheel", lambda i: f"inertia_kg_m2 = 1e-7\naxis_B = {AXES[i % 6]}\n", 40),
+    _many("wheel", lambda i: f"inertia_kg_m2 = 1e-9\naxis_B = {AXES[i % 6]}\n", 3000),
+    _many("leg", lambda i: f"tip_B_m = {_spread(i)}\n", 8000),
+    lambda text: text + "\n[[hull]]\nname = 'h'\npoints_B_m = [" + "[0.1,0.2,0.3]," * 60000 + "]\n",
+    lambda text: "x = " + "[" * 200_000,
+    lambda text: "a." * 200_000 + "a = 1",
+    lambda text: "a = {" * 20_000,
+    lambda text: "[" + "a." * 100_000 + "a]",
+    lambda text: text + "\n#" + "x" * 2_000_000,
+    lambda text: "name = '" + "x" * 900_000 + "'",
+    lambda text: text.replace("\n", "\r\n"),
+    lambda text: text.replace("\n", "\r"),
+    lambda text: "\n" * 900_000,
+    lambda text: text + "[[sun_rule]]\nall_dark = ['+X']\nreason = 'r'\n" * 5000,
+    lambda text: text + "\n[telemetry.columns]\n" + "".join(f"'c{i}' = 'x'\n" for i in range(30000)),
+)
+
+
+def table(content: bytes, rng: np.random.Generator) -> bytes:
+    """A CSV with one to three wrongs, or a bomb."""
+    if rng.random() < 0.08:
+        return _pick(rng, TABLE_BOMBS)(content)
+    for _ in range(int(rng.integers(1, 4))):
+        if len(content.splitlines()) < 4:
+            break
+        try:
+            content = _pick(rng, CELLS)(content, rng) if rng.random() < 0.75 else _pick(rng, BYTES)(content, rng)
+        except (IndexError, ValueError):  # rows of unequal length, or none
+            break
+    return content
+
+
+def _rows(content: bytes, count: int) -> bytes:
+    lines = content.splitlines(keepends=True)
+    return b"".join(lines[:2]) + lines[2] * count
+
+
+TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
+    lambda content: b"," * 3_000_000,
+    lambda content: b"time_utc,px\n" + b"x" * 3_000_000,
+    lambda content: b"time_utc," + b",".join(b"c%d" % i for i in range(200_000)) + b"\n1\n",
+    lambda content: b"time_utc," + b",".join(b"c%d" % i for i in range(3000)) + b"\n" + (b"1," * 3000 + b"1\n") * 40,
+    lambda content: b'"' + content,
+    lambda content: content + b'"\n' * 1000,
+    lambda content: _rows(content, 30_000),
+    lambda content: b"#" * 2_000_000 + b"\n" + content,
+    lambda content: b"# x\n" * 200_000 + content,
+    lambda content: content.replace(b"\n", b"\r"),
+    lambda content: content.replace(b"\n", b"\r\n\r\n"),
+    lambda content: content.replace(b",", b";"),
+    lambda content: content.replace(b",", b"\t"),
+    lambda content: content.replace(b"\n", b"\xc2\x85"),
+    lambda content: b"\xef\xbb\xbf" + content,
+    lambda content: b"PAR1" + content,
+    lambda content: b"\x89HDF\r\n\x1a\n" + content,
+    lambda content: b"CDF\x01" + content,
+    lambda content: content.replace(b"0", "\u0660".encode()),
+    lambda content: content.replace(b"time_utc", b"\x1b[2Jtime_utc"),
+)
+
+
+OPTION_NUMBERS = (*NUMBERS, "9" * 400, "-5", "7", "", " ", "1,", "0x10", "1_0", "\u0664", "1e5", "99999999999999999999", "20", "60")
+TEXTS = (
+    "", " ", ",", ",,", "1,2", "1,2,3", "0,0,1", "0,0,0", "nan,0,0", "inf,0,1", "1e308,1e308,1e308", "1e6,0,0", "-1e6,1e6,0", "1e5,0,0", "0.1,0,0.2",
+    "1e-300,0,0", "0:1:0.5", "0:1:0", "0:1:-1", "1:0:0.1", "0:1:1e-9", "0:1e12:1", "-0.1:0.1:0.1", "nan:1:1", "0:inf:1", "0:1:nan",
+    "1e-320:1e-320:1e-320", "-1e308:1e308:1e307", "0:1:1e-320", "1e300:1e300:1", "a", "\u202e", "\x1b[31m", "\n", "x" * 5000, "\udcff\udcfe", "caf\u00e9", "\U0001f6f0", "%n%s", "{0}",
+    "--help", "-", "--", "philae", "skcube", "off", "held", "brake", "delay:1e308", "delay:nan", "delay:-1", "delay:", "after_rest", "any",
+    "legs_down", "180", "1e9", "J2000", "LOCAL", "SUNSPIN_LOCAL", "ECLIPJ2000", "my LOCAL frame'", "2026-01-01", "2026-01-01T00:00:00Z",
+    "0001-01-01T00:00:00+23:59", "9999-12-31T23:59:59", "1950-01-01", "coast", "hold", "emd", "E", "gyro", "panels",
+)  # fmt: skip

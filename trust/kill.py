@@ -1,0 +1,165 @@
+"""Runs killed with SIGKILL at random moments, resumed until they get through, and compared bit by bit with undisturbed ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A command, the share of the kills that it gets, the arguments in full and small (for a quick look)."""
+
+    name: str
+    share: float
+    full: tuple[str, ...]
+    small: tuple[str, ...]
+    stored: bool = True
+
+    def command(self, folder: Path, small: bool) -> list[str]:
+        given = [sys.executable, "-m", "sunspin.cli", self.name, *(self.small if small else self.full), "--out", str(folder / "out")]
+        return given + (["--store", str(folder / "store")] if self.stored else [])
+
+
+SCAN = ("philae", str(TELEMETRY), "--from=90", "--to=2800", "--workers=2", "--lines=0")
+TARGETS = (
+    Target("scan", 0.4, (*SCAN, "--omega-x=-0.5:1:0.02", "--omega-y=-0.5:1:0.02", "--omega-z=-0.3:0.3:0.03"),
+           (*SCAN, "--omega-x=-0.5:1:0.05", "--omega-y=-0.5:1:0.05", "--omega-z=-0.3:0.3:0.04")),
+    Target("outcomes", 0.25, ("philae", "--runs=16000", "--workers=2"), ("philae", "--runs=5000", "--workers=2")),
+    Target("worth", 0.2, ("--twins=16", "--coarser=3", "--workers=2", "--confidence=0.6"),
+           ("--twins=10", "--coarser=8", "--workers=2", "--confidence=0.5")),
+    Target("reproduce", 0.15, ("--coarser=8",), ("--coarser=25",), stored=False),
+)  # fmt: skip
+
+
+@dataclass
+class Told:
+    """What became of one target."""
+
+    name: str
+    seconds: float = 0.0
+    kills: int = 0
+    runs_through: int = 0
+    after_files: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(ROOT / "src")}
+
+
+def start(command: list[str]) -> subprocess.Popen:
+    return subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
+
+
+def halves(folder: Path) -> list[str]:
+    """Files under their final names that are not whole."""
+    return [path.name for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".") and not is_whole(path)]
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a results file is complete, as far as its own form tells."""
+    ends: dict[str, Callable[[bytes], bool]] = {
+        ".html": lambda data: data.rstrip().endswith(b"</html>"), ".svg": lambda data: data.rstrip().endswith(b"</svg>"),
+        ".png": lambda data: data.endswith(b"IEND\xaeB`\x82"), ".json": lambda data: json.loads(data) is not None,
+    }  # fmt: skip
+    try:
+        if path.suffix == ".nc":
+            content(path)
+            return True
+        return ends[path.suffix](path.read_bytes()) if path.suffix in ends else path.stat().st_size > 0
+    except (OSError, ValueError, KeyError):
+        return False
+
+
+def content(path: Path) -> dict[str, Any]:
+    """What a results file holds, to be compared: arrays as bytes; clocks left out."""
+    import xarray as xr
+
+    if path.suffix == ".nc":
+        with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as data:
+            parts = {str(name): (v.dims, v.shape, str(v.dtype), _bits(v.values)) for name, v in data.variables.items()}
+            return parts | {"attrs": {key: str(value) for key, value in data.attrs.items()}}
+    return {key: value for key, value in json.loads(path.read_text("utf-8")).items() if key != "seconds"}
+
+
+def _bits(values: np.ndarray) -> bytes:
+    return repr(values.tolist()).encode() if values.dtype == object else values.tobytes()
+
+
+def results(folder: Path) -> dict[str, Any]:
+    return {path.name: content(path) for path in sorted(folder.iterdir()) if path.suffix in (".nc", ".json")}
+
+
+def campaign(target: Target, kills: int, folder: Path, seed: int, small: bool = False, say: Callable[[str], None] = print) -> Told:
+    """Kill one target so many times; what was wrong."""
+    told, draw = Told(target.name), random.Random(f"{seed} {target.name}")
+    calm = folder / "calm"
+    for _ in range(2):  # the first compiles
+        told.seconds = _undisturbed(target.command(calm, small))
+    wanted = results(calm / "out")
+    say(f"{target.name}: undisturbed in {told.seconds:.1f} s")
+    number = 0
+    while told.kills < kills:
+        place = folder / f"round{number}"
+        number += 1
+        while not _once(target, place, draw, told, small):
+            if told.kills > 3 * kills + 20:
+                told.wrong.append("no run gets through")
+                return told
+        told.runs_through += 1
+        found = results(place / "out")
+        if found != wanted:
+            names = [name for name in {*found, *wanted} if found.get(name) != wanted.get(name)]
+            told.wrong.append(f"other results after kills: {', '.join(sorted(names))}")
+        if left := [path.name for path in place.rglob("*.part")]:
+            told.wrong.append(f"left behind: {', '.join(left[:3])}")
+    return told
+
+
+def _undisturbed(command: list[str]) -> float:
+    out = Path(command[command.index("--out") + 1])
+    import shutil
+
+    shutil.rmtree(out.parent, ignore_errors=True)
+    out.parent.mkdir(parents=True)
+    begun = time.monotonic()
+    process = start(command)
+    _, complaint = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(command)}: {complaint.decode()}")
+    return time.monotonic() - begun
+
+
+def _once(target: Target, place: Path, draw: random.Random, told: Told, small: bool) -> bool:
+    """Start and kill at a random moment; whether it got through before."""
+    place.mkdir(parents=True, exist_ok=True)
+    process = start(target.command(place, small))
+    try:
+        process.communicate(timeout=draw.uniform(0.2, 1.05 * told.seconds))
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        told.kills += 1
+        told.after_files += any((place / "out").glob("[!.]*")) if (place / "out").exists() else 0
+        if half := halves(place / "out"):
+            told.wrong.append(f"half written: {', '.join(half)}")
+        return False
+    if process.returncode:
+        told.wrong.append(f"a resumed run ended with {process.returncode}")
+        return True
+    return True
