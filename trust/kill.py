@@ -152,7 +152,7 @@ def _once(target: Target, place: Path, draw: random.Random, told: Told, small: b
     place.mkdir(parents=True, exist_ok=True)
     process = start(target.command(place, small))
     try:
-        process.communicate(timeout=draw.uniform(0.2, 1.05 * told.seconds))
+        process.communicate(timeout=draw.uniform(0.2, 1.4 * told.seconds))
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -101,5 +102,16 @@ def plain(value: Any) -> Any:
 
 
 def write_netcdf(target: Path, data: Any) -> Path:
-    """Write an xarray object as NetCDF-4."""
-    return write_whole(target, lambda part: data.to_netcdf(part, engine="h5netcdf"))
+    """Write an xarray object as NetCDF-4.
+
+    Made in memory first: where the disk is full, HDF5 fails in ways that end the process.
+    """
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    buffer = io.BytesIO()
+    with h5netcdf.File(buffer, "w") as file:
+        store = H5NetCDFStore(file)
+        (data.to_dataset() if hasattr(data, "to_dataset") else data).dump_to_store(store)
+        store.sync()
+    return write_whole(target, lambda part: part.write_bytes(buffer.getbuffer()))
