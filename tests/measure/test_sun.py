@@ -28,7 +28,7 @@ PHILAE = ss.load_vehicle("philae")
 
 def test_power_by_hand():
     power = panel_power(PHILAE, [0.6, 0.0, 0.8])
-    np.testing.assert_allclose(power, [0, 162 * 0.6 / np.sqrt(2), 162 * 0.6, 162 * 0.6 / np.sqrt(2), 0, 230 * 0.8])
+    np.testing.assert_allclose(power, [0, 162 * 0.6 / np.sqrt(2), 162 * 0.6, 162 * 0.6 / np.sqrt(2), 0, 230 * 0.8], rtol=1e-12)
 
 
 def test_philae_has_sixteen_lit_patterns():

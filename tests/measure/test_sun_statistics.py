@@ -14,7 +14,7 @@ PHILAE = ss.load_vehicle("philae")
 
 
 def distances(assumed=PHILAE, noise=NOISE, offset=0.0, seed=0):
-    """Squared distance (n) of the truth in the stated tangent covariance: chi-square with two degrees of freedom if all is right."""
+    """Squared distance (n) of the truth in the stated tangent covariance: chi-square of two degrees of freedom if all is right."""
     rng = np.random.default_rng(seed)
     sun = rng.normal(size=(N, 3))
     sun /= np.linalg.norm(sun, axis=1)[:, None]

@@ -51,7 +51,8 @@ def test_too_little_memory_is_said():
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_that_may_not_be_written_is_said(tmp_path):
     tmp_path.chmod(0o500)
-    said(limited(resource.RLIMIT_CPU, 60, "simulate", "philae", *START, "--duration=3", "--out", tmp_path / "out"), "Permission denied")
+    given = ["simulate", "philae", *START, "--duration=3", "--out", tmp_path / "out"]
+    said(limited(resource.RLIMIT_CPU, 60, *given), "Permission denied")
 
 
 def test_what_a_killed_run_had_begun_is_swept_and_no_living_one(tmp_path):
