@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
-BENCH = sorted((ROOT / "bench").rglob("*.py"))
+BENCH = sorted((ROOT / "bench").rglob("*.py")) + sorted((ROOT / "trust").rglob("*.py"))
 
 
 def contracts(package: Path) -> subprocess.CompletedProcess:

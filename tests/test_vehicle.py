@@ -35,7 +35,7 @@ def test_a_good_file(tmp_path):
     assert vehicle.wheels[0].friction.coulomb_N_m == 1e-3
     assert vehicle.facts["wheel.w.inertia_kg_m2"].source == "datasheet"
     assert vehicle.facts["wheel.w.inertia_kg_m2"].sigma == 0.001
-    np.testing.assert_allclose(np.linalg.norm(vehicle.wheels[0].axis_B), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(vehicle.wheels[0].axis_B), 1.0, rtol=1e-15)
 
 
 def test_it_is_frozen(tmp_path):

@@ -150,7 +150,8 @@ def make_files(home: Path) -> dict[str, Any]:
     header, cells = rows[0].split(","), [row.split(",") for row in rows[1:]]
     columns: dict[str, Any] = {name: np.array([float(row[k]) for row in cells]) for k, name in enumerate(header) if k}
     utc = np.array([row[0].rstrip("Z") for row in cells], dtype="datetime64[ns]")
-    xr.Dataset({name: ("row", v) for name, v in columns.items()} | {"time_utc": ("row", utc)}).to_netcdf("telemetry.nc", engine="h5netcdf")
+    table = xr.Dataset({name: ("row", v) for name, v in columns.items()} | {"time_utc": ("row", utc)})
+    table.to_netcdf("telemetry.nc", engine="h5netcdf")
     write_parquet("telemetry.parquet", columns | {"time_utc": utc.astype("datetime64[us]")})
     axes = {f"omega_{x}": np.array([0.0, 0.1]) for x in "xyz"}
     dims = tuple(axes)

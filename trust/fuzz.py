@@ -189,8 +189,10 @@ def base(command: str) -> list[str]:
 
 
 PATHS = (
-    "folder", "empty", "loop", "nowhere", "missing", "missing/deep/er", "vehicle.toml", "telemetry.csv", "results", "frames.zip", ".", "..", "",
-    "pipe", "results/trajectory.nc", "/dev/null", "/dev/zero", "/dev/full/x", "/proc/self/mem", "/proc/self/x", "x" * 300, "y/" * 2500, "caf\udce9",
+    "folder", "empty", "loop", "nowhere", "missing", "missing/deep/er", "vehicle.toml", "telemetry.csv", "results", "frames.zip",
+    ".", "..", "",
+    "pipe", "results/trajectory.nc", "/dev/null", "/dev/zero", "/dev/full/x", "/proc/self/mem", "/proc/self/x", "x" * 300,
+    "y/" * 2500, "caf\udce9",
     "\u202egpj.x", "new\nline", "~", "file:///etc/passwd", "philae", "con", "\x1b[2J", "empty/below", "new place",
 )  # fmt: skip
 

@@ -13,7 +13,7 @@ from trust.fuzz import KINDS, Fuzz
 def common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--n", type=int, default=1000, help="cases")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="number of the first case: one finding is repeated with --first I --n 1")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case: --first I --n 1 repeats one")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--here", action="store_true", help="in this process, without limits, and say what each case is")
 

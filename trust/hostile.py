@@ -17,9 +17,12 @@ NUMBERS = (
 )  # fmt: skip
 
 WORDS = (
-    '""', '" "', '"x"', '"\\u0000"', '"\\u001b[31mred\\u001b[0m"', '"\\u202egnp"', '"<script>alert(1)</script>"', '"../../etc/passwd"',
-    '"/dev/zero"', "'''a\nb'''", '"%s%n{0}"', '"\\U0001F6F0"', '"' + "x" * 99 + '"', '"' + "x" * 5000 + '"', '"nan"', '"power_W"', '"flag"',
-    '"elapsed"', '"unix"', '"utc"', '"current_A"', '"2026-01-01T00:00:00Z"', '"0001-01-01T00:00:00+23:59"', '"time_utc"', '"px"', '"+X"', '"e\\u0301"',
+    '""', '" "', '"x"', '"\\u0000"', '"\\u001b[31mred\\u001b[0m"', '"\\u202egnp"', '"<script>alert(1)</script>"',
+    '"../../etc/passwd"',
+    '"/dev/zero"', "'''a\nb'''", '"%s%n{0}"', '"\\U0001F6F0"', '"' + "x" * 99 + '"', '"' + "x" * 5000 + '"', '"nan"',
+    '"power_W"', '"flag"',
+    '"elapsed"', '"unix"', '"utc"', '"current_A"', '"2026-01-01T00:00:00Z"', '"0001-01-01T00:00:00+23:59"', '"time_utc"', '"px"',
+    '"+X"', '"e\\u0301"',
 )  # fmt: skip
 
 ODD = (
@@ -28,8 +31,10 @@ ODD = (
     "[[1e308,0,0],[0,1e308,0],[0,0,1e308]]", "[[1e-308,0,0],[0,1e-308,0],[0,0,1e-308]]", "[[1,0,0],[0,1,0],[0,0,1e-30]]",
     "[[1,0,0],[0,1,0]]", "[[1,0.999999,0],[0.999999,1,0],[0,0,1.5]]", "{ value = 1 }", "{ value = nan }", "{ value = [1, 0, 0] }",
     "{ value = 1, sigma = -1 }", '{ value = 1, sigma = "x" }', '{ value = 1, source = "" }', "{ value = { value = 1 } }",
-    "{ sigma = 1 }", "{ a = 1 }", '["+X"]', '["a", "b", "c"]', '["px", "px", "px"]', '["px", "nowhere", "py"]', "9" * 400, "9" * 5000,
-    "-" + "9" * 310, "0x" + "f" * 300, "0x" + "f" * 5000, "1_000", "[" * 60 + "]" * 60, "[" * 4000 + "]" * 4000, "[" + "1," * 20000 + "1]",
+    "{ sigma = 1 }", "{ a = 1 }", '["+X"]', '["a", "b", "c"]', '["px", "px", "px"]', '["px", "nowhere", "py"]', "9" * 400,
+    "9" * 5000,
+    "-" + "9" * 310, "0x" + "f" * 300, "0x" + "f" * 5000, "1_000", "[" * 60 + "]" * 60, "[" * 4000 + "]" * 4000,
+    "[" + "1," * 20000 + "1]",
     '["' + "y" * 2000 + '"]', '"unfinished', "[1,", "{", "1.2.3", "--1", "1e", "0b12",
 )  # fmt: skip
 
@@ -99,7 +104,8 @@ def _line_twice(text: str, rng: np.random.Generator) -> str:
 def _line_new(text: str, rng: np.random.Generator) -> str:
     lines = text.splitlines(keepends=True)
     known = [found.group(1) for found in _assignments(text)] or ["x"]
-    new = _pick(rng, [f"{_pick(rng, known)} = {_pick(rng, VALUES)}\n", "[[panel]]\n", "[body]\n", "[a.b.c]\n", "[[wheel]]\n", "x.y = 1\n",
+    new = _pick(rng, [f"{_pick(rng, known)} = {_pick(rng, VALUES)}\n", "[[panel]]\n", "[body]\n", "[a.b.c]\n", "[[wheel]]\n",
+    "x.y = 1\n",
                       "[gyro]\n", "[antenna]\n", "[[leg]]\n", "[telemetry.columns]\n", "=\n", "\x00\n", "\ufeff\n"])  # fmt: skip
     at = int(rng.integers(len(lines) + 1))
     return "".join([*lines[:at], new, *lines[at:]])
@@ -198,10 +204,14 @@ TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
 
 OPTION_NUMBERS = (*NUMBERS, "9" * 400, "-5", "7", "", " ", "1,", "0x10", "1_0", "\u0664", "1e5", "99999999999999999999", "20", "60")
 TEXTS = (
-    "", " ", ",", ",,", "1,2", "1,2,3", "0,0,1", "0,0,0", "nan,0,0", "inf,0,1", "1e308,1e308,1e308", "1e6,0,0", "-1e6,1e6,0", "1e5,0,0", "0.1,0,0.2",
+    "", " ", ",", ",,", "1,2", "1,2,3", "0,0,1", "0,0,0", "nan,0,0", "inf,0,1", "1e308,1e308,1e308", "1e6,0,0", "-1e6,1e6,0",
+    "1e5,0,0", "0.1,0,0.2",
     "1e-300,0,0", "0:1:0.5", "0:1:0", "0:1:-1", "1:0:0.1", "0:1:1e-9", "0:1e12:1", "-0.1:0.1:0.1", "nan:1:1", "0:inf:1", "0:1:nan",
-    "1e-320:1e-320:1e-320", "-1e308:1e308:1e307", "0:1:1e-320", "1e300:1e300:1", "a", "\u202e", "\x1b[31m", "\n", "x" * 5000, "\udcff\udcfe", "caf\u00e9", "\U0001f6f0", "%n%s", "{0}",
-    "--help", "-", "--", "philae", "skcube", "off", "held", "brake", "delay:1e308", "delay:nan", "delay:-1", "delay:", "after_rest", "any",
-    "legs_down", "180", "1e9", "J2000", "LOCAL", "SUNSPIN_LOCAL", "ECLIPJ2000", "my LOCAL frame'", "2026-01-01", "2026-01-01T00:00:00Z",
+    "1e-320:1e-320:1e-320", "-1e308:1e308:1e307", "0:1:1e-320", "1e300:1e300:1", "a", "\u202e", "\x1b[31m", "\n", "x" * 5000,
+    "\udcff\udcfe", "caf\u00e9", "\U0001f6f0", "%n%s", "{0}",
+    "--help", "-", "--", "philae", "skcube", "off", "held", "brake", "delay:1e308", "delay:nan", "delay:-1", "delay:",
+    "after_rest", "any",
+    "legs_down", "180", "1e9", "J2000", "LOCAL", "SUNSPIN_LOCAL", "ECLIPJ2000", "my LOCAL frame'", "2026-01-01",
+    "2026-01-01T00:00:00Z",
     "0001-01-01T00:00:00+23:59", "9999-12-31T23:59:59", "1950-01-01", "coast", "hold", "emd", "E", "gyro", "panels",
 )  # fmt: skip

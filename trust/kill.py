@@ -31,7 +31,8 @@ class Target:
     stored: bool = True
 
     def command(self, folder: Path, small: bool) -> list[str]:
-        given = [sys.executable, "-m", "sunspin.cli", self.name, *(self.small if small else self.full), "--out", str(folder / "out")]
+        given = [sys.executable, "-m", "sunspin.cli", self.name, *(self.small if small else self.full)]
+        given += ["--out", str(folder / "out")]
         return given + (["--store", str(folder / "store")] if self.stored else [])
 
 
@@ -68,7 +69,8 @@ def start(command: list[str]) -> subprocess.Popen:
 
 def halves(folder: Path) -> list[str]:
     """Files under their final names that are not whole."""
-    return [path.name for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".") and not is_whole(path)]
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
+    return [path.name for path in files if not is_whole(path)]
 
 
 def is_whole(path: Path) -> bool:
@@ -150,7 +152,7 @@ def _once(target: Target, place: Path, draw: random.Random, told: Told, small: b
     place.mkdir(parents=True, exist_ok=True)
     process = start(target.command(place, small))
     try:
-        process.communicate(timeout=draw.uniform(0.2, 1.05 * told.seconds))
+        process.communicate(timeout=draw.uniform(0.2, 1.4 * told.seconds))
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()

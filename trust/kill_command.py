@@ -23,7 +23,7 @@ def run(options: Any) -> int:
     for target in chosen:
         with tempfile.TemporaryDirectory(prefix="trust-") as folder:
             told = campaign(target, max(1, round(options.n * target.share / total)), Path(folder), options.seed, options.small)
-        print(f"{told.name}: {told.kills} kills, {told.after_files} of them with results in place; {told.runs_through} runs got through; "
-              + ("; ".join(told.wrong) or "all bits as undisturbed"), flush=True)  # fmt: skip
+        ended = f"{told.after_files} of them with results in place; {told.runs_through} runs got through"
+        print(f"{told.name}: {told.kills} kills, {ended}; " + ("; ".join(told.wrong) or "all bits as undisturbed"), flush=True)
         wrong += bool(told.wrong)
     return 1 if wrong else 0

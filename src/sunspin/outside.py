@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 from sunspin.errors import SunspinError, sentence
@@ -44,3 +46,45 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
                      do="cut it into parts, or give the right file", where=where)
         )  # fmt: skip
     return content
+
+
+MEMORY = 6_000_000_000
+"""Bytes of address space of another process that reads a file from outside."""
+
+BOOT = """
+import resource, runpy, sys
+for kind, wanted in ((resource.RLIMIT_CPU, int(sys.argv[1])), (resource.RLIMIT_AS, int(sys.argv[2]))):
+    given = [limit for limit in resource.getrlimit(kind) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(kind, (min([wanted, *given]),) * 2)
+sys.argv = sys.argv[3:]
+try:
+    runpy.run_path(sys.argv[0], run_name="__main__")
+except Exception as error:
+    sys.exit(" ".join(f"{type(error).__name__}: {error}".split()))
+"""
+
+
+class Elsewhere(Exception):
+    """Why a script in another process did not come to its end."""
+
+
+def elsewhere(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:
+    """What a script prints that runs in another process, under limits of CPU time and memory, with `content` to read.
+
+    For the C libraries that read other people's files: on damaged ones they may compute for ever, or end the process. The
+    script imports nothing of ours, as it may not find it. Raises `Elsewhere` with the reason.
+    """
+    # -P: the folder of the script is no place to import from
+    command = [sys.executable, "-P", "-c", BOOT, str(seconds), str(MEMORY), str(script), *arguments]
+    try:
+        done = subprocess.run(command, input=content, capture_output=True, timeout=60 + 20 * seconds)
+    except subprocess.TimeoutExpired:
+        raise Elsewhere("reading it does not end") from None
+    if done.returncode < 0:
+        raise Elsewhere(
+            f"reading it takes more than {seconds} s or ends the program that reads it, with signal {-done.returncode}"
+        )
+    if done.returncode:
+        lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        raise Elsewhere(lines[-1][:300] if lines else "no reason is known")
+    return done.stdout

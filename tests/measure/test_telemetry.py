@@ -33,8 +33,8 @@ def test_a_good_file(tmp_path):
 def test_unix_seconds_scale_current_and_named_columns(tmp_path):
     craft = vehicle(quantity="current_A", time_column="t", time_format="unix", scale=0.001, columns={"a": "ia", "b": "ib"})
     data = read(tmp_path, "t,ia,ib,other\n1498633767,500,0,x\n1498633807.5,250,1,y\n", craft)
-    np.testing.assert_allclose(data["current_A"].values, [[0.5, 0], [0.25, 0.001]])
-    np.testing.assert_allclose(data["time"].values, [0, 40.5])
+    np.testing.assert_allclose(data["current_A"].values, [[0.5, 0], [0.25, 0.001]], rtol=1e-12)
+    np.testing.assert_allclose(data["time"].values, [0, 40.5], rtol=0, atol=1e-6)
     assert data.attrs["epoch_utc"].startswith("2017-06-28T07:09:27")
 
 

@@ -76,6 +76,12 @@ def case_telemetry(name: str) -> Path | None:
 def load_case(name: str) -> Case:
     """Load a built-in case by its name, for example ``"philae"``.
 
+    Returns
+    -------
+    Case
+        Frozen: `vehicle`, `timeline` (UTC, s), `telemetry` (Dataset over (time, panel) in W), `published` (figures, each with
+        value, unit and source).
+
     Raises
     ------
     InputError

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import io
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.errors import SunspinError, sentence
+from sunspin.outside import Elsewhere, elsewhere
 
 MAX_BYTES = 2_000_000_000
 """Of all variables in memory: a compressed file, or one that is nearly all fill value, may name any size."""
@@ -55,19 +55,9 @@ def _probed(source: Any) -> str | None:
         size = len(content) if content is not None else Path(source).stat().st_size
     except OSError as error:
         return error.strerror or str(error)
-    seconds = PROBE_S + size // PROBE_BYTES_PER_S
-    # -P: the folder of the script is no place to import from
-    command = [sys.executable, "-P", str(Path(__file__).with_name("netcdf_probe.py")), "-" if stream else str(source), str(seconds)]
+    script = Path(__file__).with_name("netcdf_probe.py")
     try:
-        done = subprocess.run(
-            command, input=content, stdin=None if stream else subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-            timeout=60 + 20 * seconds,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return "reading it does not end"
-    if done.returncode == 0:
-        return None
-    if done.returncode < 0:
-        return f"reading it takes more than {seconds} s or ends the program that reads it, with signal {-done.returncode}"
-    lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-    return lines[-1][:200] if lines else "no reason is known"
+        elsewhere(script, "-" if stream else str(source), content=content or b"", seconds=PROBE_S + size // PROBE_BYTES_PER_S)
+    except Elsewhere as error:
+        return str(error)
+    return None

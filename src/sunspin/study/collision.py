@@ -6,6 +6,7 @@ impulse over mass in any frame. Each simulated collision is weighted by how well
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,17 @@ def spice_errors() -> type[Exception]:
     return SpiceyError
 
 
+def _has_spk_summaries(path: Path) -> bool:
+    """Whether a file's first record is that of an SPK (NAIF's DAF: 2 doubles and 6 integers in a summary).
+
+    SPICE copies as many as the record says into room for these, so another number ends the process.
+    """
+    with open(path, "rb") as file:
+        record = file.read(1024)
+    order = ">" if record[88:96] == b"BIG-IEEE" else "<"
+    return record[:7] == b"DAF/SPK" and len(record) == 1024 and struct.unpack(f"{order}ii", record[8:16]) == (2, 6)
+
+
 class _KernelStates:
     """Position and velocity (6) in m and m/s, in the kernel's own comet-fixed frame, which needs no frame kernel this way."""
 
@@ -110,11 +122,15 @@ class _KernelStates:
             raise InputError(
                 sentence("the trajectory kernel is not there", do="docs/data.md says where it comes from", where=str(path))
             )
+        damaged = InputError(sentence("the trajectory kernel is damaged", do="download it again", where=str(path)))
+        if not _has_spk_summaries(path):
+            raise damaged
         self.spice = spiceypy
         handle = spiceypy.dafopr(str(path))
         try:
             spiceypy.dafbfs(handle)
-            spiceypy.daffna()
+            if not spiceypy.daffna():
+                raise damaged
             self.summary = spiceypy.dafgs(5)
         finally:
             spiceypy.dafcls(handle)

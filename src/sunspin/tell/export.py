@@ -25,6 +25,8 @@ LOCAL_FRAME = "SUNSPIN_LOCAL"
 LONGEST_S = 1e10
 """Three centuries: what is farther from the epoch is no time of a mission."""
 
+FIRST_YEAR, LAST_YEAR = 1000, 9000
+
 SOURCES = ("rates.nc", "trajectory.nc")
 """Files of a results folder that hold an attitude."""
 
@@ -105,11 +107,14 @@ def attitude_of(data: xr.Dataset, frame: str | None = None, epoch_utc: str | Non
 def _epoch(text: Any) -> datetime:
     try:
         moment = datetime.fromisoformat(str(text))
-    except ValueError:
+        moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+        if not FIRST_YEAR <= moment.year <= LAST_YEAR:  # the longest time from it must still be a date
+            raise ValueError
+    except (ValueError, OverflowError):
         raise InputError(
             sentence("the results do not say which UTC their time zero is", got=str(text), do="give --epoch 2026-01-01T00:00:00Z")
         ) from None
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    return moment
 
 
 def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:

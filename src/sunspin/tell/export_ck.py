@@ -6,7 +6,6 @@ C-kernel orients, and the local frame N, which is not related to any other: SPIC
 
 from __future__ import annotations
 
-from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 
 from sunspin.errors import InputError, OutputError, sentence
 from sunspin.motion.propagate import MAX_RATE
+from sunspin.outside import Elsewhere, elsewhere
 from sunspin.tell.export import Attitude
 from sunspin.tell.results import write_whole
 
@@ -24,6 +24,9 @@ SPACECRAFT = -999_001
 BODY_ID, LOCAL_ID = SPACECRAFT * 1000, SPACECRAFT * 1000 - 1
 BODY_NAME = "SUNSPIN_BODY"
 TICKS_PER_S = 1_000_000
+
+KERNEL_S = 20
+"""CPU time in which rates are read from kernels: they are read in another process, as damaged ones end SPICE."""
 
 LEAP_SECONDS = (
     (1972, 1, 10), (1972, 7, 11), (1973, 1, 12), (1974, 1, 13), (1975, 1, 14), (1976, 1, 15), (1977, 1, 16), (1978, 1, 17),
@@ -124,31 +127,23 @@ def _frame_kernel(attitude: Attitude) -> str:
 
 def kernel_rates(kernels: list[str], frame: str, base: str, et: np.ndarray) -> np.ndarray:
     """Angular velocity (n, 3) rad/s of `frame` against `base`, in axes of `frame`, from SPICE kernels; NaN where none covers."""
-    sp = spice()
+    spice()
     pool = [str(path) for path in kernels]
     for path in pool:
         if not (path.isprintable() and Path(path).is_file()):
-            raise InputError(sentence("there is no such kernel", got=path, do="give the paths of SPICE kernels"))
+            what = "the kernels cannot be used, as there is no such file"
+            raise InputError(sentence(what, got=path, do="give the paths of SPICE kernels"))
     try:
-        sp.furnsh(pool)
-        return np.array([_rate(sp, frame, base, float(t)) for t in et])
-    except sp.exceptions.SpiceyError as error:
-        raise InputError(sentence(f"the kernels cannot be used ({_short(error)})", got=", ".join(pool))) from None
-    finally:
-        for path in pool:
-            with suppress(sp.exceptions.SpiceyError):  # one that was not loaded
-                sp.unload(path)
-
-
-def _rate(sp: Any, frame: str, base: str, et: float) -> np.ndarray:
-    try:
-        transform = sp.sxform(base, frame, et)
-    except sp.exceptions.SpiceNOFRAMECONNECT:
-        return np.full(3, np.nan)
-    rotation, omega_base = sp.xf2rav(transform)
-    if not np.all(np.abs(omega_base) < MAX_RATE):
+        printed = elsewhere(
+            Path(__file__).with_name("spice_rates.py"), frame, base, *pool, seconds=KERNEL_S,
+            content=np.asarray(et, dtype=np.float64).tobytes(),
+        )  # fmt: skip
+    except Elsewhere as error:
+        raise InputError(sentence(f"the kernels cannot be used ({error})", got=", ".join(pool))) from None
+    rates = np.frombuffer(printed, dtype=np.float64).reshape(-1, 3)
+    if np.any(np.abs(rates) > MAX_RATE):
         raise InputError(sentence(f"the kernels hold rates beyond {MAX_RATE:g} rad/s", do="check them: they may be damaged"))
-    return rotation @ omega_base
+    return rates
 
 
 def _short(error: Exception) -> str:

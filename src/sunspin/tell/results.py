@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -118,12 +119,29 @@ def plain(value: Any) -> Any:
 
 
 def write_netcdf(target: Path, data: Any) -> Path:
-    """Write an xarray object as NetCDF-4."""
-    return write_whole(target, lambda part: data.to_netcdf(part, engine="h5netcdf"))
+    """Write an xarray Dataset, DataArray or DataTree (each node a group) as NetCDF-4.
+
+    Made in memory first: where the disk is full, HDF5 fails in ways that end the process.
+    """
+    import h5netcdf
+    import xarray as xr
+    from xarray.backends import H5NetCDFStore
+
+    if isinstance(data, xr.DataTree):
+        groups = {node.path: node.to_dataset(inherit=False) for node in data.subtree}
+    else:
+        groups = {"/": data.to_dataset() if isinstance(data, xr.DataArray) else data}
+    buffer = io.BytesIO()
+    with h5netcdf.File(buffer, "w") as file:
+        for path, dataset in groups.items():
+            store = H5NetCDFStore(file, group=path, mode="a")
+            dataset.dump_to_store(store)
+            store.sync()
+    return write_whole(target, lambda part: part.write_bytes(buffer.getbuffer()))
 
 
 def write_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None,
-pictures: Sequence[Picture] = ()) -> None:
+    pictures: Sequence[Picture] = ()) -> None:
     """Write what a report of the run needs beside its results: `summary.json`, the vehicle's file, the samples, the captions.
 
     Parameters

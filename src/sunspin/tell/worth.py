@@ -29,17 +29,22 @@ def worth(
 
     Parameters
     ----------
+    out : path, optional
+        Results folder.
+    case : str
+        Name of a built-in case.
     twins : int
         Synthetic rebounds of each kind: truth on the published lines, truth anywhere in the scanned box.
     confidence : float
-        Of the region whose threshold is looked for.
+        Of the region whose threshold is looked for, in (0, 1).
     options
         seed, coarser, factor, workers, store, progress: see :func:`sunspin.study.worth.compute`.
 
     Returns
     -------
     dict
-        `figures`: rows as in the summary of `reproduce`; `sentences`; `seconds`; `folder`.
+        `figures`: rows as in the summary of `reproduce`, each with its unit (thresholds on EMD in [0, 1], rates in rad/s);
+        `sentences`; `seconds`; `folder`.
     """
     began = time.perf_counter()
     known = load_case(case)

@@ -1,0 +1,101 @@
+"""More rules of the house: what the public face says of itself, how tests compare, what the tests' own settings are."""
+
+import ast
+import inspect
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import sunspin as ss
+
+ROOT = Path(__file__).parents[1]
+PYTHON = [path for part in ("src", "tests", "trust", "bench") for path in sorted((ROOT / part).rglob("*.py"))]
+FUNCTIONS = [name for name in ss.__all__ if inspect.isfunction(getattr(ss, name))]
+
+SHAPE = re.compile(r"\((?:…|\.\.\.|[a-z_0-9]+)(?:, ?[a-z_0-9]+)*,?\)|Dataset|DataArray|DataTree|Vehicle|number|path|dict", re.I)
+UNIT = re.compile(r"\b(rad|rad/s|s|m|m/s|W|kg|N m|N m s|deg|Hz)\b|\[0, 1\]|unit|relative|SI|Dataset|Vehicle|path|share")
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_docstrings_of_the_public_face_name_shapes_and_units(name):
+    text = inspect.getdoc(getattr(ss, name))
+    assert SHAPE.search(text), f"{name} names no shape or kind of what it takes and gives"
+    assert UNIT.search(text), f"{name} names no unit"
+    parameters = inspect.signature(getattr(ss, name)).parameters.values()
+    known = [p.name for p in parameters if p.kind is not p.VAR_KEYWORD and p.name != "vehicle"]
+    missing = [n for n in known if not re.search(rf"\b{re.escape(n)}\b", text)]
+    assert not missing, f"{name} does not speak of {missing}"
+
+
+def calls(path: Path):
+    return (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Call))
+
+
+def name_of(call: ast.Call) -> str:
+    return getattr(call.func, "attr", getattr(call.func, "id", ""))
+
+
+def test_every_comparison_states_its_tolerance():
+    """The defaults of NumPy and pytest suit nobody's physics."""
+    bare = []
+    for path in PYTHON:
+        for call in calls(path):
+            stated = {"rtol", "atol"} & {k.arg for k in call.keywords}
+            if name_of(call) in ("assert_allclose", "allclose", "isclose") and not stated:
+                bare.append(f"{path.relative_to(ROOT)}:{call.lineno}")
+    assert bare == []
+
+
+def test_no_module_draws_random_numbers_when_it_is_imported():
+    """Nor is there a generator that all share: what is drawn would hang on who came before."""
+    drawn = {"default_rng", "RandomState", "SeedSequence", "Random", "seed"}
+    for path in PYTHON:
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
+                continue
+            found = [call for call in ast.walk(node) if isinstance(call, ast.Call) and name_of(call) in drawn]
+            seeded = [call for call in found if not call.args]
+            assert not (found if "src" in path.parts else seeded), f"{path}:{node.lineno}"
+
+
+def test_every_generator_has_a_seed():
+    for path in PYTHON:
+        for call in calls(path):
+            if name_of(call) in ("default_rng", "RandomState", "Random"):
+                assert call.args, f"{path}:{call.lineno}"
+
+
+def test_warnings_are_errors_and_marks_are_known():
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pytest"]["ini_options"]
+    assert options["filterwarnings"] == ["error"]
+    assert "--strict-markers" in options["addopts"] and "--strict-config" in options["addopts"]
+
+
+def test_no_file_format_of_ours_can_carry_code():
+    """Nothing that a user supplies or receives is a pickle: no module reads one, and NumPy is never allowed to."""
+    for path in PYTHON:
+        if "src" not in path.parts:
+            continue
+        tree = ast.parse(path.read_text("utf-8"))
+        names = {alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+        names |= {(node.module or "").split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        assert not names & {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}, path
+        assert not [call for call in calls(path) if any(k.arg == "allow_pickle" for k in call.keywords)], path
+        assert not [call for call in calls(path) if name_of(call) in ("read_pickle", "to_pickle", "full_load", "unsafe_load")], path
+
+
+def test_nothing_listens_but_what_dask_is_asked_for():
+    for path in PYTHON:
+        if "src" in path.parts:
+            names = {name_of(call) for call in calls(path)}
+            assert not names & {"HTTPServer", "bind", "listen", "create_server", "start_server"}, path
+
+
+def test_every_campaign_is_on_the_page():
+    from trust.__main__ import CAMPAIGNS
+
+    text = (ROOT / "docs" / "trust.md").read_text("utf-8")
+    for name in CAMPAIGNS:
+        assert f"python -m trust {name}" in text
