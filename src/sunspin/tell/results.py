@@ -140,8 +140,9 @@ def write_netcdf(target: Path, data: Any) -> Path:
     return write_whole(target, lambda part: part.write_bytes(buffer.getbuffer()))
 
 
-def write_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None,
-    pictures: Sequence[Picture] = ()) -> None:
+def write_run(
+    folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None, pictures: Sequence[Picture] = ()
+) -> None:
     """Write what a report of the run needs beside its results: `summary.json`, the vehicle's file, the samples, the captions.
 
     Parameters
@@ -157,7 +158,5 @@ def write_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, teleme
     if telemetry is not None:
         write_netcdf(folder / "telemetry.nc", telemetry)
     if pictures:
-        write_json(
-            folder / "figures.json", [{"file": p.path.name, "alt": p.alt, "caption": p.caption} for p in pictures]
-        )
+        write_json(folder / "figures.json", [{"file": p.path.name, "alt": p.alt, "caption": p.caption} for p in pictures])
     write_json(folder / "summary.json", {"version": metadata.version("sunspin"), **summary})
