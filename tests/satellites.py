@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 import sunspin as ss
-from sunspin.vehicle_file import parse_vehicle
+from sunspin.vehicle.file import parse_vehicle
 
 
 class Satellite(NamedTuple):

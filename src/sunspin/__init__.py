@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.infer.ensemble import ensemble as ensemble
     from sunspin.infer.lines import fit_lines as fit_lines
     from sunspin.infer.metrics import direction_error as direction_error, emd as emd
+    from sunspin.infer.posterior import posterior as posterior
     from sunspin.infer.rates import rates as rates
     from sunspin.infer.scan import near_minimum as near_minimum, scan as scan
     from sunspin.measure.health import panel_health as panel_health

@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel
 
 import sunspin as ss
-from sunspin.vehicle_file import VehicleForm, parse_vehicle
+from sunspin.vehicle.file import VehicleForm, parse_vehicle
 
 TEXT = resources.files("sunspin").joinpath("template", "vehicle.toml").read_text("utf-8")
 

@@ -90,7 +90,7 @@ def test_evenly_spaced_samples_leave_aliases_and_they_are_listed():
 
 @pytest.mark.evidence("rates", "modelled", "a twin with a gyro")
 def test_a_gyro_decides_between_aliases_and_narrows_the_rate():
-    from sunspin.vehicle_sensors import Gyro, Sensors
+    from sunspin.vehicle.sensors import Gyro, Sensors
 
     rng = np.random.default_rng(2)
     data, run = twin(CUBE, [0.01, -0.02, 0.012], np.arange(7) * 40.0, rng)

@@ -7,7 +7,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.measure.sensors import AGREE
-from sunspin.vehicle_file import parse_vehicle
+from sunspin.vehicle.file import parse_vehicle
 
 VEHICLE = """
 name = "two"

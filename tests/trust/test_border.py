@@ -12,7 +12,7 @@ import sunspin as ss
 from sunspin.errors import printable, sentence
 from sunspin.infer.ensemble import ensemble
 from sunspin.vehicle import Panel, Vehicle, Wheel
-from sunspin.vehicle_file import parse_vehicle
+from sunspin.vehicle.file import parse_vehicle
 from trust import pool
 from trust.border import Told, judge, sunspin
 from trust.corrupt import Corrupt

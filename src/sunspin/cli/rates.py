@@ -75,7 +75,8 @@ def _summary(result: Any) -> tuple[dict[str, Any], list[str]]:
         passes.append(span | {"sigma_deg_s": sigma.tolist(), "modes": found})
         poor = "  FITS BADLY" if result["cost"].values[k, 0] > BAD_COST * len(at) else ""
         others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
-        best = f"omega ({_row(mean[0])}) +- ({_row(sigma)}) deg/s  weight {weight[0]:.2f}{others}{poor}"
+        digits = _digits(sigma)
+        best = f"omega ({_row(mean[0], digits)}) +- ({_row(sigma, digits)}) deg/s  weight {weight[0]:.2f}{others}{poor}"
         lines.append(f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}")
     texts, counts = np.unique(result["why"].values, return_counts=True)
     lines += [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
@@ -89,8 +90,14 @@ def _summary(result: Any) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def _row(values: np.ndarray) -> str:
-    return ", ".join(f"{value:.2f}" for value in values)
+def _digits(sigma: np.ndarray) -> int:
+    """Decimals that show the smallest error with one figure, two to five."""
+    known = sigma[np.isfinite(sigma) & (sigma > 0)]
+    return int(np.clip(-np.floor(np.log10(known.min())), 2, 5)) if len(known) else 2
+
+
+def _row(values: np.ndarray, digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
 def write(out: Path, result: Any, samples: Any) -> Path:

@@ -13,7 +13,7 @@ from sunspin.infer.rates_smooth import Observations
 from sunspin.measure.quality import panel_quality
 from sunspin.measure.sun import signals
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle_sensors import Gyro
+from sunspin.vehicle.sensors import Gyro
 
 RADIAL_SIGMA = 0.02
 """Sigma given to a direction along itself, so that its covariance can be inverted; a chord is shorter than its arc."""

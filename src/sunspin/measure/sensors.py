@@ -8,7 +8,7 @@ import numpy as np
 
 from sunspin.measure.tables import Table
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle_sensors import Attitude, SunSensor
+from sunspin.vehicle.sensors import Attitude, SunSensor
 
 RADIAL_SIGMA = 0.02
 """Sigma along the direction itself: a chord is shorter than its arc, and the covariance must have full rank."""

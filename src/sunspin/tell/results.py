@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.errors import OutputError, sentence
-from sunspin.vehicle_file import vehicle_text
+from sunspin.vehicle.file import vehicle_text
 
 MARKER = ".sunspin-results"
 """A file that says that sunspin made the folder, and with which command."""

@@ -15,7 +15,7 @@ from sunspin.errors import InputError, SunspinError, sentence
 from sunspin.tell.results import MARKER, Picture
 from sunspin.timeline import Timeline, parse_timeline
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle_file import read_vehicle
+from sunspin.vehicle.file import read_vehicle
 
 MAX_BYTES = 500_000_000
 """Larger result files are named and not read."""

@@ -1,6 +1,6 @@
 """What a vehicle carries beside its panels: Sun sensors, a gyro, a magnetometer; and what is known of its disturbances.
 
-All in body axes. Frozen data, read from the vehicle file by :mod:`sunspin.vehicle_file`.
+All in body axes. Frozen data, read from the vehicle file by :mod:`sunspin.vehicle.file`.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from pydantic import Field, ValidationError
 from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
 from sunspin.outside import read_bytes
-from sunspin.vehicle_form import Form, Name, Value, scalar, take
-from sunspin.vehicle_sensors_file import AttitudeForm, DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
+from sunspin.vehicle.form import Form, Name, Value, scalar, take
+from sunspin.vehicle.sensors_file import AttitudeForm, DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""

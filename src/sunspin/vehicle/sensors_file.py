@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from sunspin import vehicle as v
-from sunspin import vehicle_sensors as s
 from sunspin.errors import VehicleError, sentence
-from sunspin.vehicle_form import Form, Name, Value, scalar, take
+from sunspin.vehicle import parts, sensors as s
+from sunspin.vehicle.form import Form, Name, Value, scalar, take
 
 
 class SunSensorForm(Form):
@@ -100,7 +100,7 @@ def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
     key = f"sun_sensor.{form.name}"
     normal = v.direction(take(facts, f"{key}.normal_B", form.normal_B), f"normal_B of Sun sensor {form.name!r}")
     x_axis = v.direction(take(facts, f"{key}.x_axis_B", form.x_axis_B), f"x_axis_B of Sun sensor {form.name!r}")
-    if abs(normal @ x_axis) > v.UNIT_TOLERANCE:
+    if abs(normal @ x_axis) > parts.UNIT_TOLERANCE:
         raise VehicleError(sentence(f"{key}.x_axis_B must be at right angles to its normal", got=x_axis.tolist()))
     if (form.y_column is None) != (form.y_scale is None):
         raise VehicleError(sentence(f"{key} must give both y_column and y_scale, or neither"))
