@@ -186,7 +186,12 @@ def _track_rows(
 
 
 def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
-    """Grid points (n, 3) in rad/s with EMD below `factor` times the smallest (paper, eq. 14 with factor 1.1).
+    """Grid points (n, 3) in rad/s with `emd` below `factor` times the smallest (paper, eq. 14 with factor 1.1).
+
+    Parameters
+    ----------
+    emd : DataArray over omega_x, omega_y, omega_z
+        Of `scan`; its coordinates are rates in body axes.
 
     Rows whose `outcome` says that they could not be computed take no part.
     """

@@ -9,7 +9,8 @@ from pydantic import Field
 
 from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
-from sunspin.vehicle import parts, sensors as s
+from sunspin.vehicle import parts
+from sunspin.vehicle import sensors as s
 from sunspin.vehicle.form import Form, Name, Value, scalar, take
 
 
