@@ -1,6 +1,10 @@
 """Kernels that another process compiles."""
 
 import os
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,3 +45,18 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
     k.prepare(vehicle, [(None, 0)])
     rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 0)))
     assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
+
+
+@pytest.mark.parametrize("first", ["sunspin.infer.rows", "sunspin.infer.posterior_cells", "sunspin.motion.kernel"])
+def test_the_compiler_is_the_same_whatever_is_imported_first(first):
+    """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
+    code = f"import {first}\nfrom numba.core.registry import cpu_target\nprint(cpu_target.target_context.codegen().magic_tuple())"
+    alone = "import sunspin.motion.compiler\n" + code.split("\n", 1)[1]
+    told = [subprocess.run([sys.executable, "-c", text], capture_output=True, text=True).stdout for text in (code, alone)]
+    assert told[0] == told[1] != ""
+
+
+def test_numba_is_taken_from_where_it_is_set_up():
+    for path in (Path(k.__file__).parents[2]).rglob("*.py"):
+        if path.name != "compiler.py":
+            assert not re.search(r"^(import numba|from numba import .*njit)", path.read_text("utf-8"), re.MULTILINE), path

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numba
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -29,6 +28,7 @@ from sunspin.infer.rates_seed import sphere
 from sunspin.measure.panels import panel_power
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
+from sunspin.motion.compiler import njit
 
 TURN = 1.6
 """rad by which neighbours of the grid differ at the farthest of the samples tried; interpolated rotations then err by 0.05."""
@@ -233,7 +233,7 @@ def distinct(state: State, cost: np.ndarray, apart: float, reach_s: float) -> np
     return order[np.sort(first)]
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def _load(quaternions, rows, turn):
     """The rotations at the corners of a cell, with signs alike so that they can be interpolated."""
     for corner in range(8):
@@ -247,7 +247,7 @@ def _load(quaternions, rows, turn):
                     quaternions[corner, m, q] = -quaternions[corner, m, q]
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def _best_point(quaternions, at, sun, normals, gains, value, used, sigma):
     """The best point of the eighth of a cell that begins at `at`, and its misfit: infinite where none will do."""
     least, best = np.inf, at
@@ -261,7 +261,7 @@ def _best_point(quaternions, at, sun, normals, gains, value, used, sigma):
     return best, least
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used, here, here_used, sigma):
     """The settled starts of cells, (n, 8): place, direction, x, y, z in the cell, two steps of the direction, misfit."""
     room = 1024
@@ -289,7 +289,7 @@ def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used
     return found[:count]
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def _turned(quaternions, m, x, vector, out):
     """`vector` turned by the rotation interpolated at x (3, parts of the cell)."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
@@ -307,7 +307,7 @@ def _turned(quaternions, m, x, vector, out):
     out[2] = (s * vector[2] + 2 * dot * c + 2 * d * (a * vector[1] - b * vector[0])) / size
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def _against(quaternions, x, sun, normals, gains, value, used, sigma, angle):
     """What speaks against all directions within `angle` of that of a point, in the worst sample; and its own misfit."""
     worst, misfit = 0.0, 0.0
@@ -331,7 +331,7 @@ def _against(quaternions, x, sun, normals, gains, value, used, sigma, angle):
     return worst, misfit
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma):
     """Add one sample's readings to the normal equations; its misfit. `r` (3) is the direction, `column` (5, 3) its derivatives."""
     misfit = 0.0
@@ -353,7 +353,7 @@ def _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma)
     return misfit
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def _settle(quaternions, x, frame, normals, gains, value, used, here, here_used, sigma):
     """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit."""
     x, step, sun = x.copy(), np.zeros(2), frame[0].copy()

@@ -8,8 +8,9 @@ files and has it compiled, once for each structure. cuda.py puts the same text, 
 """
 
 from sunspin.motion.bodies import Bodies
+from sunspin.motion.compiler import vector_bits
 from sunspin.motion.kernel.codegen import RowLayout
-from sunspin.motion.kernel.compiled import OUTCOME_TEXT, Outcome, kernel, vector_bits
+from sunspin.motion.kernel.compiled import OUTCOME_TEXT, Outcome, kernel
 from sunspin.motion.kernel.cuda import check_device, device_identity, require_device
 from sunspin.motion.kernel.rows import Rows, mode_table, work_array
 from sunspin.motion.kernel.run import BlockResult, Mask, check_commands, prepare, run_rows, structure_of

@@ -19,9 +19,6 @@ from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
-import llvmlite.binding as llvm
-import numba
-
 from sunspin.motion.kernel import codegen as c
 from sunspin.motion.kernel.deposit import deposit_body, signed_body
 from sunspin.motion.kernel.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
@@ -46,34 +43,6 @@ OUTCOME_TEXT = {
     Outcome.PAST_UNKNOWN: "running backward, a wheel comes to rest: its past is not determined",
     Outcome.NOT_FINITE: "the motion left the range of numbers",
 }
-
-
-def _use_full_vectors() -> None:
-    """Let LLVM use 512-bit vectors where the processor has them; its default for many of them is 256.
-
-    Measured on the Philae scan: 107 against 142 microseconds a row. Only before numba has set up its compiler, and not
-    where the user has chosen a processor.
-    """
-    features = llvm.get_host_cpu_features()
-    if features.get("avx512f") and not (numba.config.CPU_NAME or numba.config.CPU_FEATURES):
-        features["prefer-256-bit"] = False
-        numba.config.CPU_NAME = llvm.get_host_cpu_name()
-        numba.config.CPU_FEATURES = features.flatten()
-
-
-_use_full_vectors()
-
-
-def vector_bits() -> int:
-    """Width in bits of the vectors that the kernels are compiled for: 512 with AVX-512, 256 with AVX2, else 128 (SSE, NEON)."""
-    chosen = numba.config.CPU_FEATURES
-    if chosen:
-        on = {feature[1:] for feature in chosen.split(",") if feature.startswith("+")}
-    else:
-        on = {feature for feature, has in llvm.get_host_cpu_features().items() if has}
-    if "avx512f" in on and "prefer-256-bit" not in on:
-        return 512
-    return 256 if "avx2" in on else 128
 
 
 NOT_IN_ALL = ("S_SPIN", "S_INVERSE", "S_DIFFERENCE", "S_HELD", "S_AXES", "S_LOW", "S_WEAR", "S_SPEEDS", "S_SIZE")

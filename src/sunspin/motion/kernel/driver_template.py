@@ -8,7 +8,7 @@
 import math
 
 import numpy as np
-from numba import njit
+from sunspin.motion.compiler import njit
 
 FLOAT = "FLOAT"
 LANES = "LANES"
