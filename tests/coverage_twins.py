@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 import sunspin as ss
@@ -24,13 +25,19 @@ CUBE = Vehicle(
 )  # fmt: skip
 SAMPLES = 40
 
-Fault = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+Fault = Callable[..., np.ndarray]
 
 
-def albedo(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The Earth on one side: up to a tenth of full Sun on what looks there, lit or not."""
+def albedo(power: np.ndarray, rng: np.random.Generator, attitude: Rotation) -> np.ndarray:
+    """The Earth, which stays where it is while the body turns: up to a tenth of full Sun on what looks there, lit or not."""
     earth = rng.normal(size=3)
-    return power + rng.uniform(0.02, 0.1) * np.maximum(NORMALS @ earth / np.linalg.norm(earth), 0)
+    return power + rng.uniform(0.02, 0.1) * np.maximum(attitude.apply(earth / np.linalg.norm(earth)) @ NORMALS.T, 0)
+
+
+def offset(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Up to a tenth of full Sun too much on one side of the body, all the time: zeros of the converters that nobody subtracts."""
+    side = rng.normal(size=3)
+    return power + rng.uniform(0.02, 0.1) * np.maximum(NORMALS @ side / np.linalg.norm(side), 0)
 
 
 def battery(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -70,10 +77,8 @@ def warm(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return power * (1.04 - 0.08 * (1 - np.exp(-np.arange(len(power)) / 15)))[:, None]
 
 
-FAULTS: dict[str, tuple[Fault, ...]] = {
-    "none": (),
-    **{fault.__name__: (fault,) for fault in (albedo, battery, dead_string, dead_panel, gains, quantised, spikes, stale, warm)},
-}
+SINGLE = (albedo, offset, battery, dead_string, dead_panel, gains, quantised, spikes, stale, warm)
+FAULTS: dict[str, tuple[Fault, ...]] = {"none": (), **{fault.__name__: (fault,) for fault in SINGLE}}
 FAULTS["everything"] = (gains, dead_string, warm, albedo, battery, quantised, spikes, stale)
 
 
@@ -83,8 +88,9 @@ def twin(faults: tuple[Fault, ...], rng: np.random.Generator) -> tuple[xr.Datase
     sun = rng.normal(size=3)
     run = ss.propagate(CUBE, 0.025 * rng.normal(size=3), sun / np.linalg.norm(sun), None, t)
     power = ss.panel_power(CUBE, run["sun_B"].values)
+    attitude = Rotation.from_quat(run["B_from_N"].values)
     for fault in faults:
-        power = fault(power, rng)
+        power = fault(power, rng, attitude) if fault is albedo else fault(power, rng)
     power = np.maximum(power + (0.01 * rng.normal(size=power.shape) if quantised not in faults else 0.0), 0.0)
     if stale in faults:
         power = stale(power, rng)

@@ -57,6 +57,7 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
             "power": signals(telemetry), "power_sigma": quality["sigma"].values,
             "rows": quality["gain"].values[:, None] * vehicle.panel_normals_B, "row_errors": _gain_errors(vehicle, quality),
             "scale": quality["scale"].values, "scale_sigma": quality["scale_sigma"].values,
+            "earth_light": quality.attrs["earth_light"],
         }  # fmt: skip
         why = quality["why"].values.astype(object)
     else:

@@ -47,7 +47,8 @@ class Observations:
     powers of a sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one
     sigma of errors that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in
     the body's mean moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma`
-    (rad), of which only the turn from sample to sample is used.
+    (rad), of which only the turn from sample to sample is used; `earth_light`: how much of full Sun a panel gets that looks at
+    the Earth.
     """
 
     t_s: np.ndarray
@@ -67,6 +68,7 @@ class Observations:
     momentum: np.ndarray
     attitude: np.ndarray
     attitude_sigma: float
+    earth_light: float = 0.0
 
     def __len__(self) -> int:
         return len(self.t_s)

@@ -1,7 +1,8 @@
 """How far the answer of :mod:`sunspin.infer.rates` may be off: the mean rate of a pass, and what errors in common add.
 
-A gyro's zero and scale and the panels' gains are wrong by the same amount in every sample of a pass, so that more samples do not
-help. They are "considered" and not estimated here: the answer's shift for each, times its sigma, is added to the covariance.
+A gyro's zero and scale and the panels' gains are wrong by the same amount in every sample of a pass, and the Earth lights the
+same side of a turning body, so that more samples do not help. They are "considered" and not estimated here: the answer's shift for
+each, times its sigma, is added to the covariance.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, no
 
 
 def with_spread(o: Observations, track: Track, motion: Motion) -> tuple[Track, np.ndarray]:
-    """Modes whose covariance counts the common errors of gyro and gains, and the sigma (K, 3) of each one's rate averaged over the
-    samples, with what their errors have in common."""
+    """Modes whose covariance counts the common errors of gyro, gains and the Earth's light, and the sigma (K, 3) of each one's rate
+    averaged over the samples, with what their errors have in common."""
     diagonal, upper, slope, _ = normal_equations(o, track, motion)
     variance = np.empty((len(track.omega), 3))
     for axis in range(3):
@@ -23,7 +24,7 @@ def with_spread(o: Observations, track: Track, motion: Motion) -> tuple[Track, n
         average[..., 3 + axis] = -1 / len(o)
         variance[:, axis] = solve(diagonal, upper, average)[0][..., 3 + axis].mean(axis=1)
     covariance = track.covariance
-    for slope in [*_gyro_slopes(o, track), *_gain_slopes(o, track)]:
+    for slope in [*_gyro_slopes(o, track), *_gain_slopes(o, track), *_earth_slopes(o, track)]:
         shift = solve(diagonal, upper, slope)[0]
         covariance = covariance + shift[..., :, None] * shift[..., None, :]
         variance += shift[..., 3:].mean(axis=1) ** 2
@@ -51,3 +52,19 @@ def _gain_slopes(o: Observations, track: Track) -> list[np.ndarray]:
         return []
     before = measured(o, track)[1]
     return [measured(replace(o, rows=o.rows + error), track)[1] - before for error in o.row_errors]
+
+
+def _earth_slopes(o: Observations, track: Track) -> list[np.ndarray]:
+    """What the Earth's light adds to the gradient (K, n, 6), from each end of three axes that are fixed in space.
+
+    It may come from anywhere: the mean over the six stands for that over all directions.
+    """
+    if not (o.earth_light > 0 and o.power.size):
+        return []
+    before = measured(o, track)[1]
+    found = []
+    for side in np.vstack([np.eye(3), -np.eye(3)]):
+        light = o.earth_light * o.scale[:, None] * np.maximum(track.attitude @ side @ o.rows.T, 0.0)
+        each = [measured(replace(o, power=o.power + light[k]), track.take(np.array([k])))[1] for k in range(len(light))]
+        found.append((np.concatenate(each) - before) / np.sqrt(6))
+    return found

@@ -31,6 +31,15 @@ SPIKE_FACTOR = 1.6
 ALBEDO_DEFAULT = 0.06
 """Fraction of full Sun that Earth's light may put on a dark panel, where the file has too few samples to tell."""
 
+TOLD_READINGS = 10
+"""Readings of faces away from the Sun that tell the Earth's light."""
+
+LIT_SHARE = 0.5
+"""Of the Earth's light on a panel to the Sun's, averaged over the samples in which it is lit, at most."""
+
+COSINE_QUANTILE = 0.68
+"""The 84 % quantile of a face's cosine to the Earth, none being negative, over all directions."""
+
 SURELY_LIT = 2.0
 """A reading of more than this many times the albedo is the Sun's; below, it may be the Earth's."""
 
@@ -106,6 +115,9 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     told = estimate_gains(vehicle, use_value[clean], full, dead)
     gains = gains * told.factor
     noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
+    earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
+    # what the Earth adds to a lit panel on average is taken for its gain
+    gain_cov = told.covariance + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
     untold = np.hypot(albedo, told.sigma * use_value / (full * gains))  # whose gains may be off by their prior
     share = np.where(use_value > SURELY_LIT * albedo * full * gains, untold if told.spread is None else told.spread, albedo)
     floor = np.hypot(share * full * gains, noise)
@@ -127,8 +139,8 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), full), {"units": "1"}),
             "scale_sigma": ("time", np.where(limited, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}),
             "gain": ("panel", gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
-            "gain_sigma": ("panel", told.sigma * vehicle.panel_gains),
-            "gain_cov": (("panel", "panel2"), told.covariance * np.outer(vehicle.panel_gains, vehicle.panel_gains)),
+            "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * vehicle.panel_gains),
+            "gain_cov": (("panel", "panel2"), gain_cov * np.outer(vehicle.panel_gains, vehicle.panel_gains)),
             "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
             "why": ("time", why.astype(np.str_)),
             "dead": ("panel", dead),
@@ -136,6 +148,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
         attrs={"full_sun": float(full), "albedo": float(albedo),
                "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
+               "earth_light": earth,
                "noise": float(noise), "spread": np.nan if told.spread is None else told.spread},
     )
 
@@ -228,8 +241,14 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     readings = [share[share[:, j] > 0.3, i] for i, j in np.argwhere(opposite)]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
-    told = len(dark) >= 10
+    told = len(dark) >= TOLD_READINGS
     return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(dark)
+
+
+def _earth_light(albedo: float, seen: int, noise: float) -> float:
+    """What a panel gets that looks straight at the Earth, a share of full Sun, if `albedo` is the quantile of what faces away
+    from the Sun get, noise included; 0 where the file does not tell."""
+    return float(np.sqrt(max(albedo**2 - noise**2, 0.0)) / COSINE_QUANTILE) if seen >= TOLD_READINGS else 0.0
 
 
 def reasons(quality: Any) -> dict[str, int]:
