@@ -14,12 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.tell.results import MARKER
 from tests.corrupted import BYTES
 from trust import fuzz
 from trust.border import judge, sunspin
 from trust.pool import Verdict, limit_memory
 
-FORMATS = ("telemetry.nc", "telemetry.parquet", "trajectory.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip")
+FORMATS = (
+    "telemetry.nc", "telemetry.parquet", "trajectory.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip", "report",
+)  # fmt: skip
 SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
 
 
@@ -110,6 +113,14 @@ class Corrupt:
 
     def try_frames_zip(self, place: Path, rng: np.random.Generator) -> Verdict:
         return self._told("decode", self._bad("frames.zip", place, rng), "--out", place / "out")
+
+    def try_report(self, place: Path, rng: np.random.Generator) -> Verdict:
+        """A page is made all the same, of what can be read; the file is named on it."""
+        shutil.copytree("stock/results", place / "results")
+        files = sorted(path for path in (place / "results").iterdir() if path.name != MARKER and path.stat().st_size)
+        for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 3))):
+            path.write_bytes(damaged(path.read_bytes(), rng) if path.stat().st_size else b"x")
+        return self._told("report", place / "results")
 
     def try_store(self, place: Path, rng: np.random.Generator) -> Verdict:
         from sunspin.infer.ensemble import ensemble

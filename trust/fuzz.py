@@ -30,8 +30,8 @@ SMALL_ROWS = 64
 KINDS = {"vehicle": 0.4, "telemetry": 0.25, "options": 0.35}
 """Share of the cases whose vehicle, telemetry or options are hostile."""
 
-ON_VEHICLES = ("check", "check", "sun", "simulate", "simulate", "scan", "outcomes", "rates")
-ON_TABLES = ("check", "check", "sun", "sun", "scan", "rates")
+ON_VEHICLES = ("check", "check", "sun", "simulate", "simulate", "scan", "outcomes", "rates", "posterior")
+ON_TABLES = ("check", "check", "sun", "sun", "scan", "rates", "posterior")
 
 
 class Fuzz:
@@ -153,6 +153,7 @@ def cut_short() -> list[Any]:
     return [
         mock.patch("sunspin.infer.scan.ensemble", few),
         mock.patch("sunspin.study.outcomes.ensemble", few),
+        mock.patch("sunspin.infer.posterior_modes.ensemble", begins),
         mock.patch("sunspin.motion.kernel.run.ready_kernel", kept),
         mock.patch("sunspin.motion.kernel.ahead.compile_ahead", lambda structures: None),
         mock.patch("sunspin.motion.kernel.run.compile_ahead", lambda structures: None),
@@ -177,6 +178,8 @@ def base(command: str) -> list[str]:
         "check": ["vehicle.toml", "telemetry.csv"],
         "sun": ["vehicle.toml", "telemetry.csv"],
         "rates": ["vehicle.toml", "telemetry.csv", "--noise=1e-4"],
+        "posterior": ["vehicle.toml", "telemetry.csv", "--prior=max_rate_rad_s=0.05"],
+        "report": ["results"],
         "simulate": ["vehicle.toml", *start, "--duration=100"],
         "scan": ["vehicle.toml", "telemetry.csv", "--to=160", "--lines=0", *grid],
         "outcomes": ["vehicle.toml", "--runs=8", *start, "--after=60", "--collision-speed=0"],

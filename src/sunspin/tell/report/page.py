@@ -29,9 +29,9 @@ REDRAWN = {
 """Figures that the page draws itself, to be turned and looked into; the files stay in the folder."""
 
 
-def write_report(folder: str | Path) -> Path:
-    """Write `report.html` of a results folder from the files in it, and return its path."""
-    results = read_results(folder)
+def write_report(folder: str | Path, ours: bool = False) -> Path:
+    """Write `report.html` of a results folder from the files in it, and return its path; `ours` as in `read_results`."""
+    results = read_results(folder, ours)
     page = sections.page(results)
     pictures, left_out = _pictures(results.pictures)
     text = _template().render(
