@@ -82,6 +82,16 @@ def test_links_lead_somewhere():
             assert link.split("/")[-1] in written or (path.parent / link).exists(), f"{name}: {link}"
 
 
+def test_what_a_page_includes_is_there():
+    """Sphinx would say so too, but the site is not built with every change."""
+    for name, path in PAGES.items():
+        text = path.read_text("utf-8")
+        for target, options in re.findall(r"^`{3,}\{literalinclude\} (\S+)\n((?::.*\n)*)", text, re.MULTILINE):
+            included = (path.parent / target).read_text("utf-8")
+            for mark in re.findall(r"^:(?:start|end)-(?:at|before|after): (.+)$", options, re.MULTILINE):
+                assert mark in included, f"{name}: {target} has no line with {mark!r}"
+
+
 def test_every_equation_that_the_code_cites_is_on_the_page_of_the_model():
     """Equations are numbered in their order on the page, and the code cites them as eq. N."""
     text = (ROOT / "docs" / "model.md").read_text("utf-8")
