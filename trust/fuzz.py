@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from unittest import mock
 import click
 import numpy as np
 
+from sunspin.infer.rates_motion import _runge_kutta
 from trust import hostile
 from trust.border import Accepted, judge, sunspin
 from trust.pool import Verdict, limit_memory
@@ -26,6 +28,9 @@ MORE_MEMORY = 2 * 1024**3
 
 SMALL_ROWS = 64
 """Scans and Monte Carlos of so few rows are run."""
+
+SEARCH_S = 2.5
+"""CPU time of a case after which a search of rates that has begun is ended: fast rates and sparse samples may well take longer."""
 
 KINDS = {"vehicle": 0.4, "telemetry": 0.25, "options": 0.35}
 """Share of the cases whose vehicle, telemetry or options are hostile."""
@@ -50,6 +55,7 @@ class Fuzz:
         make_stock(self.stock)
         for change in cut_short():
             self.stack.enter_context(change)
+        self.stack.enter_context(mock.patch("sunspin.infer.rates_motion._runge_kutta", self._while_short(_runge_kutta)))
         self.commands = command_table()
         if self.memory is not None:
             limit_memory(self.memory)
@@ -57,6 +63,14 @@ class Fuzz:
 
     def __exit__(self, *exception: object) -> None:
         self.stack.close()
+
+    def _while_short(self, function: Any) -> Any:
+        def short(*arguments: Any) -> Any:
+            if time.process_time() - self.begun > SEARCH_S:
+                raise Accepted
+            return function(*arguments)
+
+        return short
 
     def arguments(self, index: int) -> list[str]:
         """The arguments of this case; makes its files in the present folder."""
@@ -100,6 +114,7 @@ class Fuzz:
         os.chdir(place)
         try:
             arguments = self.last = self.arguments(index)
+            self.begun = time.process_time()
             told = self.told = sunspin(*arguments)
             verdict = judge(told)
             if verdict.bad:

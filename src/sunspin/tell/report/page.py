@@ -40,7 +40,7 @@ def write_report(folder: str | Path, ours: bool = False) -> Path:
         _asset("lander.js"))],
         data=Markup(_json(_data(page))), licence=_licence(),
     )  # fmt: skip
-    return write_whole(results.folder / "report.html", lambda part: part.write_text(text, "utf-8"))
+    return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
 
 
 def _template() -> Any:
