@@ -208,6 +208,8 @@ def test_results_and_their_page_in_a_folder_of_any_name(home):
         assert place in json.loads((home / place / "summary.json").read_text("utf-8"))["command"]
         told = sunspin("report", place)
         assert not told.err and told.code == 0, told
+    pytest.importorskip("spiceypy")
+    refused("export", folder + "simulate", "--epoch=2026-01-01T00:00:00Z", "--format=ck", f"--out={folder}", words=["SPICE"])
 
 
 def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, monkeypatch):
