@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import warnings
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -140,13 +141,16 @@ def _sentence(call: Any) -> Verdict:
     """Whether a call returns or says one sentence."""
     from sunspin.errors import SunspinError
 
-    try:
-        call()
-    except SunspinError as error:
-        return Verdict("refused", not str(error).isprintable(), repr(str(error)))
-    except Exception as error:
-        return Verdict("traceback", True, f"{type(error).__name__}: {error}")
-    return Verdict("fine")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", RuntimeWarning)
+        try:
+            call()
+        except SunspinError as error:
+            return Verdict("refused", not str(error).isprintable(), repr(str(error)))
+        except Exception as error:
+            return Verdict("traceback", True, f"{type(error).__name__}: {error}")
+    noise = [str(w.message) for w in said if issubclass(w.category, RuntimeWarning)]
+    return Verdict("noise", True, "; ".join(noise)) if noise else Verdict("fine")
 
 
 def make_files(home: Path) -> dict[str, Any]:

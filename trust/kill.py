@@ -113,7 +113,7 @@ def content(path: Path) -> dict[str, Any]:
             data.close()
         return held
     told = json.loads(path.read_text("utf-8"))
-    return {key: value for key, value in told.items() if key not in UNALIKE}
+    return {key: value for key, value in told.items() if key not in UNALIKE} if isinstance(told, dict) else {"": told}
 
 
 def _bits(values: np.ndarray) -> bytes:

@@ -21,7 +21,7 @@ MODULES = {
     "motion/gyrostat.py": ("tests/motion/test_propagate.py", "tests/motion/test_impact.py", "tests/test_properties.py",
                            "tests/motion/test_kernel.py", "tests/motion/test_kernel_outputs.py", "tests/test_golden.py"),
     "infer/histogram.py": ("tests/infer/test_histogram.py",),
-    "measure/sun.py": ("tests/measure/test_sun.py", "tests/measure/test_sun_statistics.py", "tests/test_properties.py"),
+    "measure/sun.py": ("tests/measure/test_sun.py", "tests/measure/test_sun_statistics.py"),
 }  # fmt: skip
 """File of the package -> the tests that are to see its mutants, quick ones first."""
 

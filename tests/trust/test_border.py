@@ -228,6 +228,18 @@ def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, monkeypatc
     assert "bomb.nc could not be read" in page and "GB of memory" in page and "<script>x" not in page
 
 
+@pytest.mark.parametrize("value", [0.0, 1e300, np.nan])
+def test_a_page_of_numbers_that_cannot_be(home, value):
+    assert sunspin("simulate", "philae", *START, "--duration=20", "--out=results").code == 0
+    with xr.open_dataset("results/trajectory.nc", engine="h5netcdf") as data:
+        data = data.load()
+    for name in ("sun_B", "omega_B", "B_from_N"):
+        data[name].values[3:6] = value
+    data.to_netcdf("results/trajectory.nc", engine="h5netcdf")
+    told = sunspin("report", "results")
+    assert told.code == 0 and not told.err, told
+
+
 def test_names_too_long_are_a_sentence(home):
     err = refused("check", "vehicle.toml", "y/" * 2500)
     assert len(err) < 1300
