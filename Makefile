@@ -39,7 +39,7 @@ lint: $(READY)
 	$(BIN)/basedpyright
 
 test: lint
-	$(BIN)/python -m pytest -m "not slow" --evidence $(EVIDENCE)
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile -m "not slow" --evidence $(EVIDENCE)
 	@$(MAKE) --no-print-directory docs
 
 # adds what the long tests show to what `make test` has shown

@@ -22,5 +22,8 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Compiled kernels of the tests stay out of the user's cache, unless one is named."""
-    os.environ.setdefault("SUNSPIN_CACHE", str(tmp_path_factory.mktemp("kernels")))
+    """Compiled kernels stay out of the user's cache, unless one is named; processes that share the tests share them."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"
+    folder.mkdir(exist_ok=True)
+    os.environ.setdefault("SUNSPIN_CACHE", str(folder))

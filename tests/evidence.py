@@ -22,7 +22,6 @@ import pytest
 from docs.evidence_page import KINDS
 
 FIGURES = pytest.StashKey[dict]()
-RESULTS = pytest.StashKey[dict]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -51,8 +50,30 @@ def reached(request: pytest.FixtureRequest):
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
     report = yield
     if any(item.iter_markers("evidence")) and (report.when == "call" or report.outcome != "passed"):
-        note(item.config.stash.setdefault(RESULTS, {}), item.nodeid.split("[")[0], report, item.stash.get(FIGURES, {}))
+        report.user_properties.append(("evidence", item.stash.get(FIGURES, {})))
     return report
+
+
+class Collector:
+    """Takes what the tests reached from their reports, whichever process ran them."""
+
+    def __init__(self) -> None:
+        self.results: dict[str, dict] = {}
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        for name, figures in report.user_properties:
+            if name == "evidence":
+                note(self.results, report.nodeid.split("[")[0], report, figures)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        file = session.config.getoption("--evidence")
+        if file and self.results:
+            write(Path(file), self.results)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):  # a worker of pytest-xdist only reports
+        config.pluginmanager.register(Collector(), "evidence-collector")
 
 
 def note(results: dict, test: str, report: pytest.TestReport, figures: dict) -> None:
@@ -68,14 +89,9 @@ def note(results: dict, test: str, report: pytest.TestReport, figures: dict) -> 
         known["low"], known["high"] = min(known["low"], value), max(known["high"], value)
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    file = session.config.getoption("--evidence")
-    results = session.config.stash.get(RESULTS, {})
-    if not file or not results:
-        return
+def write(path: Path, results: dict) -> None:
     machine = f"{sys.platform} {platform.machine()}"
     head = {"version": metadata.version("sunspin"), "python": platform.python_version(), "machine": machine}
-    path = Path(file)
     earlier = json.loads(path.read_text("utf-8")) if path.is_file() else {}
     if {key: earlier.get(key) for key in head} == head:
         skipped_now = {test for test, entry in results.items() if not (entry["passed"] or entry["failed"])}

@@ -1,5 +1,7 @@
 """The ensemble kernel against the reference propagator; its bits against its neighbours."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import wasserstein_distance
@@ -46,6 +48,23 @@ def test_other_vehicles_with_stops_and_breakaways(n_wheels, mode):
     result = k.run_rows(vehicle, rows, 120.0, direction_error=1e-6, wheel_mode=mode)
     expected = reference(vehicle, rows, 120.0, wheel_mode=mode)
     np.testing.assert_allclose(result.sun_B[:, 0], expected, atol=1e-5)
+
+
+HARD = [[-0.275, 0.82, 0.285], [-0.335, 1.0, -0.165], [-0.35, 0.82, 0.21]]
+"""Rates with which the second wheel is held and let go up to 17 times, once for much less than a step."""
+
+
+@pytest.mark.parametrize("wanted", [1e-2, 1e-5, 1e-6, 1e-8])
+def test_a_wheel_that_is_held_and_let_go_again_and_again(wanted):
+    """It may break away just at its limit, turn for a moment only, and stop within the same step."""
+    vehicle = philae_body()
+    (wheel,) = vehicle.wheels
+    vehicle = replace(vehicle, wheels=(wheel, replace(wheel, name="across", axis_B=[1.0, 0.0, 0.0])))
+    rows = rows_of(HARD, [865.0, -605.5])
+    result = k.run_rows(vehicle, rows, 2700.0, direction_error=wanted)
+    assert np.all(result.outcome == k.Outcome.FINE)
+    error = np.linalg.norm(result.sun_B[:, 0] - reference(vehicle, rows, 2700.0), axis=1)
+    assert error.max() < wanted
 
 
 def test_backward_run():

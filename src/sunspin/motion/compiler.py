@@ -26,9 +26,14 @@ def _use_full_vectors() -> None:
 _use_full_vectors()
 
 
+def target() -> tuple[str, str, str]:
+    """What machine code is made for: architecture, processor, its features."""
+    return cpu_target.target_context.codegen().magic_tuple()
+
+
 def vector_bits() -> int:
     """Width in bits of the vectors that this process compiles for: 512 with AVX-512, 256 with AVX2, else 128 (SSE, NEON)."""
-    features = set(cpu_target.target_context.codegen().magic_tuple()[2].split(","))
+    features = set(target()[2].split(","))
     if {"+avx512f", "-prefer-256-bit"} <= features:
         return 512
     return 256 if "+avx2" in features else 128

@@ -1,7 +1,9 @@
-"""Kernels compiled by another process before they are needed.
+"""Kernels are compiled in processes of their own, before they are needed where that is known.
 
-Compilation takes ten to twenty seconds of one core for each structure, and numba compiles one function at a time in a process.
-A second process has the next kernel ready by the time that it is asked for; the disk cache carries it over.
+Compilation takes ten to twenty seconds of one core for each structure, and numba compiles one function at a time in a process;
+the disk cache carries the machine code over. What a process has compiled itself differs from what is loaded: helpers that it
+has compiled singly take the place of those compiled into the kernel, with sums contracted otherwise. So kernels are always
+loaded, and give the same bits in the first run as in the next.
 """
 
 from __future__ import annotations
@@ -30,21 +32,26 @@ POLL_S = 0.05
 
 def compile_ahead(structures: Iterable[c.Structure]) -> None:
     """Begin to compile the kernels of these structures that this machine has not kept, in the order given; returns at once."""
-    if (os.cpu_count() or 1) < 2 or not sys.executable:
-        return
+    if (os.cpu_count() or 1) > 1:
+        _begin([_path(kernel(structure)) for structure in structures])
+
+
+def _begin(paths: list[Path]) -> None:
     with _lock:
-        paths = [_path(kernel(structure)) for structure in structures]
         todo = [path for path in paths if path not in _under_way and not is_kept(path)]
-        if not todo:
+        if not todo or not sys.executable:
             return
-        command = [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, todo)]
         quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         try:
-            process = subprocess.Popen(command, **quiet)
+            process = subprocess.Popen(_command(todo), **quiet)
         except OSError:
             return  # then they are compiled here, when they are needed
         _under_way.update(dict.fromkeys(todo, process))
         atexit.register(_stop, process)
+
+
+def _command(paths: Iterable[Path | str]) -> list[str]:
+    return [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, paths)]
 
 
 def _stop(process: subprocess.Popen) -> None:
@@ -53,9 +60,10 @@ def _stop(process: subprocess.Popen) -> None:
 
 
 def ready_kernel(structure: c.Structure) -> ModuleType:
-    """The module with the compiled function `run` for this structure; waits where it is being compiled ahead."""
+    """The module with the compiled function `run` for this structure; waits until another process has compiled it."""
     module = kernel(structure)
     path = _path(module)
+    _begin([path])
     process = _under_way.get(path)
     while process is not None and process.poll() is None and not is_kept(path):
         time.sleep(POLL_S)
@@ -72,14 +80,19 @@ def _path(module: ModuleType) -> Path:
 
 
 def main() -> None:
-    """In the other process: compile the generated modules at the paths on the command line, by running them on no rows."""
-    for text in sys.argv[1:]:
-        path = Path(text)
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[path.stem] = module
-        spec.loader.exec_module(module)
-        compile_run(module)
+    """In the other process: compile the generated module at the first path, then begin afresh with the rest.
+
+    What is compiled may hang, in its last bits, on what the process has compiled before.
+    """
+    path, *rest = sys.argv[1:]
+    name = Path(path).stem
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    compile_run(module)
+    if rest:
+        os.execv(sys.executable, _command(rest))
 
 
 def compile_run(module: ModuleType) -> None:

@@ -19,6 +19,7 @@ from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
+from sunspin.motion.compiler import target
 from sunspin.motion.kernel import codegen as c
 from sunspin.motion.kernel.deposit import deposit_body, signed_body
 from sunspin.motion.kernel.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
@@ -155,11 +156,11 @@ def _private_folder() -> Path:
 @lru_cache(maxsize=32)
 def kernel(structure: c.Structure) -> ModuleType:
     """The module with the compiled function `run` for this structure."""
-    return module_of(source(structure), metadata.version("numba"))
+    return module_of(source(structure), " ".join((metadata.version("numba"), *target())))
 
 
 def module_of(text: str, compiler: str) -> ModuleType:
-    """The module with this text, from the cache folder if it is there; `compiler` is the version that its machine code is of."""
+    """The module with this text, from the cache folder if it is there; `compiler` says what its machine code is made by and for."""
     key = f"{compiler}\n{text}"
     name = f"sunspin_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
     with _lock:

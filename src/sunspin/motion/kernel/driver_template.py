@@ -71,6 +71,7 @@ FINE = "FINE"
 CHATTERS = "CHATTERS"
 PAST_UNKNOWN = "PAST_UNKNOWN"
 NOT_FINITE = "NOT_FINITE"
+PIECES = 4  # of a step with events: a wheel held at the end of each may have slipped only between them
 MAX_EVENTS_PER_STEP = 64
 EVENT_TOLERANCE = "EVENT_TOLERANCE"  # of the place of an event in its step
 jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -163,19 +164,21 @@ def any_stuck(w):
 
 @jit
 def repair(w, v, rows, modes, outcome):
-    """Redo the step for each lane in which an event was missed; returns whether any wheel is stuck."""
+    """Redo the step, in pieces, for each lane in which an event may have been missed; returns whether any wheel is stuck."""
     for j in range(LANES):
         if w[S_MARGIN * LANES + j] < 0.0:
             one = rows[j]
             unload(w, S_OLD, one, j)
             dt = one[DT]
-            result = through_events(one, modes)
-            if result != FINE:
-                give_up(one)
-                outcome[j] = result
-                one[DT] = dt
-                step_one(one)
-            commit_one(one)
+            for _ in range(PIECES):
+                one[DT] = dt / PIECES
+                result = through_events(one, modes)
+                if result != FINE:
+                    give_up(one)
+                    outcome[j] = result
+                    one[DT] = dt / PIECES
+                    step_one(one)
+                commit_one(one)
             one[DT] = dt
             load(one, w, v, j)
             if BINS:

@@ -90,6 +90,15 @@ def wheel_speeds(w, omega, speeds):
 
 
 @jit
+def release(w, i, omega, modes):
+    """Let the stuck wheel i go, against the torque that held it when it was last observed."""
+    body_rate(w, omega)
+    rest_momentum(w, i, omega)
+    slip(w, i, -1.0 if w[WHEEL + PER_WHEEL * i + TORQUE] > 0 else 1.0)
+    set_modes(w, modes)
+
+
+@jit
 def settle(w, modes):
     """Release the stuck wheels that friction cannot hold, the most overloaded first."""
     omega = np.empty(3)
@@ -105,11 +114,7 @@ def settle(w, modes):
                 worst, load = i, overload
         if worst < 0:
             return
-        sign = -1.0 if w[WHEEL + PER_WHEEL * worst + TORQUE] > 0 else 1.0
-        body_rate(w, omega)
-        rest_momentum(w, worst, omega)
-        slip(w, worst, sign)
-        set_modes(w, modes)
+        release(w, worst, omega, modes)
 
 
 @jit
@@ -125,7 +130,8 @@ def event_value(w, i, stuck):
 def event_fraction(w, i, f_high):
     """Fraction of the step dt (in w) after which the event of wheel i happens: regula falsi, Illinois variant.
 
-    f_high is the event's value after the whole step. A wheel that breaks away is returned on the far side of its event.
+    f_high is the event's value after the whole step. A wheel that breaks away is returned on the far side of its event. One that has
+    just begun to turn is at zero, give or take rounding, and on its way out: its event is the next zero.
     """
     at = WHEEL + PER_WHEEL * i
     stuck = w[at + INVERSE_LIMIT2] > 0.0
@@ -137,9 +143,23 @@ def event_fraction(w, i, f_high):
     observe_one(w)
     low, high = 0.0, 1.0
     f_low = event_value(w, i, stuck)
-    if f_low <= 0.0:
+    close = EVENT_TOLERANCE * (max(f_low, 0.0) - f_high)
+    if stuck and f_low <= 0.0:
         return 0.0
-    close = EVENT_TOLERANCE * (f_low - f_high)
+    if f_low <= close:
+        low = 1.0
+        for _ in range(20):
+            low *= 0.5
+            w[DT] = low * dt
+            step_one(w)
+            observe_one(w)
+            f_low = event_value(w, i, stuck)
+            if f_low > close:
+                break
+            high, f_high = low, f_low
+        w[DT] = dt
+        if f_low <= close:
+            return low
     for _ in range(60):
         middle = (low * f_high - high * f_low) / (f_high - f_low)
         if high - low < EVENT_TOLERANCE or f_high == 0.0:
@@ -194,8 +214,10 @@ def through_events(w, modes):
             # backward in time a turning wheel meets zero only where it reversed: what can hold it never let it start
             slip(w, first, -w[WHEEL + PER_WHEEL * first + WATCH])
             continue
-        stuck = w[WHEEL + PER_WHEEL * first + INVERSE_LIMIT2] > 0.0
-        if not stuck:
+        if w[WHEEL + PER_WHEEL * first + INVERSE_LIMIT2] > 0.0:
+            observe_one(w)
+            release(w, first, omega, modes)
+        else:
             body_rate(w, omega)
             rest_momentum(w, first, omega)
             stick(w, first)

@@ -17,6 +17,9 @@ NODE_ROWS = 7
 
 NODES_PER_STEP = 2
 
+NEARLY_AWAY = 0.25
+"""Squared share of its friction at which a stuck wheel is looked at closely: it may break away and be held again in one step."""
+
 LANE_WHEEL_ROWS = (
     "axis_x", "axis_y", "axis_z", "inverse_inertia", "free", "coulomb", "viscous", "inertia", "watch", "inverse_limit2",
 )  # fmt: skip
@@ -140,7 +143,7 @@ class Lanes:
         self.add(f"{self.row('S_MARGIN')} = margin")
 
     def break_away(self) -> list[str]:
-        """Lower the margin where friction cannot hold a wheel that is stuck."""
+        """Make the margin negative where friction may not hold a wheel that is stuck."""
         if not self.n:
             return []
         self.load_parameters()
@@ -151,9 +154,9 @@ class Lanes:
         torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}")) for i in range(self.n)]
         self.put([f"torque{i}" for i in range(self.n)], torques)
         self.add(f"margin = {self.row('S_MARGIN')}")
-        one = self.number(1.0, self.structure.precision)
+        near = self.number(NEARLY_AWAY, self.structure.precision)
         for i in range(self.n):
-            self.add(f"margin = min(margin, {one} - torque{i} * torque{i} * {self.wheel(i, 'inverse_limit2')})")
+            self.add(f"margin = min(margin, {near} - torque{i} * torque{i} * {self.wheel(i, 'inverse_limit2')})")
         self.add(f"{self.row('S_MARGIN')} = margin")
         return self.take()
 
