@@ -35,7 +35,7 @@ reproduce: $(READY)
 
 lint: $(READY)
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/ruff check --no-cache src tests bench docs examples
+	$(BIN)/ruff check --no-cache src tests bench docs examples trust
 	$(BIN)/basedpyright
 
 test: lint

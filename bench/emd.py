@@ -34,7 +34,7 @@ def run(quick: bool) -> Table:
     fused = seconds[FUSED] / np.prod([len(axis) for axis in axes.values()])
     table.add(FUSED, 1e3 * fused, float(1 / fused), None)
     if not _has_pot():
-        table.notes.append("POT is not installed and its rows are left out; pip install 'POT>=0.9' (the extra `bench`) adds them.")
+        table.notes.append("POT is not installed, its rows are left out; pip install 'POT>=0.9.4' (the extra `bench`) adds them.")
     table.notes.append("SciPy's and POT's values are halved before they are compared: the paper's distance is half of theirs.")
     return table
 

@@ -91,7 +91,7 @@ def odd_column(rows: list[list[str]], rng: np.random.Generator) -> None:
 
 
 def scaled_column(rows: list[list[str]], rng: np.random.Generator) -> None:
-    k, factor = int(rng.integers(len(rows[0]))), 10.0 ** rng.integers(-12, 12)
+    k, factor = int(rng.integers(len(rows[0]))), 10.0 ** float(rng.integers(-12, 12))
     for row in rows[1:]:
         try:
             row[k] = repr(float(row[k]) * factor)

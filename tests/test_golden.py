@@ -1,17 +1,20 @@
 """A golden run: the numbers that results hang on must not move unseen.
 
 Stored from this machine (x86-64, AVX-512) on 2026-10; the bounds are what other processors, compilers and library versions
-may change. Whoever moves a number beyond its bound on purpose states by how much in docs/trust.md, and stores it anew with
-``python tests/test_golden.py``.
+may change. Whoever moves a number beyond its bound on purpose stores it anew with ``python tests/test_golden.py``, which prints
+by how much each part has moved and the line with which CHANGELOG.md has to say so.
 """
 
+import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.vehicle import Vehicle
 
 STORED = Path(__file__).with_name("golden.json")
 SUN = [0.1959, 0.5690, 0.7986]
@@ -27,9 +30,9 @@ BOUNDS = {
 """Largest difference allowed, absolute."""
 
 
-def made() -> dict[str, list[float]]:
+def made(philae: Vehicle | None = None) -> dict[str, list[float]]:
     """The numbers of this machine."""
-    philae = ss.load_vehicle("philae")
+    philae = philae or ss.load_vehicle("philae")
     run = ss.propagate(philae, [0.1, -0.05, 0.02], SUN, 865.0, [0.0, 600.0, 2700.0])
     rng = np.random.default_rng(1)
     suns = rng.normal(size=(40, 3))
@@ -68,5 +71,31 @@ def test_the_same_machine_gives_the_same_bits(now):
     assert made() == now
 
 
+def test_the_changes_say_by_how_much_it_moved():
+    assert f"Golden run {mark()}" in (STORED.parents[1] / "CHANGELOG.md").read_text("utf-8")
+
+
+def test_it_would_notice_a_part_in_a_million(now):
+    """One moment of inertia larger by 1e-6: far below every physical error, and far beyond the bounds."""
+    philae = ss.load_vehicle("philae")
+    other = made(replace(philae, inertia_kg_m2=philae.inertia_kg_m2 + np.diag([0.0, 1e-6 * philae.inertia_kg_m2[1, 1], 0.0])))
+    for part in ("reference", "impact"):
+        assert np.abs(np.subtract(other[part], now[part])).max() > 10 * BOUNDS[part], part
+    assert other["directions"] == now["directions"]  # which no inertia enters
+
+
+def mark() -> str:
+    """The name of the numbers stored."""
+    return hashlib.sha256(STORED.read_bytes()).hexdigest()[:8]
+
+
+def store() -> str:
+    """Store this machine's numbers; the line for the changes."""
+    before, after = json.loads(STORED.read_text("utf-8")), {part: [float(x) for x in v] for part, v in made().items()}
+    moved = {part: float(np.abs(np.subtract(after[part], before[part])).max()) for part in BOUNDS}
+    STORED.write_text(json.dumps(after, indent=1) + "\n", "utf-8")
+    return f"- Golden run {mark()}: " + ", ".join(f"{part} moved by {size:.1e}" for part, size in moved.items()) + "."
+
+
 if __name__ == "__main__":
-    STORED.write_text(json.dumps({part: [float(x) for x in values] for part, values in made().items()}, indent=1) + "\n", "utf-8")
+    print(store())

@@ -192,6 +192,26 @@ def test_samples_are_answered_one_by_one(seed):
         assert all_[name].values[order].tobytes() == shuffled[name].values.tobytes(), name
 
 
+@few
+@given(seeds, st.permutations(range(6)), st.sampled_from([1e-3, 1.0, 60.0]))
+def test_neither_the_order_of_panels_nor_the_unit_of_power_matters(seed, order, unit_of_power):
+    vehicle, _, _, _, rng = case(seed, 0, n_panels=6)
+    order = list(order)
+    other = replace(vehicle, panels=[replace(vehicle.panels[i], gain=unit_of_power * vehicle.panels[i].gain) for i in order])
+    power = np.maximum(ss.panel_power(vehicle, np.array([unit(rng) for _ in range(60)])) + rng.normal(size=(60, 6)) * 0.01, 0)
+    power[::7, 0] = 0.0  # a panel that fails: patterns that cannot be
+    power[1::9] = 0.0
+    a = ss.sun_directions(vehicle, power, lit_threshold=0.03, noise=0.01)
+    b = ss.sun_directions(other, unit_of_power * power[:, order], lit_threshold=0.03 * unit_of_power, noise=0.01 * unit_of_power)
+    assert np.array_equal(a["status"].values, b["status"].values) and len(np.unique(a["status"].values)) > 2
+    assert np.array_equal(a["status_text"].values, b["status_text"].values)
+    assert np.array_equal(a["lit"].values[:, order], b["lit"].values)
+    close(b["delta"].values, a["delta"].values, 0.0, 1e-10)
+    told = is_reconstructed(a["status"])
+    close(b["sun_B"].values[told], a["sun_B"].values[told], 0.0, 1e-8)
+    np.testing.assert_allclose(b["sigma_rad"].values[told], a["sigma_rad"].values[told], rtol=1e-6)
+
+
 def test_a_property_would_notice():
     """The negative control of this file: a vehicle that is not turned along with its start."""
     vehicle, omega, sun, speeds, rng = case(3, 1)

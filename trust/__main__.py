@@ -12,6 +12,7 @@ CAMPAIGNS = {
     "corrupt": "binary files damaged and opened: NetCDF, Parquet, Zarr stores, SPICE kernels, zip",
     "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
+    "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
     "lowest": "the tests with the lowest versions of the dependencies",
 }
 

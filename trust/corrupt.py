@@ -8,18 +8,22 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import warnings
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sunspin.tell.results import MARKER
 from tests.corrupted import BYTES
 from trust import fuzz
 from trust.border import judge, sunspin
 from trust.pool import Verdict, limit_memory
 
-FORMATS = ("telemetry.nc", "telemetry.parquet", "trajectory.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip")
+FORMATS = (
+    "telemetry.nc", "telemetry.parquet", "trajectory.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip", "report",
+)  # fmt: skip
 SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
 
 
@@ -111,6 +115,14 @@ class Corrupt:
     def try_frames_zip(self, place: Path, rng: np.random.Generator) -> Verdict:
         return self._told("decode", self._bad("frames.zip", place, rng), "--out", place / "out")
 
+    def try_report(self, place: Path, rng: np.random.Generator) -> Verdict:
+        """A page is made all the same, of what can be read; the file is named on it."""
+        shutil.copytree("stock/results", place / "results")
+        files = sorted(path for path in (place / "results").iterdir() if path.name != MARKER and path.stat().st_size)
+        for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 3))):
+            path.write_bytes(damaged(path.read_bytes(), rng) if path.stat().st_size else b"x")
+        return self._told("report", place / "results")
+
     def try_store(self, place: Path, rng: np.random.Generator) -> Verdict:
         from sunspin.infer.ensemble import ensemble
 
@@ -129,13 +141,16 @@ def _sentence(call: Any) -> Verdict:
     """Whether a call returns or says one sentence."""
     from sunspin.errors import SunspinError
 
-    try:
-        call()
-    except SunspinError as error:
-        return Verdict("refused", not str(error).isprintable(), repr(str(error)))
-    except Exception as error:
-        return Verdict("traceback", True, f"{type(error).__name__}: {error}")
-    return Verdict("fine")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", RuntimeWarning)
+        try:
+            call()
+        except SunspinError as error:
+            return Verdict("refused", not str(error).isprintable(), repr(str(error)))
+        except Exception as error:
+            return Verdict("traceback", True, f"{type(error).__name__}: {error}")
+    noise = [str(w.message) for w in said if issubclass(w.category, RuntimeWarning)]
+    return Verdict("noise", True, "; ".join(noise)) if noise else Verdict("fine")
 
 
 def make_files(home: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from unittest import mock
 import click
 import numpy as np
 
+from sunspin.infer.rates_motion import _runge_kutta
 from trust import hostile
 from trust.border import Accepted, judge, sunspin
 from trust.pool import Verdict, limit_memory
@@ -27,11 +29,14 @@ MORE_MEMORY = 2 * 1024**3
 SMALL_ROWS = 64
 """Scans and Monte Carlos of so few rows are run."""
 
+SEARCH_S = 2.5
+"""CPU time of a case after which a search of rates that has begun is ended: fast rates and sparse samples may well take longer."""
+
 KINDS = {"vehicle": 0.4, "telemetry": 0.25, "options": 0.35}
 """Share of the cases whose vehicle, telemetry or options are hostile."""
 
-ON_VEHICLES = ("check", "check", "sun", "simulate", "simulate", "scan", "outcomes", "rates")
-ON_TABLES = ("check", "check", "sun", "sun", "scan", "rates")
+ON_VEHICLES = ("check", "check", "sun", "simulate", "simulate", "scan", "outcomes", "rates", "posterior")
+ON_TABLES = ("check", "check", "sun", "sun", "scan", "rates", "posterior")
 
 
 class Fuzz:
@@ -50,6 +55,7 @@ class Fuzz:
         make_stock(self.stock)
         for change in cut_short():
             self.stack.enter_context(change)
+        self.stack.enter_context(mock.patch("sunspin.infer.rates_motion._runge_kutta", self._while_short(_runge_kutta)))
         self.commands = command_table()
         if self.memory is not None:
             limit_memory(self.memory)
@@ -57,6 +63,14 @@ class Fuzz:
 
     def __exit__(self, *exception: object) -> None:
         self.stack.close()
+
+    def _while_short(self, function: Any) -> Any:
+        def short(*arguments: Any) -> Any:
+            if time.process_time() - self.begun > SEARCH_S:
+                raise Accepted
+            return function(*arguments)
+
+        return short
 
     def arguments(self, index: int) -> list[str]:
         """The arguments of this case; makes its files in the present folder."""
@@ -100,6 +114,7 @@ class Fuzz:
         os.chdir(place)
         try:
             arguments = self.last = self.arguments(index)
+            self.begun = time.process_time()
             told = self.told = sunspin(*arguments)
             verdict = judge(told)
             if verdict.bad:
@@ -153,6 +168,7 @@ def cut_short() -> list[Any]:
     return [
         mock.patch("sunspin.infer.scan.ensemble", few),
         mock.patch("sunspin.study.outcomes.ensemble", few),
+        mock.patch("sunspin.infer.posterior_modes.ensemble", begins),
         mock.patch("sunspin.motion.kernel.run.ready_kernel", kept),
         mock.patch("sunspin.motion.kernel.ahead.compile_ahead", lambda structures: None),
         mock.patch("sunspin.motion.kernel.run.compile_ahead", lambda structures: None),
@@ -177,6 +193,8 @@ def base(command: str) -> list[str]:
         "check": ["vehicle.toml", "telemetry.csv"],
         "sun": ["vehicle.toml", "telemetry.csv"],
         "rates": ["vehicle.toml", "telemetry.csv", "--noise=1e-4"],
+        "posterior": ["vehicle.toml", "telemetry.csv", "--prior=max_rate_rad_s=0.05"],
+        "report": ["results"],
         "simulate": ["vehicle.toml", *start, "--duration=100"],
         "scan": ["vehicle.toml", "telemetry.csv", "--to=160", "--lines=0", *grid],
         "outcomes": ["vehicle.toml", "--runs=8", *start, "--after=60", "--collision-speed=0"],

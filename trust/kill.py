@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,32 +19,43 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
+UNALIKE = ("seconds", "command", "folder")
+"""Keys of summaries that say how long a run took and where it stood."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A command, the share of the kills that it gets, the arguments in full and small (for a quick look)."""
+    """A command, its share of the kills, its arguments in full and small (for a quick look), the module that runs it."""
 
     name: str
     share: float
     full: tuple[str, ...]
     small: tuple[str, ...]
     stored: bool = True
+    module: str = "sunspin.cli"
 
     def command(self, folder: Path, small: bool) -> list[str]:
-        given = [sys.executable, "-m", "sunspin.cli", self.name, *(self.small if small else self.full)]
-        given += ["--out", str(folder / "out")]
-        return given + (["--store", str(folder / "store")] if self.stored else [])
+        given = [*(self.small if small else self.full)]
+        if self.module != "sunspin.cli":  # a program of its own, which goes on from what is in its folder
+            return [sys.executable, "-m", self.module, str(folder / "out"), *given]
+        store = ["--store", str(folder / "store")] if self.stored else []
+        return [sys.executable, "-m", self.module, self.name, *given, "--out", str(folder / "out"), *store]
 
 
 SCAN = ("philae", str(TELEMETRY), "--from=90", "--to=2800", "--workers=2", "--lines=0")
+KNOWN = ("--prior=inertia=0", "--prior=friction=0", "--prior=wheel_speed=0")
+WINDOW = ("philae", *KNOWN, "--draws=1000", "--workers=2", "--from=100", "--to=1500")
 TARGETS = (
-    Target("scan", 0.4, (*SCAN, "--omega-x=-0.5:1:0.02", "--omega-y=-0.5:1:0.02", "--omega-z=-0.3:0.3:0.03"),
+    Target("scan", 0.3, (*SCAN, "--omega-x=-0.5:1:0.02", "--omega-y=-0.5:1:0.02", "--omega-z=-0.3:0.3:0.03"),
            (*SCAN, "--omega-x=-0.5:1:0.05", "--omega-y=-0.5:1:0.05", "--omega-z=-0.3:0.3:0.04")),
-    Target("outcomes", 0.25, ("philae", "--runs=16000", "--workers=2"), ("philae", "--runs=5000", "--workers=2")),
-    Target("worth", 0.2, ("--twins=16", "--coarser=3", "--workers=2", "--confidence=0.6"),
+    Target("posterior", 0.2, (*WINDOW, "--prior=max_rate_rad_s=0.1"), (*WINDOW, "--prior=max_rate_rad_s=0.05")),
+    Target("calibrate", 0.1, ("--kind=known", "--twins=3", "--max-rate=0.1", "--samples=12", "--interval=30", "--workers=2"),
+           ("--kind=known", "--twins=2", "--max-rate=0.05", "--samples=12", "--interval=30", "--workers=2"),
+           module="sunspin.study.calibrate"),
+    Target("outcomes", 0.15, ("philae", "--runs=16000", "--workers=2"), ("philae", "--runs=5000", "--workers=2")),
+    Target("worth", 0.15, ("--twins=16", "--coarser=3", "--workers=2", "--confidence=0.6"),
            ("--twins=10", "--coarser=8", "--workers=2", "--confidence=0.5")),
-    Target("reproduce", 0.15, ("--coarser=8",), ("--coarser=25",), stored=False),
+    Target("reproduce", 0.1, ("--coarser=8",), ("--coarser=25",), stored=False),
 )  # fmt: skip
 
 
@@ -89,14 +101,19 @@ def is_whole(path: Path) -> bool:
 
 
 def content(path: Path) -> dict[str, Any]:
-    """What a results file holds, to be compared: arrays as bytes; clocks left out."""
+    """What a results file holds, to be compared: arrays as bytes; durations and the places of the run left out."""
     import xarray as xr
 
     if path.suffix == ".nc":
-        with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as data:
-            parts = {str(name): (v.dims, v.shape, str(v.dtype), _bits(v.values)) for name, v in data.variables.items()}
-            return parts | {"attrs": {key: str(value) for key, value in data.attrs.items()}}
-    return {key: value for key, value in json.loads(path.read_text("utf-8")).items() if key != "seconds"}
+        groups = xr.open_groups(path, engine="h5netcdf", decode_timedelta=False)
+        held: dict[str, Any] = {}
+        for group, data in groups.items():
+            held |= {f"{group}:{name}": (v.dims, v.shape, str(v.dtype), _bits(v.values)) for name, v in data.variables.items()}
+            held[f"{group}:attrs"] = {key: str(value) for key, value in data.attrs.items()}
+            data.close()
+        return held
+    told = json.loads(path.read_text("utf-8"))
+    return {key: value for key, value in told.items() if key not in UNALIKE} if isinstance(told, dict) else {"": told}
 
 
 def _bits(values: np.ndarray) -> bytes:
@@ -104,7 +121,8 @@ def _bits(values: np.ndarray) -> bytes:
 
 
 def results(folder: Path) -> dict[str, Any]:
-    return {path.name: content(path) for path in sorted(folder.iterdir()) if path.suffix in (".nc", ".json")}
+    files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".nc", ".json")]
+    return {str(path.relative_to(folder)): content(path) for path in files}
 
 
 def campaign(target: Target, kills: int, folder: Path, seed: int, small: bool = False, say: Callable[[str], None] = print) -> Told:
@@ -112,7 +130,7 @@ def campaign(target: Target, kills: int, folder: Path, seed: int, small: bool = 
     told, draw = Told(target.name), random.Random(f"{seed} {target.name}")
     calm = folder / "calm"
     for _ in range(2):  # the first compiles
-        told.seconds = _undisturbed(target.command(calm, small))
+        told.seconds = _undisturbed(target.command(calm, small), calm)
     wanted = results(calm / "out")
     say(f"{target.name}: undisturbed in {told.seconds:.1f} s")
     number = 0
@@ -133,12 +151,9 @@ def campaign(target: Target, kills: int, folder: Path, seed: int, small: bool = 
     return told
 
 
-def _undisturbed(command: list[str]) -> float:
-    out = Path(command[command.index("--out") + 1])
-    import shutil
-
-    shutil.rmtree(out.parent, ignore_errors=True)
-    out.parent.mkdir(parents=True)
+def _undisturbed(command: list[str], folder: Path) -> float:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
     begun = time.monotonic()
     process = start(command)
     _, complaint = process.communicate()

@@ -182,6 +182,12 @@ def test_numbers_beyond_all_measure_are_refused_by_every_command(value, home):
     refused("sun", "vehicle.toml", "telemetry.csv", f"--noise={value}", words=["--noise"])
 
 
+def test_a_lead_of_ages_is_a_sentence(home):
+    """Back in time friction makes a wheel faster without bound."""
+    given = ["--omega=0,0,1", START[1], "--after=1", "--collision-speed=0", "--runs=4"]
+    refused("outcomes", "vehicle.toml", *given, "--lead=1e20", words=["steps", "unit"])
+
+
 def test_too_many_turns_between_samples_are_refused(home):
     refused("rates", "vehicle.toml", "telemetry.csv", "--max-rate=1e6", "--noise=1e-4", words=["whole turns", "--max-rate"])
 
@@ -190,6 +196,48 @@ def test_file_names_of_any_bytes_are_printed(home):
     told = sunspin("init", "caf\udce9", "--json")
     assert json.loads(told.out)["vehicle"].startswith("caf\udce9")
     assert sunspin("init", "caf\udce8").code == 0
+
+
+def test_results_and_their_page_in_a_folder_of_any_name(home):
+    os.rename("telemetry.csv", "t\udce9.csv")
+    folder = "caf\udce9 \u202e"
+    for command in (["simulate", "philae", *START, "--duration=5"], ["sun", "vehicle.toml", "t\udce9.csv"]):
+        place = folder + command[0]
+        told = sunspin(*command, f"--out={place}")
+        assert not told.err and told.code == 0, told
+        assert place in json.loads((home / place / "summary.json").read_text("utf-8"))["command"]
+        told = sunspin("report", place)
+        assert not told.err and told.code == 0, told
+    pytest.importorskip("spiceypy")
+    refused("export", folder + "simulate", "--epoch=2026-01-01T00:00:00Z", "--format=ck", f"--out={folder}", words=["SPICE"])
+
+
+def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, monkeypatch):
+    import h5netcdf
+
+    assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
+    with h5netcdf.File("results/bomb.nc", "w") as file:
+        file.dimensions = {"time": 10**12}
+        file.create_variable("px", ("time",), "f8", chunks=(10**6,))
+    data = bytearray((home / "results" / "trajectory.nc").read_bytes())
+    data[200:260] = bytes(60)
+    (home / "results" / "trajectory.nc").write_bytes(data)
+    (home / "results" / "summary.json").write_text('{"title": "\\ud800 <script>x</script>", "verdict": [1, {"a": null}]}')
+    assert sunspin("report", "results") == sunspin("report", "results") and sunspin("report", "results").code == 0
+    page = (home / "results" / "report.html").read_text("utf-8")
+    assert "bomb.nc could not be read" in page and "GB of memory" in page and "<script>x" not in page
+
+
+@pytest.mark.parametrize("value", [0.0, 1e300, np.nan])
+def test_a_page_of_numbers_that_cannot_be(home, value):
+    assert sunspin("simulate", "philae", *START, "--duration=20", "--out=results").code == 0
+    with xr.open_dataset("results/trajectory.nc", engine="h5netcdf") as data:
+        data = data.load()
+    for name in ("sun_B", "omega_B", "B_from_N"):
+        data[name].values[3:6] = value
+    data.to_netcdf("results/trajectory.nc", engine="h5netcdf")
+    told = sunspin("report", "results")
+    assert told.code == 0 and not told.err, told
 
 
 def test_names_too_long_are_a_sentence(home):

@@ -29,14 +29,44 @@ def read_netcdf(source: Any, where: str, error_type: type[SunspinError]) -> xr.D
     half-opened file complains on stderr once more when it is thrown away. So it is read in another process first, with
     limits; each of these becomes the one sentence.
     """
-    if (trouble := _probed(source)) is not None:
+    return _guarded(source, where, error_type, lambda: _one(source), probe=True)
+
+
+def read_groups(path: Path, where: str, error_type: type[SunspinError], probe: bool = True) -> dict[str, xr.Dataset]:
+    """The groups of a NetCDF-4 file by their paths, times undecoded; `probe` false for a file that this program wrote."""
+    return _guarded(path, where, error_type, lambda: _tree(path), probe)
+
+
+class _TooLarge(Exception):
+    pass
+
+
+def _one(source: Any) -> xr.Dataset:
+    with xr.open_dataset(source, engine="h5netcdf", decode_timedelta=False) as data:
+        return _loaded(data, data.nbytes)
+
+
+def _tree(path: Path) -> dict[str, xr.Dataset]:
+    with xr.open_datatree(path, engine="h5netcdf", decode_times=False) as tree:
+        groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
+        size = sum(data.nbytes for data in groups.values())
+        return {name: _loaded(data, size) for name, data in groups.items()}
+
+
+def _loaded(data: xr.Dataset, size: int) -> xr.Dataset:
+    if size > MAX_BYTES:
+        raise _TooLarge(f"the file would take {size / 1e9:.3g} GB of memory")
+    return data.load()
+
+
+def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any, probe: bool) -> Any:
+    if probe and (trouble := _probed(source)) is not None:
         raise error_type(sentence(f"this NetCDF file cannot be read ({trouble})", do=MEND, where=where))
     hook = sys.unraisablehook
     try:
-        with xr.open_dataset(source, engine="h5netcdf", decode_timedelta=False) as data:
-            if data.nbytes <= MAX_BYTES:
-                return data.load()
-            what = sentence(f"the file would take {data.nbytes / 1e9:.3g} GB of memory", do="cut it into parts", where=where)
+        return read()
+    except _TooLarge as error:
+        what = sentence(str(error), do="cut it into parts", where=where)
     except Exception as error:
         sys.unraisablehook = lambda _: None
         what = sentence(f"this NetCDF file cannot be read ({type(error).__name__}: {str(error)[:200]})", do=MEND, where=where)

@@ -234,7 +234,7 @@ def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dat
         "vehicle": vehicle.name,
         "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
         "quantity": form.quantity,
-        "file": path.name,
+        "file": path.name.encode("utf-8", "backslashreplace").decode("utf-8"),  # attributes hold no half characters
         "sha256": table.sha256,
         "comments": "\n".join(table.comments),
         "synthetic": int(any(comment.lower().startswith("synthetic") for comment in table.comments)),

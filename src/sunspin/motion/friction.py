@@ -91,6 +91,10 @@ def spin_down_curve(t: FloatArray | float, c1: FloatArray | float, c2: float, c3
     return c1 * np.exp(c2 * t) + c3
 
 
+LONGEST_BACK = 300.0
+"""Times J / mu1 that a speed is followed back: it was e^300 times as large then, which is no wheel's, but still a number."""
+
+
 def spin_down_speed(
     coulomb_N_m: Any, viscous_N_m_s: Any, inertia_kg_m2: Any, speed_rad_s: npt.ArrayLike, t: npt.ArrayLike
 ) -> FloatArray:
@@ -100,6 +104,7 @@ def spin_down_speed(
     speed that the wheel came from.
     """
     decay = np.asarray(viscous_N_m_s / inertia_kg_m2 * np.asarray(t, dtype=np.float64))
+    decay = np.maximum(decay, -LONGEST_BACK)
     small = np.abs(decay) < 1e-8
     relaxed = np.where(small, 1.0 - 0.5 * decay, -np.expm1(-decay) / np.where(small, 1.0, decay))
     left = np.abs(speed_rad_s) * np.exp(-decay) - coulomb_N_m / inertia_kg_m2 * np.asarray(t) * relaxed

@@ -59,7 +59,8 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
     """
     path = Path(folder).joinpath(*KERNEL)
     try:
-        facts = _facts(case, _KernelStates(path))
+        with np.errstate(all="ignore"):  # a damaged record may hold any numbers; they are judged below
+            facts = _facts(case, _KernelStates(path))
     except spice_errors() as error:
         short = " ".join(str(error).split()).strip("= ")[:200]
         what = f"the trajectory kernel cannot be read ({short})"

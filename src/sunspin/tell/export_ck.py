@@ -59,6 +59,8 @@ def spice() -> Any:
 def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into `folder`; one interpolation interval per pass."""
     sp = spice()
+    if not str(folder).isprintable():
+        raise OutputError(sentence("SPICE takes no such folder name", got=str(folder), do="give one of plain letters"))
     clock = write_whole(folder / "sunspin.tsc", lambda part: part.write_text(_clock_kernel(attitude), "ascii"))
     frames = write_whole(folder / "sunspin.tf", lambda part: part.write_text(_frame_kernel(attitude), "ascii"))
     ticks = np.round((attitude.t_s - min(0.0, attitude.t_s.min())) * TICKS_PER_S)

@@ -90,7 +90,7 @@ def reproduce(
         "figures": [asdict(row) | {"part": part} for part, rows in by_part.items() for row in rows],
     }
     write_run(folder, summary, case.name, case.telemetry, pictures)
-    return Written(folder, write_report(folder), summary)
+    return Written(folder, write_report(folder, ours=True), summary)
 
 
 def _command(telemetry: str | Path | None, seed: int, coarser: int) -> str:

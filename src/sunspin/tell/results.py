@@ -98,9 +98,9 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
 
 
 def write_json(target: Path, data: Any) -> Path:
-    """Write plain data as JSON; numbers that are not finite become null."""
+    """Write plain data as JSON; numbers that are not finite become null, half characters of file names escapes."""
     text = json.dumps(plain(data), indent=1, ensure_ascii=False, allow_nan=False)
-    return write_whole(target, lambda part: part.write_text(text + "\n", "utf-8"))
+    return write_whole(target, lambda part: part.write_bytes((text + "\n").encode("utf-8", "backslashreplace")))
 
 
 def plain(value: Any) -> Any:

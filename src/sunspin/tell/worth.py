@@ -63,5 +63,5 @@ def worth(
         sheet = worth_sheet(found, known.published, confidence)
         picture = Picture(fig.save(sheet.make(), folder, sheet.name)[0], sheet.alt, sheet.caption)
         write_run(folder, summary, case, None, [picture])
-        write_report(folder)
+        write_report(folder, ours=True)
     return summary | {"folder": None if folder is None else str(folder)}

@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
@@ -29,18 +30,20 @@ REDRAWN = {
 """Figures that the page draws itself, to be turned and looked into; the files stay in the folder."""
 
 
-def write_report(folder: str | Path) -> Path:
-    """Write `report.html` of a results folder from the files in it, and return its path."""
-    results = read_results(folder)
-    page = sections.page(results)
+def write_report(folder: str | Path, ours: bool = False) -> Path:
+    """Write `report.html` of a results folder from the files in it, and return its path; `ours` as in `read_results`."""
+    results = read_results(folder, ours)
+    with np.errstate(all="ignore"):  # a damaged file may hold any numbers: they are shown as they are
+        page = sections.page(results)
+        data = _json(_data(page))
     pictures, left_out = _pictures(results.pictures)
     text = _template().render(
         page=page, pictures=pictures, left_out=left_out, problems=results.problems,
         style=Markup(_asset("page.css")), scripts=[Markup(_script(text)) for text in (_plotly(), _asset("page.js"),
         _asset("lander.js"))],
-        data=Markup(_json(_data(page))), licence=_licence(),
+        data=Markup(data), licence=_licence(),
     )  # fmt: skip
-    return write_whole(results.folder / "report.html", lambda part: part.write_text(text, "utf-8"))
+    return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
 
 
 def _template() -> Any:

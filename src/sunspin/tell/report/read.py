@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.errors import InputError, SunspinError, sentence
+from sunspin.measure.netcdf import read_groups
 from sunspin.tell.results import MARKER, Picture
 from sunspin.timeline import Timeline, parse_timeline
 from sunspin.vehicle import Vehicle
@@ -74,8 +75,8 @@ class Results:
         return found[0] if found else None
 
 
-def read_results(folder: str | Path) -> Results:
-    """Read a folder that a `sunspin` command wrote.
+def read_results(folder: str | Path, ours: bool = False) -> Results:
+    """Read a folder that a `sunspin` command wrote; `ours`: this process, just now, so that its files need no probe.
 
     Raises
     ------
@@ -102,7 +103,7 @@ def read_results(folder: str | Path) -> Results:
     found.summary = _json(found, "summary.json", dict)
     for file in files:
         if file.suffix == ".nc" and file.is_file():
-            _netcdf(found, file)
+            _netcdf(found, file, ours)
     found.vehicle = _toml(found, "vehicle.toml", lambda p: read_vehicle(p))
     found.timeline = _toml(found, "timeline.toml", lambda p: parse_timeline(p.read_text("utf-8"), p.name))
     found.pictures = _pictures(found, files)
@@ -134,16 +135,14 @@ def _toml(found: Results, name: str, read: Any) -> Any:
         return None
 
 
-def _netcdf(found: Results, file: Path) -> None:
+def _netcdf(found: Results, file: Path, ours: bool) -> None:
     try:
         if file.stat().st_size > MAX_BYTES:
             found.problems.append(f"{file.name} is larger than {MAX_BYTES // 1_000_000} MB and was not read.")
             return
-        with xr.open_datatree(file, engine="h5netcdf", decode_times=False) as tree:
-            groups = {node.path: node.to_dataset(inherit=False).load() for node in tree.subtree}
-    # files come from outside, and the libraries below raise almost anything on a broken one
-    except Exception as error:
-        found.problems.append(f"{file.name} could not be read ({type(error).__name__}).")
+        groups = read_groups(file, file.name, InputError, probe=not ours)
+    except (OSError, InputError) as error:
+        found.problems.append(f"{file.name} could not be read: {error}")
         return
     for path, data in groups.items():
         if data.variables or (path == "/" and len(groups) == 1):
