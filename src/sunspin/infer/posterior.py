@@ -215,9 +215,10 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
     carried = ("epoch_utc", "synthetic", "file", "sha256", "comments")
     about = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
     return about | {
-        "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "samples": len(data), "reference_sample": chosen.anchor,
+        "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
+        "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
-        "max_rate_rad_s": unknown.max_rate, "searched_rate_rad_s": float(chosen.limit),
+        "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate, "searched_rate_rad_s": float(chosen.limit),
         "sunspin_version": metadata.version("sunspin"),
     }  # fmt: skip
 
