@@ -18,21 +18,24 @@ from sunspin.errors import InputError, sentence
 @click.option("--to", "end", type=float, help="Use samples up to this time, s from the epoch.")
 @click.option("--phase", help="Use the samples of this phase of the file.")
 @click.option("--prior", "priors", multiple=True, help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
-              "friction, gain, noise, scale; also time_s and max_rate_rad_s. Repeatable.")
+              "friction, gain, noise, scale; also time_s, max_rate_rad_s, and in s how long "
+              "before the first sample the wheels were released, wheel_off_s, with sigma wheel_off. Repeatable.")
 @click.option("--rate", "rates", multiple=True, help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.")
 @click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")
+@click.option("--field", "fields", multiple=True, help="A magnetic direction in the body, and its known angle from the Sun: "
+              "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.")
 @click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True,
               help="What the wheels do in this stretch.")
-@click.option("--predict", help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 or "
-              "2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.")
+@click.option("--predict", help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
+              "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.")
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @output_options()
 @run_options
 @data_option
-def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, wheel_mode, predict, draws, store, out, as_json, quiet,
-              seed, workers, data) -> None:  # fmt: skip
+def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, draws, store, out, as_json,
+              quiet, seed, workers, data) -> None:  # fmt: skip
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
@@ -51,6 +54,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, wheel
     craft = load_vehicle(vehicle)
     samples = _own(vehicle) if telemetry is None else read_telemetry(find_telemetry(telemetry, data), craft)
     seen = [_observation("rate", text, 1) for text in rates] + [_observation("gyro", text, 3) for text in gyros]
+    seen += [_field(text) for text in fields]
     times = None if predict is None else _times(predict, samples.attrs.get("epoch_utc"))
     if out is not None:
         from sunspin.tell.results import results_folder
@@ -86,6 +90,11 @@ def _prior(text: str) -> tuple[str, float]:
 def _observation(kind: str, text: str, count: int) -> dict[str, Any]:
     t, *value, sigma = numbers(text, f"--{kind}", count + 2)
     return {"kind": kind, "t_s": t, "value": value, "sigma": sigma}
+
+
+def _field(text: str) -> dict[str, Any]:
+    t, x, y, z, angle, sigma = numbers(text, "--field", 6)
+    return {"kind": "field", "t_s": t, "value": [x, y, z], "angle_rad": angle, "sigma": sigma}
 
 
 def _lines(summary: dict[str, Any], tree: Any) -> list[str]:

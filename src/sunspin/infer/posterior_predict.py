@@ -38,7 +38,7 @@ def drawn_rows(vehicle: Vehicle, tree: Any) -> tuple[Model, k.Rows]:
         if x.kind in ("wheel_speed", "wheel_off", "scale"):  # told by the wheels' speeds, or of no effect on the motion
             continue
         if x.name not in posterior or not np.isclose(posterior[x.name].attrs["prior_centre"], x.centre, rtol=1e-9, atol=1e-12):
-            raise InputError(sentence("the posterior is not of this vehicle", got=vehicle.name, do="give the file that it came from"))
+            raise InputError(sentence("the posterior is not of this vehicle", got=vehicle.name, do="give the file it came from"))
         u[:, i] = (posterior[x.name].values.ravel() - x.centre) / x.sigma
     return unknown, k.Rows(omega, sun, speeds, bodies=unknown.bodies(u))
 
@@ -52,7 +52,9 @@ def run_to(vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: A
     n, wheels = len(rows), len(vehicle.wheels)
     out = {"omega_B": np.empty((n, times.size, 3)), "sun_B": np.empty((n, times.size, 3)),
            "wheel_speed_rad_s": np.empty((n, times.size, wheels))}  # fmt: skip
-    for side in (times < 0, times >= 0):
+    for name, values in out.items():
+        values[:, times == 0] = getattr(rows, name)[:, None]
+    for side in (times < 0, times > 0):
         if not side.any():
             continue
         ends, place = np.unique(times[side], return_inverse=True)
@@ -68,9 +70,9 @@ def run_to(vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: A
 def predictions(unknown: Model, rows: k.Rows, run: dict[str, np.ndarray], times_s: np.ndarray) -> xr.Dataset:
     """What runs (n, n_t, ...) say, over (chain, draw, predicted_s); the times are s from the epoch."""
     speed = np.linalg.norm(run["omega_B"], axis=-1)
-    momentum = np.stack(
-        [_momentum(rows, run["omega_B"][:, i], run["wheel_speed_rad_s"][:, i], unknown.vehicle) for i in range(len(times_s))], axis=1
-    )
+    bodies = rows.bodies_of(unknown.vehicle)
+    at = zip(np.moveaxis(run["omega_B"], 1, 0), np.moveaxis(run["wheel_speed_rad_s"], 1, 0), strict=True)
+    momentum = np.stack([g.total_momentum(bodies, omega, speeds) for omega, speeds in at], axis=1)
     cosine = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
     each = ("chain", "draw", "predicted_s")
     return xr.Dataset(
@@ -88,10 +90,6 @@ def predictions(unknown: Model, rows: k.Rows, run: dict[str, np.ndarray], times_
             "predicted_s": ("predicted_s", np.asarray(times_s), {"units": "s", "long_name": "time from the epoch"}),
         },
     )  # fmt: skip
-
-
-def _momentum(rows: k.Rows, omega: np.ndarray, speeds: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    return g.total_momentum(rows.bodies_of(vehicle), omega, speeds)
 
 
 def _angle(cosine: np.ndarray) -> np.ndarray:

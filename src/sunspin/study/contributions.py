@@ -9,6 +9,7 @@ when a sample, a panel or an unknown is taken away, or something is added.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,8 +27,8 @@ from sunspin.vehicle import Vehicle, load_vehicle
 
 FIXED = {
     "inertia known": ("inertia",), "friction known": ("coulomb", "viscous"),
-    "wheel speed known": ("wheel_speed", "wheel_inertia", "wheel_off"), "brightness known": ("scale",),
-    "inertia, friction and wheel known": ("inertia", "coulomb", "viscous", "wheel_speed", "wheel_inertia", "wheel_off"),
+    "wheel speed known": ("wheel_speed", "wheel_inertia"), "brightness known": ("scale",),
+    "inertia, friction and wheel known": ("inertia", "coulomb", "viscous", "wheel_speed", "wheel_inertia"),
 }  # fmt: skip
 """Unknowns that are taken as known, by kind."""
 
@@ -43,13 +44,13 @@ class Line:
 
 def best_state(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any) -> tuple[Any, Any, State]:
     """Model, readings and the most probable draw of a posterior (one row), at the first sample."""
-    import json
-
     data, start, _ = readings(vehicle, telemetry, *window(tree))
     if abs(start - float(tree.attrs["t_first_s"])) > 1e-3 or len(data) != int(tree.attrs["samples"]):
         raise InputError(sentence("the telemetry is not that of the posterior", got=f"{len(data)} samples from {start:g} s"))
     mode = json.loads(tree.attrs.get("wheel_mode", '"coast"'))
     unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), brightness(vehicle, data), mode)
+    if unknown.where("wheel_off"):
+        raise InputError(sentence("a posterior with an unknown release of the wheels cannot be taken apart here", got="wheel_off"))
     found = tree["posterior"]
     values = np.stack(
         [found["wheel_speed_rad_s"].values[0][:, x.index] if x.kind == "wheel_speed" else found[x.name].values[0]

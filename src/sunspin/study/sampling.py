@@ -169,7 +169,8 @@ def main(arguments: list[str] | None = None) -> int:
     for n, values in found.speed_by_panels.items():
         each = np.median(values, axis=1)
         best = found.subsets[n][int(np.argmin(each))]
-        print(f"{n} panels: best {each.min():.2g} rad/s ({', '.join(best)}), median set {np.median(each):.2g}, worst {each.max():.2g}")
+        said = f"median set {np.median(each):.2g}, worst {each.max():.2g}"
+        print(f"{n} panels: best {each.min():.2g} rad/s ({', '.join(best)}), {said}")
     for row in full_posteriors(craft, given.out, given.twins, given.seed, given.periods, given.workers):
         print(json.dumps(row))
     return 0
