@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from posteriors import philae_draws
 
 import sunspin as ss
+from posteriors import philae_draws
 from sunspin.errors import InputError
 from sunspin.infer.posterior_model import model
 from sunspin.infer.posterior_predict import intervals, predict

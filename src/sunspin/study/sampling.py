@@ -43,7 +43,7 @@ MORE_PANELS = (("-x", (-1.0, 0.0, 0.0)), ("-z", (0.0, 0.0, -1.0)))
 MOTIONS, MAX_RATE = 24, 0.4
 """Motions over which medians are taken, and the ball (rad/s) that they are drawn from."""
 
-FULL_PERIODS_S, FULL_MAX_RATE = (30, 60, 120, 240, 480), 0.15
+FULL_PERIODS_S, FULL_MAX_RATE = (30, 60, 120, 240, 480), 0.1
 """Full posteriors: periods and ball of rates (rad/s)."""
 
 IRREGULAR = 0.05

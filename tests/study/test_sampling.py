@@ -1,0 +1,50 @@
+"""The study of sampling periods: widths of a few motions, and full posteriors that go on where they were stopped."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.study import sampling
+from sunspin.tell.figures_sampling import draw
+
+
+@pytest.fixture(scope="module")
+def craft():
+    return ss.load_case("philae").vehicle
+
+
+@pytest.fixture(scope="module")
+def found(craft):
+    return sampling.widths(craft, count=2)
+
+
+def test_fewer_and_noisier_samples_are_never_better(found):
+    """Of periods that divide each other, as samples of the longer are then among those of the shorter."""
+    chain = [sampling.PERIODS_S.index(p) for p in (5, 10, 30, 60, 120, 240)]
+    assert np.all(np.diff(found.volume_by_noise[:, chain], axis=1) > 0)
+    assert np.all(np.diff(found.volume_by_noise, axis=0) > 0) and np.all(np.diff(found.speed_by_noise, axis=0) > 0)
+
+
+def test_panels_are_philaes_and_two_more(found, craft):
+    assert {n: len(names) for n, names in found.subsets.items()} == {1: 8, 2: 28, 3: 56, 4: 70, 5: 56, 6: 28, 7: 8, 8: 1}
+    own = found.subsets[6].index(tuple(craft.panel_names))
+    usual = sampling.NOISES.index(sampling.USUAL_NOISE), sampling.PERIODS_S.index(sampling.USUAL_PERIOD_S)
+    assert np.allclose(found.speed_by_panels[6][own], found.speed_by_noise[usual], rtol=1e-9, atol=0)
+    assert np.all(found.speed_by_panels[8] <= found.speed_by_panels[6].min(axis=0) * (1 + 1e-9))
+
+
+def test_full_posteriors_go_on_and_are_drawn(found, craft, tmp_path, monkeypatch):
+    made = []
+
+    def one(vehicle, period_s, irregular, i, seed, workers):
+        made.append((period_s, irregular, i))
+        return {"period_s": period_s, "irregular": irregular, "twin": i, "modes": 1 + i, "word": "unique", "weight_of_true": 1.0}
+
+    monkeypatch.setattr(sampling, "full_posterior", one)
+    first = sampling.full_posteriors(craft, tmp_path, 1, periods=(30.0, 60.0))
+    rows = sampling.full_posteriors(craft, tmp_path, 2, periods=(30.0, 60.0))
+    assert len(first) == 4 and len(rows) == 8 and len(made) == 8
+    figure = draw(found, rows)
+    assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 4
