@@ -35,16 +35,28 @@ def test_panels_are_philaes_and_two_more(found, craft):
     assert np.all(found.speed_by_panels[8] <= found.speed_by_panels[6].min(axis=0) * (1 + 1e-9))
 
 
-def test_full_posteriors_go_on_and_are_drawn(found, craft, tmp_path, monkeypatch):
+def test_aliases_go_on_and_are_drawn(found, craft, tmp_path, monkeypatch):
     made = []
 
     def one(vehicle, period_s, irregular, i, seed, workers):
         made.append((period_s, irregular, i))
-        return {"period_s": period_s, "irregular": irregular, "twin": i, "modes": 1 + i, "word": "unique", "weight_of_true": 1.0}
+        return {"period_s": period_s, "irregular": irregular, "twin": i, "motions": 1 + i, "weight_of_true": 1.0}
 
-    monkeypatch.setattr(sampling, "full_posterior", one)
-    first = sampling.full_posteriors(craft, tmp_path, 1, periods=(30.0, 60.0))
-    rows = sampling.full_posteriors(craft, tmp_path, 2, periods=(30.0, 60.0))
-    assert len(first) == 4 and len(rows) == 8 and len(made) == 8
+    monkeypatch.setattr(sampling, "neighbours_left", one)
+    first = sampling.aliases(craft, tmp_path, 1, periods=(30.0, 60.0))
+    rows = sampling.aliases(craft, tmp_path, 2, periods=(30.0, 60.0))
+    assert len(first) == 4 and len(rows) == 8 and len(made) == 8 and rows[:4] == first
     figure = draw(found, rows)
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 4
+
+
+def test_two_minutes_leave_one_motion_and_fifteen_many(craft):
+    """Of one twin: four samples cannot tell turns between them apart, 23 can."""
+    often, seldom = (sampling.neighbours_left(craft, period, True, 0, 0, 1) for period in (120.0, 900.0))
+    assert often["motions"] == 1 and often["weight_of_true"] > 0.99
+    assert seldom["samples"] == 4 and seldom["motions"] > 3 and seldom["weight_of_true"] < 0.9
+
+
+def test_motions_are_linked_by_chains():
+    points = np.array([[0.0, 0, 0], [0.9, 0, 0], [1.8, 0, 0], [5.0, 0, 0]])
+    assert sampling.linked(points, 1.0).tolist() == [0, 0, 0, 1] and len(set(sampling.linked(points, 0.5))) == 4

@@ -1,10 +1,11 @@
 """How often should a lander sample? What is known of the rotation against sampling period, noise and number of panels.
 
-    python -m sunspin.study.sampling OUT --twins 2
+    python -m sunspin.study.sampling OUT --twins 4
 
 Philae's body and wheel, 45 min of free motion, inertia, friction, wheel speed and brightness uncertain as the posterior assumes.
-Widths come from Laplace's method (:mod:`sunspin.study.information`), over motions drawn from a ball of rates; whether one motion is
-left or many, from full posteriors of twins, a file in OUT for each, so that the same command goes on where it was stopped.
+Widths come from Laplace's method (:mod:`sunspin.study.information`), over motions drawn from a ball of rates. Whether aliases are
+left is found on twins: the posterior's search is begun from all motions about a turn a period around the truth, and what fits all
+samples is counted; a lower bound, as motions further off are not looked for. A file in OUT for each twin: the same command goes on.
 """
 
 from __future__ import annotations
@@ -19,10 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.special import logsumexp
 
 from sunspin.cases import load_case
-from sunspin.infer.posterior import posterior
+from sunspin.infer.posterior_data import Readings, readings
 from sunspin.infer.posterior_model import Model, State, model
+from sunspin.infer.posterior_modes import Plan, Search
+from sunspin.infer.posterior_predict import run_to
 from sunspin.study.information import Information, exact_readings, rate_volume, speed_sigma
 from sunspin.study.twin import Truth, twin
 from sunspin.vehicle import Panel, Vehicle
@@ -43,11 +49,14 @@ MORE_PANELS = (("-x", (-1.0, 0.0, 0.0)), ("-z", (0.0, 0.0, -1.0)))
 MOTIONS, MAX_RATE = 24, 0.4
 """Motions over which medians are taken, and the ball (rad/s) that they are drawn from."""
 
-FULL_PERIODS_S, FULL_MAX_RATE = (30, 60, 120, 240, 480), 0.1
-"""Full posteriors: periods and ball of rates (rad/s)."""
+ALIAS_PERIODS_S, ALIAS_RATE = (30, 60, 120, 240, 450, 900), 0.4
+"""Twins whose neighbours are counted: periods, and the ball of rates (rad/s) they are drawn from."""
 
 IRREGULAR = 0.05
-"""Sample times are irregular by up to this part of the period in every second full posterior."""
+"""Sample times are irregular by up to this part of the period in every second run."""
+
+TURNS, GRID_RAD = 1.3, 1.4
+"""How far from the truth starts are, in turns a period, and their distance from each other as a turn (rad) in a period."""
 
 
 @dataclass(frozen=True)
@@ -107,43 +116,82 @@ def widths(vehicle: Vehicle, count: int = MOTIONS, seed: int = 0) -> Widths:
     return Widths(speed, volume, by_panels, names)
 
 
-def full_posterior(vehicle: Vehicle, period_s: float, irregular: bool, i: int, seed: int, workers: int | None) -> dict[str, Any]:
-    """One twin's posterior at one period: how many motions are left, and whether the truth is the first of them."""
+class Near(Search):
+    """The search of the posterior, begun from given motions instead of from all."""
+
+    def __init__(self, start: State, workers: int | None) -> None:
+        super().__init__(workers, None, False)
+        self.start = start
+
+    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> State:
+        """The given ones."""
+        return self.start
+
+
+def around(truth: State, period_s: float) -> State:
+    """Starts on a grid of rates about a motion (one row), as far as `TURNS` turns in a period more or less."""
+    step, radius = GRID_RAD / period_s, TURNS * 2 * np.pi / period_s
+    axis = np.arange(-radius, radius + 0.5 * step, step)
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = np.concatenate([np.zeros((1, 3)), grid[np.linalg.norm(grid, axis=1) <= radius]])
+    n = len(grid)
+    return State(truth.omega + grid, np.tile(truth.sun, (n, 1)), np.tile(truth.u, (n, 1)))
+
+
+def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, seed: int, workers: int | None) -> dict[str, Any]:
+    """One twin: how many motions within a turn or so a period of the truth fit all samples, and the weight of the right one.
+
+    Weights by Laplace's method; modes nearer to each other than a third of a turn a period are one motion.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, i)))
     scale = vehicle.telemetry.noise / (USUAL_NOISE * float(vehicle.panel_gains.max()))
-    unknown, _ = model(vehicle, None, scale)
-    state = motions(unknown, 1, FULL_MAX_RATE, int(rng.integers(2**31)))[0]
+    unknown, _ = model(vehicle, {"max_rate_rad_s": 2.0}, scale)
+    state = motions(unknown, 1, ALIAS_RATE, int(rng.integers(2**31)))[0]
     t = np.arange(0.0, WINDOW_S + 1.0, period_s)
-    if irregular:
-        t[1:] += rng.uniform(-IRREGULAR, IRREGULAR, len(t) - 1) * period_s
+    jitter = rng.uniform(-IRREGULAR, IRREGULAR, len(t) - 1)
+    t[1:] += period_s * jitter * irregular
     telemetry = twin(vehicle, Truth(state.omega[0], state.sun[0], t, scale=scale), seed=int(rng.integers(2**31)))
-    tree = posterior(vehicle, telemetry, {"max_rate_rad_s": FULL_MAX_RATE}, seed, draws=2000, workers=workers)
-    modes, speed = tree["modes"], np.linalg.norm(tree["posterior"]["omega_B"].values.reshape(-1, 3), axis=1)
-    off = state.omega[0] - modes["omega_B"].values
-    spread = modes["omega_cov_B"].values + 1e-14 * np.eye(3)
-    distance = [float(o @ np.linalg.solve(c, o)) ** 0.5 for o, c in zip(off, spread, strict=True)]
-    weight = modes["weight"].values
+    data, _, _ = readings(vehicle, telemetry)
+    middle = np.arange(len(t) // 4, max(len(t) // 2, len(t) // 4 + 2))
+    anchor = int(middle[np.argmax(data.lit[middle].sum(axis=1))])
+    there = replace(unknown, after_s=float(data.t_s[anchor]))
+    run = run_to(vehicle, unknown.rows(state), [there.after_s])
+    truth = State(run["omega_B"][:, 0], run["sun_B"][:, 0], state.u)
+    chosen = Plan(anchor, np.array([anchor - 1, anchor + 1]), GRID_RAD / period_s, truth.sun, there.max_rate)
+    found = Near(around(truth, period_s), workers).modes(there, data.since(anchor), chosen, scale)
+    log_weight = -found.objective - 0.5 * np.linalg.slogdet(found.hessian)[1]
+    label = linked(found.state.omega, 2 * np.pi / period_s / 3)
+    names = np.unique(label)
+    each = np.array([logsumexp(log_weight[label == name]) for name in names])
+    weight = np.exp(each - logsumexp(each))
+    best = np.array([found.state.omega[label == name][np.argmax(log_weight[label == name])] for name in names])
+    distance = np.linalg.norm(best - truth.omega, axis=1)
     true = int(np.argmin(distance))
     return {
-        "period_s": period_s, "irregular": irregular, "twin": i, "samples": len(t), "word": tree.attrs["verdict_word"],
-        "modes": int((weight >= 0.01).sum()), "weight_of_true": float(weight[true]) if distance[true] < 4.5 else 0.0,
-        "volume": float(sum(rate_volume(c) for c, w in zip(spread, weight, strict=True) if w >= 0.01)),
-        "speed_sigma": float(speed.std()), "omega": state.omega[0].tolist(),
+        "period_s": period_s, "irregular": irregular, "twin": i, "samples": len(t), "motions": int((weight >= 0.01).sum()),
+        "weight_of_true": float(weight[true]) if distance[true] < 2 * np.pi / period_s / 3 else 0.0,
+        "omega": state.omega[0].tolist(),
     }  # fmt: skip
 
 
-def full_posteriors(
-    vehicle: Vehicle, out: Path, twins: int, seed: int = 0, periods: Sequence[float] = FULL_PERIODS_S, workers: int | None = None
+def linked(points: np.ndarray, apart: float) -> np.ndarray:
+    """Labels (n) of points (n, 3) of which chains with gaps below `apart` are one."""
+    near = np.linalg.norm(points[:, None] - points[None], axis=-1) < apart
+    return connected_components(csr_matrix(near), directed=False)[1]
+
+
+def aliases(
+    vehicle: Vehicle, out: Path, twins: int, seed: int = 0, periods: Sequence[float] = ALIAS_PERIODS_S, workers: int | None = None
 ) -> list[dict[str, Any]]:
     """Those of `twins` twins at every period, regular and irregular, reading what is in `out` already."""
     out.mkdir(parents=True, exist_ok=True)
     rows = []
-    for period in periods:
-        for i in range(twins):
+    for i in range(twins):
+        for period in periods:
             for irregular in (False, True):
                 path = out / f"{seed}-{period:g}-{'irregular' if irregular else 'regular'}-{i:03d}.json"
                 if not path.is_file():
-                    row = full_posterior(vehicle, float(period), irregular, i, seed, workers)
+                    row = neighbours_left(vehicle, float(period), irregular, i, seed, workers)
                     part = path.with_suffix(".part")
                     part.write_text(json.dumps(row), "utf-8")
                     part.replace(path)
@@ -152,12 +200,12 @@ def full_posteriors(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Compute widths and full posteriors, and print what they say."""
+    """Compute widths and aliases, and print what they say."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.study.sampling", description=main.__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--twins", type=int, default=2)
+    parser.add_argument("--twins", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--periods", type=lambda text: [float(x) for x in text.split(",")], default=FULL_PERIODS_S)
+    parser.add_argument("--periods", type=lambda text: [float(x) for x in text.split(",")], default=ALIAS_PERIODS_S)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
     craft = load_case("philae").vehicle
@@ -171,7 +219,7 @@ def main(arguments: list[str] | None = None) -> int:
         best = found.subsets[n][int(np.argmin(each))]
         said = f"median set {np.median(each):.2g}, worst {each.max():.2g}"
         print(f"{n} panels: best {each.min():.2g} rad/s ({', '.join(best)}), {said}")
-    for row in full_posteriors(craft, given.out, given.twins, given.seed, given.periods, given.workers):
+    for row in aliases(craft, given.out, given.twins, given.seed, given.periods, given.workers):
         print(json.dumps(row))
     return 0
 

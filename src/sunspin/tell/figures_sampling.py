@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.study.sampling import FULL_MAX_RATE, IRREGULAR, MOTIONS, NOISES, PERIODS_S, USUAL_NOISE, USUAL_PERIOD_S, Widths
+from sunspin.study.sampling import IRREGULAR, MOTIONS, NOISES, PERIODS_S, TURNS, USUAL_NOISE, USUAL_PERIOD_S, Widths
 from sunspin.tell.figures import COLOURS
 
 
 def draw(found: Widths, rows: list[dict[str, Any]]) -> Figure:
     """Sigma of the angular speed against sampling period for each noise, against the number of panels, volume of the rates against
-    period, and the motions left in full posteriors `rows` of :func:`sunspin.study.sampling.full_posteriors`."""
+    period, and the motions left: `rows` of :func:`sunspin.study.sampling.aliases`."""
     figure = Figure(figsize=(12, 8), layout="constrained")
     (width, panels), (volume, left) = figure.subplots(2, 2)
     periods = np.array(PERIODS_S)
@@ -52,19 +52,19 @@ def _panels(axes: Any, found: Widths) -> None:
 
 
 def _left(axes: Any, rows: list[dict[str, Any]]) -> None:
+    """Of twins: motions about the truth that fit all samples, each a mark, and their mean."""
+    periods = np.array(sorted({row["period_s"] for row in rows}))
     for k, irregular in enumerate((False, True)):
-        some = [row for row in rows if row["irregular"] is irregular]
-        label = f"irregular by {100 * IRREGULAR:g} % of the period" if irregular else "exactly regular"
-        x = np.array([row["period_s"] for row in some]) * (0.97, 1.03)[k]
-        axes.loglog(x, [row["modes"] for row in some], "o^"[k], ms=7, mfc="none", color=COLOURS[k], label=label)
-        lost = [(a, row["modes"]) for a, row in zip(x, some, strict=True) if row["word"] == "not sure"]
-        if lost:
-            axes.plot(*zip(*lost, strict=True), "x", ms=5, color=COLOURS[6])
-    periods = sorted({row["period_s"] for row in rows})
+        label = f"irregular by up to {100 * IRREGULAR:g} % of the period" if irregular else "exactly regular"
+        each = [[row["motions"] for row in rows if row["irregular"] is irregular and row["period_s"] == p] for p in periods]
+        x = periods * (0.96, 1.04)[k]
+        for at, counts in zip(x, each, strict=True):
+            axes.plot(np.full(len(counts), at), counts, "o^"[k], ms=5, mfc="none", alpha=0.6, color=COLOURS[k])
+        axes.plot(x, [np.mean(counts) if counts else np.nan for counts in each], "-", color=COLOURS[k], label=f"{label}, mean")
+    axes.set(xscale="log", yscale="log", xlabel="sampling period (s)", ylabel="motions that fit all samples")
     axes.set_xticks(periods, [f"{p:g}" for p in periods])
     axes.minorticks_off()
-    axes.set_ylim(0.8, None)
-    axes.set(xlabel="sampling period (s)", ylabel="regions of at least 1 % weight")
-    axes.set_title(f"D: motions left in full posteriors, rates up to {FULL_MAX_RATE:g} rad/s; x: not sure", fontsize=9)
+    twins = len({row["twin"] for row in rows})
+    axes.set_title(f"D: motions left within {TURNS:g} turns a period of the truth, {twins} twins", fontsize=9)
     if rows:
         axes.legend(fontsize=7)
