@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from posteriors import philae_draws
 
 import sunspin as ss
+from posteriors import philae_draws
 from sunspin.study import rebound as rb
 from sunspin.study.against_lines import against, along_line
 from sunspin.study.information import rate_volume

@@ -19,17 +19,16 @@ def draw(result: Against, low: float = -0.3, high: float = 0.3) -> Figure:
     the draws enlarged, with one cell of the paper's grid."""
     figure = Figure(figsize=(12.5, 6.6), layout="constrained")
     grid = figure.subplots(2, 3)
-    shown = next(name for name, (points, _) in result.sets.items() if points is not None)  # the paper's own set
+    shown, cloud = next((name, points) for name, (points, _) in result.sets.items() if points is not None)  # the paper's own
     for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
         whole, near = grid[0, k], grid[1, k]
-        cloud = result.sets[shown][0]
         whole.plot(cloud[:, i], cloud[:, j], "s", ms=2, color=COLOURS[7], alpha=0.6, rasterized=True, label=shown)
         for axes in (whole, near):
             _lines(axes, result, i, j, low, high)
             axes.set(xlabel=rf"$\omega_{'xyz'[i]}$ (rad/s)", ylabel=rf"$\omega_{'xyz'[j]}$ (rad/s)")
         whole.plot(*result.omega_B[:SHOWN, [i, j]].T, ".", ms=3, color=COLOURS[6], rasterized=True, label="the posterior", zorder=5)
         _enlarged(near, result, i, j)
-    grid[0, 0].legend(fontsize=7, loc="upper right")
+    grid[0, 2].legend(fontsize=7, loc="lower right")
     handles = [h for h in grid[1, 0].get_legend_handles_labels()[0] if not str(h.get_label()).startswith("L")]
     grid[1, 0].legend(handles=handles, fontsize=7, loc="lower left")
     smallest = min(result.factors.values())

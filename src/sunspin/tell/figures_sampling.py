@@ -53,6 +53,9 @@ def _panels(axes: Any, found: Widths) -> None:
 
 def _left(axes: Any, rows: list[dict[str, Any]]) -> None:
     """Of twins: motions about the truth that fit all samples, each a mark, and their mean."""
+    if not rows:
+        axes.axis("off")
+        return
     periods = np.array(sorted({row["period_s"] for row in rows}))
     for k, irregular in enumerate((False, True)):
         label = f"irregular by up to {100 * IRREGULAR:g} % of the period" if irregular else "exactly regular"
@@ -61,10 +64,10 @@ def _left(axes: Any, rows: list[dict[str, Any]]) -> None:
         for at, counts in zip(x, each, strict=True):
             axes.plot(np.full(len(counts), at), counts, "o^"[k], ms=5, mfc="none", alpha=0.6, color=COLOURS[k])
         axes.plot(x, [np.mean(counts) if counts else np.nan for counts in each], "-", color=COLOURS[k], label=f"{label}, mean")
-    axes.set(xscale="log", yscale="log", xlabel="sampling period (s)", ylabel="motions that fit all samples")
+    axes.set(xscale="log", yscale="log", ylim=(0.8, 1.5 * max(row["motions"] for row in rows)),
+             xlabel="sampling period (s)", ylabel="motions that fit all samples")
     axes.set_xticks(periods, [f"{p:g}" for p in periods])
     axes.minorticks_off()
     twins = len({row["twin"] for row in rows})
-    axes.set_title(f"D: motions left within {TURNS:g} turns a period of the truth, {twins} twins", fontsize=9)
-    if rows:
-        axes.legend(fontsize=7)
+    axes.set_title(f"D: motions left within {TURNS:g} turns a period of the truth, {twins} twin{'s' * (twins > 1)}", fontsize=9)
+    axes.legend(fontsize=7)
