@@ -57,6 +57,9 @@ def test_two_minutes_leave_one_motion_and_fifteen_many(craft):
     assert seldom["samples"] == 4 and seldom["motions"] > 3 and seldom["weight_of_true"] < 0.9
 
 
-def test_motions_are_linked_by_chains():
+def test_motions_are_linked_by_chains_and_within_their_widths():
     points = np.array([[0.0, 0, 0], [0.9, 0, 0], [1.8, 0, 0], [5.0, 0, 0]])
-    assert sampling.linked(points, 1.0).tolist() == [0, 0, 0, 1] and len(set(sampling.linked(points, 0.5))) == 4
+    sharp = np.tile(1e-6 * np.eye(3), (4, 1, 1))
+    assert sampling.linked(points, sharp, 1.0).tolist() == [0, 0, 0, 1] and len(set(sampling.linked(points, sharp, 0.5))) == 4
+    sharp[2:, 0, 0] = 4.0  # 3.2 apart with a sigma of 2.8, and 1.8 from the first with one of 2
+    assert len(set(sampling.linked(points, sharp, 0.5))) == 1

@@ -58,6 +58,9 @@ IRREGULAR = 0.05
 TURNS, GRID_RAD = 1.3, 1.4
 """How far from the truth starts are, in turns a period, and their distance from each other as a turn (rad) in a period."""
 
+LINK_SIGMAS, NEAR_SIGMAS = 2.0, 4.0
+"""Modes nearer to each other than this are one motion; a mode nearer to the truth than this is the true one."""
+
 
 @dataclass(frozen=True)
 class Widths:
@@ -141,7 +144,8 @@ def around(truth: State, period_s: float) -> State:
 def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, seed: int, workers: int | None) -> dict[str, Any]:
     """One twin: how many motions within a turn or so a period of the truth fit all samples, and the weight of the right one.
 
-    Weights by Laplace's method; modes nearer to each other than a third of a turn a period are one motion.
+    Weights by Laplace's method; modes nearer to each other than a third of a turn a period, or than
+    their own widths, are one motion.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, i)))
     scale = vehicle.telemetry.noise / (USUAL_NOISE * float(vehicle.panel_gains.max()))
@@ -160,23 +164,30 @@ def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, 
     chosen = Plan(anchor, np.array([anchor - 1, anchor + 1]), GRID_RAD / period_s, truth.sun, there.max_rate)
     found = Near(around(truth, period_s), workers).modes(there, data.since(anchor), chosen, scale)
     log_weight = -found.objective - 0.5 * np.linalg.slogdet(found.hessian)[1]
-    label = linked(found.state.omega, 2 * np.pi / period_s / 3)
+    spread = np.linalg.inv(found.hessian)[:, :3, :3]
+    apart = 2 * np.pi / period_s / 3
+    label = linked(found.state.omega, spread, apart)
     names = np.unique(label)
     each = np.array([logsumexp(log_weight[label == name]) for name in names])
     weight = np.exp(each - logsumexp(each))
-    best = np.array([found.state.omega[label == name][np.argmax(log_weight[label == name])] for name in names])
-    distance = np.linalg.norm(best - truth.omega, axis=1)
-    true = int(np.argmin(distance))
+    off = found.state.omega - truth.omega[0]
+    right = (np.linalg.norm(off, axis=1) < apart) | (np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off) < NEAR_SIGMAS**2)
+    of_true = np.isin(names, label[right])
     return {
         "period_s": period_s, "irregular": irregular, "twin": i, "samples": len(t), "motions": int((weight >= 0.01).sum()),
-        "weight_of_true": float(weight[true]) if distance[true] < 2 * np.pi / period_s / 3 else 0.0,
+        "weight_of_true": float(weight[of_true].sum()),
         "omega": state.omega[0].tolist(),
     }  # fmt: skip
 
 
-def linked(points: np.ndarray, apart: float) -> np.ndarray:
-    """Labels (n) of points (n, 3) of which chains with gaps below `apart` are one."""
-    near = np.linalg.norm(points[:, None] - points[None], axis=-1) < apart
+def linked(points: np.ndarray, covariance: np.ndarray, apart: float) -> np.ndarray:
+    """Labels (n) of rates (n, 3) of which chains with gaps below `apart`, or within `LINK_SIGMAS` of both, are one.
+
+    `covariance` (n, 3, 3): uncertain constants make one motion a long sheet, on which least squares stops in several places.
+    """
+    gap = points[:, None] - points[None]
+    both = np.linalg.inv(covariance[:, None] + covariance[None])
+    near = (np.linalg.norm(gap, axis=-1) < apart) | (np.einsum("abi,abij,abj->ab", gap, both, gap) < LINK_SIGMAS**2)
     return connected_components(csr_matrix(near), directed=False)[1]
 
 

@@ -63,11 +63,16 @@ def _left(axes: Any, rows: list[dict[str, Any]]) -> None:
         x = periods * (0.96, 1.04)[k]
         for at, counts in zip(x, each, strict=True):
             axes.plot(np.full(len(counts), at), counts, "o^"[k], ms=5, mfc="none", alpha=0.6, color=COLOURS[k])
+        at = [(x[list(periods).index(r["period_s"])], r["motions"]) for r in rows
+              if r["irregular"] is irregular and r["weight_of_true"] == 0]  # fmt: skip
+        if at:
+            axes.plot(*zip(*at, strict=True), "x", ms=6, color=COLOURS[6], zorder=5)
         axes.plot(x, [np.mean(counts) if counts else np.nan for counts in each], "-", color=COLOURS[k], label=f"{label}, mean")
     axes.set(xscale="log", yscale="log", ylim=(0.8, 1.5 * max(row["motions"] for row in rows)),
              xlabel="sampling period (s)", ylabel="motions that fit all samples")
     axes.set_xticks(periods, [f"{p:g}" for p in periods])
     axes.minorticks_off()
     twins = len({row["twin"] for row in rows})
-    axes.set_title(f"D: motions left within {TURNS:g} turns a period of the truth, {twins} twin{'s' * (twins > 1)}", fontsize=9)
+    said = f"D: motions within {TURNS:g} turns a period of the truth, {twins} twin{'s' * (twins > 1)}; x: the truth not among them"
+    axes.set_title(said, fontsize=9)
     axes.legend(fontsize=7)
