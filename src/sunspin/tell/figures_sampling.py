@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.study.sampling import IRREGULAR, MOTIONS, NOISES, PERIODS_S, TURNS, USUAL_NOISE, USUAL_PERIOD_S, Widths
+from sunspin.study.sampling import IRREGULAR, MOTIONS, NOISES, PERIODS_S, USUAL_NOISE, USUAL_PERIOD_S, Widths
 from sunspin.tell.figures import COLOURS
 
 
@@ -68,11 +68,11 @@ def _left(axes: Any, rows: list[dict[str, Any]]) -> None:
         if at:
             axes.plot(*zip(*at, strict=True), "x", ms=6, color=COLOURS[6], zorder=5)
         axes.plot(x, [np.mean(counts) if counts else np.nan for counts in each], "-", color=COLOURS[k], label=f"{label}, mean")
-    axes.set(xscale="log", yscale="log", ylim=(0.8, 1.5 * max(row["motions"] for row in rows)),
+    axes.set(xscale="log", ylim=(0, 1.3 * max(row["motions"] for row in rows)),
              xlabel="sampling period (s)", ylabel="motions that fit all samples")
     axes.set_xticks(periods, [f"{p:g}" for p in periods])
     axes.minorticks_off()
     twins = len({row["twin"] for row in rows})
-    said = f"D: motions within {TURNS:g} turns a period of the truth, {twins} twin{'s' * (twins > 1)}; x: the truth not among them"
+    said = f"D: motions left near the truth, up to {twins} twins a period; x: truth not among them"
     axes.set_title(said, fontsize=9)
     axes.legend(fontsize=7)
