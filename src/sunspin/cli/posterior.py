@@ -18,27 +18,32 @@ from sunspin.errors import InputError, sentence
 @click.option("--to", "end", type=float, help="Use samples up to this time, s from the epoch.")
 @click.option("--phase", help="Use the samples of this phase of the file.")
 @click.option("--prior", "priors", multiple=True, help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
-              "friction, gain, noise, scale; also time_s and max_rate_rad_s. Repeatable.")
+              "friction, gain, noise, scale; also time_s, max_rate_rad_s, and in s how long "
+              "before the first sample the wheels were released, wheel_off_s, with sigma wheel_off. Repeatable.")
 @click.option("--rate", "rates", multiple=True, help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.")
 @click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")
+@click.option("--field", "fields", multiple=True, help="A magnetic direction in the body, and its known angle from the Sun: "
+              "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.")
 @click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True,
               help="What the wheels do in this stretch.")
+@click.option("--predict", help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
+              "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.")
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @output_options()
 @run_options
 @data_option
-def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, wheel_mode, draws, store, out, as_json, quiet, seed,
-              workers, data) -> None:  # fmt: skip
+def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, draws, store, out, as_json,
+              quiet, seed, workers, data) -> None:  # fmt: skip
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
-    modes.csv. Without TELEMETRY the case's own is used.
+    modes.csv, and with --predict predicted.csv and predicted.png. Without TELEMETRY the case's own is used.
 
     \b
     Examples:
-      sunspin posterior philae --out philae-posterior
+      sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
     """
     from sunspin.infer.posterior import posterior as run
@@ -49,6 +54,8 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, wheel
     craft = load_vehicle(vehicle)
     samples = _own(vehicle) if telemetry is None else read_telemetry(find_telemetry(telemetry, data), craft)
     seen = [_observation("rate", text, 1) for text in rates] + [_observation("gyro", text, 3) for text in gyros]
+    seen += [_field(text) for text in fields]
+    times = None if predict is None else _times(predict, samples.attrs.get("epoch_utc"))
     if out is not None:
         from sunspin.tell.results import results_folder
 
@@ -59,6 +66,9 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, wheel
     )  # fmt: skip
     summary = told(tree)
     lines = _lines(summary, tree)
+    if times is not None:
+        summary["predicted"], more = _predicted(craft, tree, times, seed)
+        lines += more
     if out is not None:
         lines.append(f"Results: {write(out, tree)}")
     report(summary, lines, as_json, quiet)
@@ -82,6 +92,11 @@ def _observation(kind: str, text: str, count: int) -> dict[str, Any]:
     return {"kind": kind, "t_s": t, "value": value, "sigma": sigma}
 
 
+def _field(text: str) -> dict[str, Any]:
+    t, x, y, z, angle, sigma = numbers(text, "--field", 6)
+    return {"kind": "field", "t_s": t, "value": [x, y, z], "angle_rad": angle, "sigma": sigma}
+
+
 def _lines(summary: dict[str, Any], tree: Any) -> list[str]:
     lines = [summary["verdict"]]
     if summary["synthetic_telemetry"]:
@@ -98,6 +113,49 @@ def _lines(summary: dict[str, Any], tree: Any) -> list[str]:
         f"Pareto k {summary['pareto_k']:.2f}; priors {tree.attrs['priors']}"
     )
     return lines
+
+
+def _times(text: str, epoch_utc: str | None) -> dict[float, str]:
+    """s from the epoch -> what was asked for, in order of time."""
+    from sunspin.timeline import utc_seconds
+
+    times = {}
+    for part in (piece.strip() for piece in text.split(",")):
+        if ":" not in part:
+            times[numbers(part, "--predict", 1)[0]] = f"{part} s"
+        elif epoch_utc is None:
+            raise InputError(sentence("the telemetry has no epoch, so a time must be in s", got=part))
+        else:
+            utc = part if "T" in part else f"{epoch_utc[:10]}T{part}"
+            times[utc_seconds(utc, epoch_utc)] = f"{utc.rstrip('Z')} UTC"
+    return dict(sorted(times.items()))
+
+
+def _predicted(vehicle: Any, tree: Any, times: dict[float, str], seed: int) -> tuple[list[dict[str, Any]], list[str]]:
+    """Run the draws to the times; they become the group `predictions` of the tree. Rows of the table, and lines for a person."""
+    import numpy as np
+    import xarray as xr
+
+    from sunspin.infer.posterior_predict import intervals
+    from sunspin.study.afterwards import predicted
+
+    found = predicted(vehicle, tree, list(times), seed)
+    found = found.assign_coords(asked=("predicted_s", list(times.values())))
+    tree["predictions"] = xr.DataTree(found)
+    table, lines = intervals(found), []
+    for i, label in enumerate(times.values()):
+        row = {r["quantity"]: r for r in table if r["t_s"] == found["predicted_s"].values[i]}
+        speed, lean, sun, off = (row[name] for name in ("rate", "z_to_momentum", "z_to_sun", "sun_off"))
+        behind = ", after the collision" if found["after_collision"].values[i] else ""
+        lines.append(f"  at {label}{behind} (90 % of the draws):")
+        lines.append(f"    angular speed {speed['median']:.4f} rad/s ({speed['low_90']:.4f} to {speed['high_90']:.4f})")
+        for name, angle in (("z from H", lean), ("z from the Sun", sun)):
+            median, low, high = (np.degrees(angle[key]) for key in ("median", "low_90", "high_90"))
+            lines.append(f"    {name} {median:.1f} deg ({low:.1f} to {high:.1f})")
+        lines.append(f"    the Sun within {np.degrees(off['high_90']):.1f} deg of its mean direction in the body")
+    if found.attrs["collision"].startswith("a leg"):
+        lines.append(f"    collision: {found.attrs['collision']}")
+    return table, lines
 
 
 def write(out: Path, tree: Any) -> Path:
@@ -121,4 +179,12 @@ def write(out: Path, tree: Any) -> Path:
     write_whole(folder / "modes.csv", lambda part: part.write_text(text, "utf-8"))
     save(corner_figure(tree), folder, "corner")
     save(search_figure(tree), folder, "search")
+    if "predictions" in tree.children:
+        from sunspin.infer.posterior_predict import intervals
+        from sunspin.tell.figures_predicted import predicted_figure
+
+        found = tree["predictions"].to_dataset()
+        table = label + pd.DataFrame(intervals(found)).to_csv(index=False, float_format="%.9g")
+        write_whole(folder / "predicted.csv", lambda part: part.write_text(table, "utf-8"))
+        save(predicted_figure(found, [str(x) for x in found["asked"].values]), folder, "predicted")
     return folder

@@ -62,14 +62,17 @@ def posterior(
         One stretch of motion without blows; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
     priors : mapping, optional
         Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain`
-        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s; `max_rate_rad_s`, the
+        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s; `wheel_off_s`, how long
+        before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
+        instant; `max_rate_rad_s`, the
         ball in which rates are uniform. Default: what the vehicle's file states, else the values in
         `sunspin.infer.posterior_model`; the result's attributes say which.
     seed : int
         The same seed gives the same bits, for any number of workers and however often the run was stopped.
     observations : list of mappings
-        ``{"kind": "rate" | "gyro" | "direction", "t_s": ..., "value": ..., "sigma": ...}``: angular speed, body rate, or
-        direction of the Sun seen otherwise; `t_s` from the epoch.
+        ``{"kind": "rate" | "gyro" | "direction" | "field", "t_s": ..., "value": ..., "sigma": ...}``: angular speed, body rate,
+        direction of the Sun seen otherwise, or another direction in the body, such as the magnetic field's, of which the angle
+        from the Sun is known (`angle_rad`; `sigma` in rad); `t_s` from the epoch.
     wheel_mode : "coast", "hold", "brake", or one per wheel
     draws : int
         Draws in the result.
@@ -215,10 +218,11 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
     carried = ("epoch_utc", "synthetic", "file", "sha256", "comments")
     about = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
     return about | {
-        "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "samples": len(data), "reference_sample": chosen.anchor,
+        "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
+        "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
-        "max_rate_rad_s": unknown.max_rate, "searched_rate_rad_s": float(chosen.limit),
-        "sunspin_version": metadata.version("sunspin"),
+        "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,
+        "searched_rate_rad_s": float(chosen.limit), "sunspin_version": metadata.version("sunspin"),
     }  # fmt: skip
 
 

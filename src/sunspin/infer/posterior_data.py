@@ -25,21 +25,23 @@ NOISE_OF_LARGEST = 0.02
 BEYOND_LARGEST = 1.5
 """A reading that has nothing to do with the Sun is anything up to this many times the largest."""
 
-KINDS = {"rate": 1, "gyro": 3, "direction": 3}
-"""Kinds of other observations and how many numbers each has."""
+KINDS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
+"""Kinds of other observations and how many numbers each is given with."""
 
 
 @dataclass(frozen=True)
 class Observation:
     """Something else that was seen at `t_s` (s from the epoch of the telemetry), with one sigma of each number.
 
-    "rate": the angular speed, rad/s; "gyro": the body rate in B, rad/s; "direction": that of the Sun in B.
+    "rate": the angular speed, rad/s; "gyro": the body rate in B, rad/s; "direction": that of the Sun in B; "field": the angle (rad)
+    of the Sun from a direction seen at `axis_B` in B, such as that of the magnetic field, whose angle from the Sun is known.
     """
 
     kind: str
     t_s: float
     value: np.ndarray
     sigma: float
+    axis_B: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -158,11 +160,12 @@ def _window(telemetry: xr.Dataset, times: np.ndarray, begin_s, end_s, phase) -> 
 
 
 def _observation(given: Mapping[str, Any], start: float, end: float) -> Observation:
-    unknown = sorted(set(given) - {"kind", "t_s", "value", "sigma"})
     kind = given.get("kind")
-    if unknown or kind not in KINDS or not {"t_s", "value", "sigma"} <= set(given):
+    wanted = {"kind", "t_s", "value", "sigma"} | ({"angle_rad"} if kind == "field" else set())
+    if kind not in KINDS or wanted != set(given):
+        more = "a field also angle_rad, the Sun's from it"
         raise InputError(
-            sentence(f"an observation has kind ({', '.join(KINDS)}), t_s, value and sigma", got=str(dict(given)))
+            sentence(f"an observation has kind ({', '.join(KINDS)}), t_s, value and sigma, {more}", got=str(dict(given)))
         )
     value = np.atleast_1d(np.asarray(given["value"], dtype=np.float64))
     t, sigma = float(given["t_s"]), float(given["sigma"])
@@ -170,4 +173,9 @@ def _observation(given: Mapping[str, Any], start: float, end: float) -> Observat
         raise InputError(sentence(f"a {kind} is {KINDS[kind]} finite numbers with a positive sigma", got=str(dict(given))))
     if not start <= t <= end:
         raise InputError(sentence("an observation lies outside the window", got=f"t_s {t:g}", do=f"from {start:g} to {end:g}"))
+    if kind == "field":
+        angle, length = float(given["angle_rad"]), float(np.linalg.norm(value))
+        if not (0 <= angle <= np.pi and length > 0):
+            raise InputError(sentence("a field is a direction and an angle from 0 to pi (rad)", got=str(dict(given))))
+        return Observation("field", t - start, np.array([angle]), sigma, value / length)
     return Observation(str(kind), t - start, value, sigma)

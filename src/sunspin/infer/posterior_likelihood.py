@@ -204,6 +204,8 @@ class Likelihood:
 
     def _seen(self, prediction: Prediction, i: int) -> np.ndarray:
         kind, omega = self.data.others[i].kind, prediction.omega[:, i]
+        if kind == "field":
+            return np.arccos(np.clip(prediction.at[:, i] @ self.data.others[i].axis_B, -1.0, 1.0))[:, None]
         return {"rate": np.linalg.norm(omega, axis=1)[:, None], "gyro": omega, "direction": prediction.at[:, i]}[kind]
 
     def weigh(self, raw: np.ndarray, extra: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -267,6 +269,9 @@ class Likelihood:
         columns = [self._counting(base, u, self._gains(u)[:, None, :] * np.where(lit, move.sun[:, :, at] @ normals, 0.0))]
         for i, o in enumerate(self.data.others):
             change = {"direction": move.at[:, i]}.get(o.kind, move.omega[:, i])
+            if o.kind == "field":
+                sine = np.sqrt(np.maximum(1.0 - (base.at[:, i] @ o.axis_B) ** 2, 1e-6))
+                change = -((move.at[:, i] @ o.axis_B) / sine)[:, None]
             if o.kind == "rate":
                 size = np.maximum(np.linalg.norm(base.omega[:, i], axis=1, keepdims=True), 1e-12)
                 change = np.sum(base.omega[:, i] * change, axis=1, keepdims=True) / size

@@ -33,7 +33,8 @@ NOISE_UNKNOWN = 1.0
 SCALE_SIGMA = {True: 0.06, False: 1.0}
 """Of the logarithm of the brightness where gains have a unit (cell temperature, distance) and where they are relative."""
 
-KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale", "time_s"}
+KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale", "time_s",
+        "wheel_off_s", "wheel_off"}
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
 
@@ -74,7 +75,8 @@ class Model:
     """A vehicle with its unknowns.
 
     Rates and direction are those at the reference, `after_s` after the first sample, wheel speeds those at the first sample.
-    `time_sigma_s` is that of each sample's time tag.
+    `time_sigma_s` is that of each sample's time tag. `wheel_off_s`: how long before the first sample the wheels were released; the
+    vehicle's speeds are those of that instant, and the unknown "wheel_off" is added to it (never less than zero together).
     """
 
     vehicle: Vehicle
@@ -83,6 +85,7 @@ class Model:
     wheel_mode: str | tuple[str, ...] = "coast"
     time_sigma_s: float = 0.0
     after_s: float = 0.0
+    wheel_off_s: float = 0.0
 
     def where(self, kind: str) -> list[int]:
         """Places of the unknowns of a kind."""
@@ -114,14 +117,15 @@ class Model:
         speeds = np.tile([wheel.speed_rad_s for wheel in self.vehicle.wheels], (len(u), 1)).reshape(len(u), -1)
         for i in self.where("wheel_speed"):
             speeds[:, self.unknowns[i].index] = self.unknowns[i].centre + self.unknowns[i].sigma * u[:, i]
-        if not self.after_s:
+        elapsed = self.after_s + np.maximum(self.wheel_off_s + self.relative(u, "wheel_off", 1)[:, 0], 0.0)
+        if not np.any(elapsed):
             return speeds
         bodies, commands = self.bodies(u), k.check_commands(self.vehicle, self.wheel_mode)
         for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, commands, strict=True)):
             if command != "hold":
                 brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
                 dry, viscous = bodies.coulomb_N_m[:, i] + brake, bodies.viscous_N_m_s[:, i]
-                speeds[:, i] = spin_down_speed(dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], self.after_s)
+                speeds[:, i] = spin_down_speed(dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], elapsed)
         return speeds
 
     def rows(self, state: State) -> k.Rows:
@@ -176,6 +180,8 @@ def model(
     made = [Unknown("log_scale", "scale", "1", float(np.log(brightness)), _scale_sigma(vehicle, priors, told))]
     made.append(Unknown("log_noise", "noise", "1", 0.0, _noise_sigma(vehicle, priors, told)))
     made += _wheels(vehicle, priors, commands, told)
+    off = _wheel_off(vehicle, priors, commands, told)
+    made += [] if off is None else [off]
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
     made += [Unknown(f"log_gain_{panel.name}", "gain", "1", 0.0, gain, j) for j, panel in enumerate(vehicle.panels) if gain]
@@ -183,7 +189,8 @@ def model(
     if not (np.isfinite(limit) and limit > 0):
         raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
     told["rate"] = f"uniform in a ball of {limit:g} rad/s"
-    return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, float(priors.get("time_s", 0.0))), told
+    return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, float(priors.get("time_s", 0.0)),
+                 wheel_off_s=0.0 if off is None else off.centre), told  # fmt: skip
 
 
 def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: float, told: dict[str, str]) -> float:
@@ -235,6 +242,22 @@ def _wheels(vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ..
             own = _sigma(priors, "friction", relative, ASSUMED["friction"], told) if value and command == "coast" else 0.0
             made.append(Unknown(f"log_{kind}{tail}", kind, "1", 0.0, own, i))
     return made
+
+
+def _wheel_off(
+    vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ...], told: dict[str, str]
+) -> Unknown | None:
+    """How long before the first sample the wheels were released (s), where the caller says so."""
+    given = [priors.get(key, 0.0) for key in ("wheel_off_s", "wheel_off")]
+    if not any(key in priors for key in ("wheel_off_s", "wheel_off")):
+        return None
+    for value in given:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
+            raise InputError(sentence("wheel_off_s and its sigma wheel_off must be zero or positive, in s", got=value))
+    if not any(command != "hold" for command in commands):
+        raise InputError(sentence("wheel_off needs a wheel that is not held", got=vehicle.name))
+    told["wheel_off"] = f"{given[0]:g} s before the first sample, sigma {given[1]:g} s (given)"
+    return Unknown("wheel_off_s", "wheel_off", "s", float(given[0]), float(given[1]))
 
 
 def _inertia(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:

@@ -1,0 +1,58 @@
+"""Draw the figures of docs/posterior.md: python docs/posterior_figures.py POSTERIOR_FOLDER SAMPLING_FOLDER
+
+POSTERIOR_FOLDER: of `sunspin posterior philae --predict 15:34:04,16:20,17:25 --out POSTERIOR_FOLDER`; SAMPLING_FOLDER: of
+`python -m sunspin.study.sampling SAMPLING_FOLDER`, whose twins are drawn as far as they are there.
+"""
+
+import json
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from sunspin.cases import load_case
+from sunspin.infer.posterior_model import model
+from sunspin.infer.posterior_predict import predictions, run_to
+from sunspin.motion.kernel import Rows
+from sunspin.study.afterwards import collision_s
+from sunspin.study.against_lines import against
+from sunspin.study.sampling import widths
+from sunspin.tell import figures_lines, figures_sampling
+from sunspin.tell.figures_predicted import predicted_figure
+
+IMAGES = Path(__file__).parent / "images"
+
+
+def true_motion(case, times_s):
+    """What the twin really did at times before its collision, and after it, as the posterior's predictions have it."""
+    truth = tomllib.loads((case.folder / "twin_truth.toml").read_text("utf-8"))
+    blow = collision_s(case.vehicle, case.telemetry.attrs["epoch_utc"])
+    start = Rows(*(np.array([truth[key]]) for key in ("omega_B", "sun_B", "wheel_speed_rad_s")))
+    after = Rows(*(np.array([truth[f"collision_{key}"]]) for key in ("omega_after_B", "sun_B", "wheel_speed_after_rad_s")))
+    parts = []
+    for t in times_s:
+        rows, begin = (after, blow) if t > blow else (start, truth["t_s"])
+        parts.append(run_to(case.vehicle, rows, [t - begin]))
+    run = {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}
+    return predictions(model(case.vehicle, None, 1.0)[0], start, run, times_s)
+
+
+def main(posterior_folder, sampling_folder):
+    case = load_case("philae")
+    tree = xr.open_datatree(Path(posterior_folder) / "posterior.nc").load()
+    found = tree["predictions"].to_dataset()
+    labels = [str(label).removeprefix("2014-11-12T") for label in found["asked"].values]
+    truth = true_motion(case, found["predicted_s"].values)
+    predicted_figure(found, labels, truth).savefig(IMAGES / "posterior_predicted.png", dpi=80)
+    compared = against(case, tree)
+    figures_lines.draw(compared).savefig(IMAGES / "posterior_lines.png", dpi=80)
+    for name, factor in compared.factors.items():
+        print(f"{name}: {compared.sets[name][1]:.3g} (rad/s)^3, {factor:.3g} times the posterior's {compared.volume:.3g}")
+    rows = [json.loads(path.read_text("utf-8")) for path in sorted(Path(sampling_folder).glob("*.json"))]
+    figures_sampling.draw(widths(case.vehicle), rows).savefig(IMAGES / "posterior_sampling.png", dpi=80)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
