@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 PHYSICS = (
-    "vehicle.py", "motion", "infer/rows.py", "infer/histogram.py", "infer/mask.py", "infer/metrics.py", "measure/panels.py",
+    "vehicle", "motion", "infer/rows.py", "infer/histogram.py", "infer/mask.py", "infer/metrics.py", "measure/panels.py",
     "measure/sun.py",
 )  # fmt: skip
 """Files and folders of the package whose text decides what a row gives."""
