@@ -40,7 +40,8 @@ class Fit:
 
     `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
     `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
-    and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits.
+    and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits;
+    `normal`: the curvature alone (D, D).
     """
 
     likelihood: Likelihood
@@ -48,6 +49,7 @@ class Fit:
     levels: tuple[tuple[float, int], ...]
     still: bool = False
     curved: bool = False
+    normal: bool = False
     free: np.ndarray | None = None
 
     @property
@@ -58,6 +60,8 @@ class Fit:
     def outputs(self) -> Mapping[str, Any]:
         d = self.likelihood.model.dimension
         out = {"omega": ("float64", (3,)), "sun": ("float64", (3,)), "u": ("float64", (d - 5,)), "cost": ("float64", ())}
+        if self.normal:
+            out["normal"] = ("float32", (d, d))
         return {**out, "hessian": ("float64", (d, d)), "readings": ("float64", ())} if self.curved else out
 
     def identity(self) -> dict[str, Any]:
@@ -79,6 +83,8 @@ class Fit:
                 search.step()
         state = search.state
         out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": search.objective}
+        if self.normal:
+            out["normal"] = search.curvature().astype(np.float32)
         return {**out, "hessian": search.curvature(), "readings": search.cost} if self.curved else out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ from sunspin.infer.ensemble import ensemble, worker_count
 from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior_data import Readings
 from sunspin.infer.posterior_fit import FILES, Fit, chunk_rows
-from sunspin.infer.posterior_likelihood import Likelihood, tangents
+from sunspin.infer.posterior_likelihood import Likelihood, moved, tangents
 from sunspin.infer.posterior_model import Model, State
 
 GROWTH = 1.5
@@ -40,6 +41,16 @@ SUN_APART = 0.3
 
 NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 """Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
+
+LOOSE, BESIDE = 0.35, 0.45
+"""rad: a hypothesis that the readings leave free by more than this at the end of the next window is one of a family, and gets
+neighbours on it, this far away."""
+
+JOINED = 2.0
+"""Squared distance, in sigmas, below which hypotheses are one while the window grows."""
+
+FREE = 3
+"""Directions of a family along which neighbours are set, the loosest."""
 
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
@@ -191,16 +202,22 @@ class Search:
             part = data.take(used)
             likelihood = Likelihood(model, part)
             still = len(used) < FEW
-            fitted = self.fit(likelihood, state, FIRST_LEVELS if first else LEVELS, f"{len(used)} samples", still=still)
+            levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
+            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True)
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
             keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, still, noisy)
             notes += [f"{note} ({len(used)} samples)"] if note else []
-            trace.append((len(used), len(state), len(keep)))
-            state, first = state.take(keep), False
+            before = len(state)
+            state, normal, first = state.take(keep), fitted["normal"][keep], False
+            if not still:
+                only, hits = _joined(state, normal, hits)
+                state, normal = state.take(only), normal[only]
+            trace.append((len(used), before, len(state)))
             if len(following) == len(used):
                 return self._last(likelihood, state, hits, trace, notes)
+            state, hits = denser(state, normal, hits, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
                 state, hits = state.take(keep), hits[keep]
@@ -249,14 +266,14 @@ def coordinates(state: State, centre: State) -> np.ndarray:
     return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
 
 
-def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int]) -> int | None:
+def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME) -> int | None:
     """Which of the kept ones the fit `i` is a copy of, if any."""
     if not kept:
         return None
     d = offset(state, i, np.array(kept))
     distance = np.minimum(np.einsum("mi,mij,mj->m", d, hessian[kept], d), np.einsum("mi,ij,mj->m", d, hessian[i], d))
     nearest = int(np.argmin(distance))
-    return nearest if distance[nearest] < SAME else None
+    return nearest if distance[nearest] < within else None
 
 
 def _anything(model: Model, chosen: Plan) -> State:
@@ -279,6 +296,54 @@ def _grown(data: Readings, used: np.ndarray) -> np.ndarray:
     return np.union1d(used, np.flatnonzero(distance <= half * (1 + 1e-9)))
 
 
+def _joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Hypotheses (best first) without those that lie on the sheet of a better one, and the starts that each stands for.
+
+    Unknown moments, friction and wheel speed make a sheet of each motion: boxes of rate and direction cut it into many.
+    """
+    kept: list[int] = []
+    count: list[int] = []
+    for i in range(len(state)):
+        near = same_mode(state, normal, i, kept, JOINED)
+        if near is None:
+            kept.append(i)
+            count.append(int(hits[i]))
+        else:
+            count[near] += int(hits[i])
+    return np.array(kept), np.array(count)
+
+
+def denser(state: State, normal: np.ndarray, hits: np.ndarray, reach_s: float, widest: float) -> tuple[State, np.ndarray]:
+    """Hypotheses, and neighbours of those that are one of a family, and the starts that each stands for.
+
+    The fits of neighbouring starts stay a step apart where the readings leave a family of motions, and with the window that step
+    grows: without others between them the true one would be lost. `normal` (n, D, D): curvature; u as it is, since what differs by
+    u alone is found from either. `widest`: largest rate.
+    """
+    size = np.array([reach_s] * 3 + [1.0] * 2)
+    spread = np.linalg.inv(normal[:, :5, :5].astype(np.float64) + np.diag([widest**-2] * 3 + [1.0] * 2))
+    values, vectors = np.linalg.eigh(spread * size[:, None] * size)
+    free = np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE
+    parts, parent = [state], [np.arange(len(state))]
+    for signs in product((0, 1, -1), repeat=FREE):
+        along = np.flatnonzero(signs)
+        rows = np.flatnonzero(free[:, along].all(axis=1)) if len(along) else along
+        if len(rows):
+            step = BESIDE * vectors[rows][:, :, ::-1][:, :, :FREE] @ np.array(signs, dtype=np.float64) / size
+            parts.append(State(state.omega[rows] + step[:, :3], moved(state.sun[rows], step[:, 3:]), state.u[rows]))
+            parent.append(rows)
+    every, origin = State.joined(parts), np.concatenate(parent)
+    boxes = _boxes(every, reach_s)
+    _, first = np.unique(boxes, axis=0, return_index=True)
+    kept = np.union1d(first, np.arange(len(state)))  # the fits themselves stay
+    return every.take(kept), np.where(kept < len(state), hits[origin[kept]], 1)
+
+
+def _boxes(state: State, reach_s: float) -> np.ndarray:
+    """Boxes (n, 6) of rate and direction, `APART` wide at `reach_s` s."""
+    return np.floor(np.concatenate([state.omega * (reach_s / APART), state.sun / SUN_APART], axis=1)).astype(np.int64)
+
+
 def expected(data: Readings) -> float:
     """Numbers that a motion must explain: lit readings and other observations."""
     return float(data.lit.sum() + sum(o.value.size for o in data.others))
@@ -296,8 +361,8 @@ def _thinned(
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
-    box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / SUN_APART], axis=1)
-    _, first, inverse = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    boxes = _boxes(state.take(possible), reach_s)
+    _, first, inverse = np.unique(boxes, axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
     rank = np.argsort(first, kind="stable")  # best first
     most = MOST_FEW if len(data) < FEW else MOST
