@@ -41,7 +41,7 @@ class Fit:
     `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
     `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
     and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits;
-    `normal`: the curvature alone (D, D).
+    `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level go no further.
     """
 
     likelihood: Likelihood
@@ -50,6 +50,7 @@ class Fit:
     still: bool = False
     curved: bool = False
     normal: bool = False
+    hopeless: float = np.inf
     free: np.ndarray | None = None
 
     @property
@@ -68,12 +69,17 @@ class Fit:
         return {**code(*FILES), "fit": plain(self)}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None)
+        start = self.start.take(index)
+        search = _Search(self.likelihood, start, self.still or self.free is not None)
         search.free = self.free
-        for factor, steps in self.levels:
+        on = np.arange(len(index))
+        for level, (factor, steps) in enumerate(self.levels):
             search.widen(factor)
             for _ in range(steps):
                 search.step()
+            if level == 0 and np.isfinite(self.hopeless):
+                on = np.flatnonzero(search.objective <= self.hopeless)
+                search.only(on)
         if self.free is None:
             search.fit_noise()
         if self.curved:
@@ -81,6 +87,16 @@ class Fit:
                 search.fit_noise()
                 search.step()
                 search.step()
+        found = self._told(search)
+        if len(on) == len(index):
+            return found
+        out = {name: np.full((len(index), *value.shape[1:]), np.inf, value.dtype) for name, value in found.items()}
+        out |= {"omega": np.array(start.omega), "sun": np.array(start.sun), "u": np.array(start.u)}
+        for name, value in found.items():
+            out[name][on] = value
+        return out
+
+    def _told(self, search: _Search) -> dict[str, np.ndarray]:
         state = search.state
         out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": search.objective}
         if self.normal:
@@ -108,6 +124,13 @@ class _Search:
 
     def _sigma(self, state: State) -> np.ndarray:
         return self._factor * self.likelihood.noise(state.u)
+
+    def only(self, rows: np.ndarray) -> None:
+        """Go on with some of the rows."""
+        self.state = self.state.take(rows)
+        self._raw, self._extra, self._jacobian = self._raw[rows], self._extra[rows], self._jacobian[rows]
+        self._damping = self._damping[rows]
+        self._judge()
 
     def widen(self, factor: float) -> None:
         """Set the noise to `factor` times what it is."""

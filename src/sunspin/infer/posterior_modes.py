@@ -39,6 +39,9 @@ APART = 0.4
 SUN_APART = 0.3
 """The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
 
+NOT_YET = 0.5
+"""What a hypothesis may be worse by, for each reading, after the steps under the wider noise."""
+
 NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 """Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
 
@@ -55,11 +58,17 @@ FREE = 3
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
 
-MOST_FEW, MOST = 100_000, 6_000
+MOST_FEW, MOST = 100_000, 20_000
 """Hypotheses carried on at most, on few samples and on more; the verdict says when there were more."""
 
 KEPT_ANYWAY = 100
 """Hypotheses carried on where the readings rule out all."""
+
+SPEED_LEFT = 0.3
+"""Part of its speed that a wheel has left at a reference."""
+
+MOST_CHOICES = 40
+"""Samples looked at for the reference, evenly over those that may be it."""
 
 DROP, MOST_MODES = 30.0, 300
 """Modes less probable than the best by exp(-30) are left out, and more than this."""
@@ -93,43 +102,53 @@ class Plan:
 
 
 def plan(model: Model, data: Readings, scale: float) -> Plan:
-    """The reference whose neighbourhood needs the fewest cells; among the first third of the samples, as a wheel may stop."""
-    restless = all(wheel.speed_rad_s != 0 for wheel in model.vehicle.wheels)
-    last = max(1, len(data) // 3) if restless else 0
+    """The reference whose neighbourhood needs the fewest cells, of those samples at which no wheel can have stopped."""
     lit = np.flatnonzero(data.lit.any(axis=1))
-    choices = [a for a in lit if a <= max(last, lit[0])][:40]
+    choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
+    choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
+    suns = {i: c.sun_candidates(model, data, scale, i) for a in choices for i in (a, *_neighbours(data, a))}
     best, least = None, np.inf
     for a in choices:
         around = _neighbours(data, a)
-        suns = c.sun_candidates(model, data, scale, a)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
-        told = [len(c.sun_candidates(model, data, scale, i)) for i in around] if len(choices) < 15 else [1, 1]
-        work = len(suns) * edge**-3.0 * np.prod(told)
+        work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
         if work < least:
-            best, least = (int(a), around, edge, suns), work
-    anchor, around, edge, suns = best
+            best, least = (int(a), around, edge, suns[a]), work
+    anchor, around, edge, found = best
     limit = model.max_rate
-    if c.cell_count(limit, edge) * len(suns) > c.MAX_CELLS:
-        limit = edge * ((c.MAX_CELLS / len(suns) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
-    return Plan(anchor, around, edge, suns, limit)
+    if c.cell_count(limit, edge) * len(found) > c.MAX_CELLS:
+        limit = edge * ((c.MAX_CELLS / len(found) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
+    return Plan(anchor, around, edge, found, limit)
 
 
-def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Plan]:
-    """Model and plan with the plan's sample as the reference, and a ball of rates there that holds what comes of the prior's.
+def _runs_on(model: Model, after_s: float) -> bool:
+    """Whether every wheel still has a good part of its speed then, so that motions can be followed back through it."""
+    none = np.zeros((1, len(model.unknowns)))
+    there = np.abs(replace(model, after_s=after_s).wheel_speeds(none)[0])
+    return after_s == 0.0 or bool(np.all((there > SPEED_LEFT * np.abs(model.wheel_speeds(none)[0])) | (model.wheel_mode == "hold")))
+
+
+def ball(model: Model, after_s: float) -> float:
+    """A largest rate at a reference that holds what comes of the prior's ball at the first sample.
 
     Wheels that run down hand over their momentum, and unequal moments let |omega| vary: uniform in a ball stays uniform, as the
     motion keeps volumes in rate space, but its edge moves. A truth beyond the edge would be lost, and a wrong motion found.
     """
-    after = float(data.t_s[chosen.anchor])
-    there = replace(model, after_s=after)
-    if after == 0.0:
-        return there, chosen
+    if after_s == 0.0:
+        return model.max_rate
     moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
     none = np.zeros((1, len(model.unknowns)))
-    spins = np.abs(there.wheel_speeds(none) - model.wheel_speeds(none))[0] * [w.inertia_kg_m2 for w in model.vehicle.wheels]
-    wider = model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * float(np.sum(spins)) / moments[0]
+    change = np.abs(replace(model, after_s=after_s).wheel_speeds(none) - model.wheel_speeds(none))[0]
+    spins = float(np.sum(change * [w.inertia_kg_m2 for w in model.vehicle.wheels]))
+    return model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * spins / float(moments[0])
+
+
+def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Plan]:
+    """Model and plan with the plan's sample as the reference, and a ball of rates there that holds what comes of the prior's."""
+    after = float(data.t_s[chosen.anchor])
+    wider = ball(model, after)
     limit = chosen.limit if chosen.limit < model.max_rate else wider
-    return replace(there, max_rate=wider), replace(chosen, limit=limit)
+    return replace(model, after_s=after, max_rate=wider), replace(chosen, limit=limit)
 
 
 def _neighbours(data: Readings, a: int) -> np.ndarray:
@@ -203,11 +222,13 @@ class Search:
             likelihood = Likelihood(model, part)
             still = len(used) < FEW
             levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
-            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True)
+            limit = likeliest(part, still, noisy)
+            hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
+            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless)
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
-            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, still, noisy)
+            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, limit)
             notes += [f"{note} ({len(used)} samples)"] if note else []
             before = len(state)
             state, normal, first = state.take(keep), fitted["normal"][keep], False
@@ -349,12 +370,16 @@ def expected(data: Readings) -> float:
     return float(data.lit.sum() + sum(o.value.size for o in data.others))
 
 
+def likeliest(data: Readings, still: bool, noisy: float) -> float:
+    """The misfit that a true motion does not exceed."""
+    n = expected(data)
+    return (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+
+
 def _thinned(
-    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, still: bool, noisy: float
+    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, limit: float
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
-    n = expected(data)
-    limit = (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
     possible = order[cost[order] <= limit]
