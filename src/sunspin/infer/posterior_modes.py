@@ -192,7 +192,7 @@ class Search:
         self.stage += 1
         return ensemble(function, workers=self.workers, chunk=chunk, store=store, progress=self.progress, label=label)
 
-    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> State:
+    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
         """Starts around the reference; `data` counts time from it."""
         near = data.take(chosen.tried)
         tried = replace(near, others=())
@@ -206,14 +206,14 @@ class Search:
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
         """All modes; `model` and `data` have the plan's sample as the reference."""
-        state = self.starts(model, data, chosen, scale)
+        state, hits = self.starts(model, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
             notes.append(f"only rates up to {chosen.limit:.3g} rad/s could be searched")
         if not len(state):
             state = _anything(model, chosen)
+            hits = np.ones(len(state), dtype=np.int64)
             notes.append("no rate explains even the first samples")
-        hits = np.ones(len(state), dtype=np.int64)
         used = np.sort(np.append(chosen.tried, chosen.anchor))
         trace, first = [], True
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
