@@ -3,8 +3,9 @@
 The attitude that the body has reached at the samples next to the reference is computed on a grid of rates, fine enough (turns of
 `TURN` rad from point to point at most) to be interpolated between them. Every cell of the grid is looked through on points a
 quarter of its edge apart, and the best of each eighth is taken on unless no direction near it agrees with the readings. From
-there least squares on the interpolated attitudes finds the nearest solution, kept if it is one within their error. A motion therefore has a start within an eighth of a cell: about a quarter of
-a radian at those samples. The initial direction does not enter the runs: they give rotations.
+there least squares on the interpolated attitudes finds the nearest solution, kept if it is one within their error. A motion
+therefore has a start within an eighth of a cell: about a quarter of a radian at those samples. The initial direction does not
+enter the runs: they give rotations.
 """
 
 from __future__ import annotations

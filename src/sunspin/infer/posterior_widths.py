@@ -24,8 +24,11 @@ from sunspin.infer.posterior_modes import Modes, coordinates
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student components."""
 
-ROUNDS, DRAWS, LAST_DRAWS = 6, 5_000, 12_000
-"""Rounds in which the mixture learns at most, their draws, and those of the last round."""
+ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 5_000, 12_000, 40_000
+"""Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round, by the best of them."""
+
+WANTED = 3_000.0
+"""Effective draws for which the last round is made longer."""
 
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
@@ -168,16 +171,19 @@ class Sample:
 def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int) -> Sample:
     """The posterior around the modes; `run(function, label, chunk)` computes rows."""
     first, of_mode = _first(likelihood, modes, seed, run, chunk)
-    mixture, trace = first, []
+    mixture, best, trace = first, (0.0, first), []
     for turn in range(ROUNDS):
         made = _round(likelihood, mixture, DRAWS, seed, turn, run, chunk)
         trace.append([made.evidence, made.effective / DRAWS, made.tail])
-        if made.effective > GOOD_SHARE * DRAWS:
+        best = max(best, (made.effective / DRAWS, mixture), key=lambda pair: pair[0])
+        if best[0] > GOOD_SHARE:
             break
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, turn)))
         mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
-    last = _round(likelihood, mixture, LAST_DRAWS, seed, ROUNDS, run, chunk)
-    trace.append([last.evidence, last.effective / LAST_DRAWS, last.tail])
+    share, mixture = best
+    count = int(np.clip(WANTED / max(share, 1e-3), LAST_DRAWS, MOST_DRAWS))
+    last = _round(likelihood, mixture, count, seed, ROUNDS, run, chunk)
+    trace.append([last.evidence, last.effective / count, last.tail])
     label, of_component = _regions(last, mixture)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
