@@ -1,7 +1,7 @@
 """The posterior against nautilus, a nested sampler that shares only the likelihood: python docs/sampler_comparison.py KIND TWIN ...
 
 Needs nautilus-sampler, which sunspin does not depend on. Prints a row of the table in docs/posterior.md for each twin of KIND.
-Nautilus samples a box about each region of the posterior, ten sigmas to every side, in the rates and the direction at the first
+Nautilus samples a box about each region of the posterior, eight sigmas to every side, in the rates and the direction at the first
 sample and all further unknowns; its evidences, regions together, and intervals do not know of modes, bends and weights here.
 """
 
@@ -22,7 +22,7 @@ from sunspin.infer.posterior_model import State, model
 from sunspin.infer.posterior_modes import coordinates
 from sunspin.study.calibrate import make
 
-MAX_RATE, SAMPLES, INTERVAL_S, HALF = 0.25, 16, 30.0, 10.0
+MAX_RATE, SAMPLES, INTERVAL_S, HALF = 0.25, 16, 20.0, 8.0
 
 
 def box(likelihood, tree, mode):
@@ -46,8 +46,8 @@ def box(likelihood, tree, mode):
         outside = np.linalg.norm(state.omega, axis=1) > likelihood.model.max_rate
         return np.where(outside | ~np.isfinite(known) | (angle > np.pi), -1e6, known)
 
-    sampler = Sampler(lambda z: z, log_likelihood, n_dim=5 + u.shape[1], n_live=2000, vectorized=True, seed=1, pool=None)
-    sampler.run(n_eff=4000, discard_exploration=True)
+    sampler = Sampler(lambda z: z, log_likelihood, n_dim=5 + u.shape[1], n_live=1000, vectorized=True, seed=1, pool=None)
+    sampler.run(n_eff=2000, discard_exploration=True)
     points, weight, _ = sampler.posterior()
     picked = np.random.default_rng(0).choice(len(points), 4000, p=np.exp(weight - logsumexp(weight)))
     volume = 5 * np.log(2 * HALF) + np.log(np.diag(root)).sum()

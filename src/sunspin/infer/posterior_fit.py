@@ -41,7 +41,7 @@ class Fit:
     `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
     `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
     and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits;
-    `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level go no further.
+    `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level stay as they are then.
     """
 
     likelihood: Likelihood
@@ -69,17 +69,18 @@ class Fit:
         return {**code(*FILES), "fit": plain(self)}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        start = self.start.take(index)
-        search = _Search(self.likelihood, start, self.still or self.free is not None)
+        search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None)
         search.free = self.free
-        on = np.arange(len(index))
-        for level, (factor, steps) in enumerate(self.levels):
-            search.widen(factor)
-            for _ in range(steps):
-                search.step()
-            if level == 0 and np.isfinite(self.hopeless):
-                on = np.flatnonzero(search.objective <= self.hopeless)
-                search.only(on)
+        (factor, steps), *others = self.levels
+        search.go(factor, steps)
+        on, left = np.arange(len(index)), None
+        if np.isfinite(self.hopeless) and np.any(search.objective > self.hopeless):
+            on, left = np.flatnonzero(search.objective <= self.hopeless), self._told(search)
+            if not len(on):
+                return left
+            search.only(on)
+        for factor, steps in others:
+            search.go(factor, steps)
         if self.free is None:
             search.fit_noise()
         if self.curved:
@@ -88,17 +89,15 @@ class Fit:
                 search.step()
                 search.step()
         found = self._told(search)
-        if len(on) == len(index):
+        if left is None:
             return found
-        out = {name: np.full((len(index), *value.shape[1:]), np.inf, value.dtype) for name, value in found.items()}
-        out |= {"omega": np.array(start.omega), "sun": np.array(start.sun), "u": np.array(start.u)}
         for name, value in found.items():
-            out[name][on] = value
-        return out
+            left[name][on] = value
+        return left
 
     def _told(self, search: _Search) -> dict[str, np.ndarray]:
         state = search.state
-        out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": search.objective}
+        out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": np.array(search.objective)}
         if self.normal:
             out["normal"] = search.curvature().astype(np.float32)
         return {**out, "hessian": search.curvature(), "readings": search.cost} if self.curved else out
@@ -124,6 +123,12 @@ class _Search:
 
     def _sigma(self, state: State) -> np.ndarray:
         return self._factor * self.likelihood.noise(state.u)
+
+    def go(self, factor: float, steps: int) -> None:
+        """Steps under `factor` times the noise."""
+        self.widen(factor)
+        for _ in range(steps):
+            self.step()
 
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
