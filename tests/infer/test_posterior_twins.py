@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.infer.posterior_model import State
+from sunspin.infer.posterior import brightness
+from sunspin.infer.posterior_data import readings
+from sunspin.infer.posterior_fit import Fit
+from sunspin.infer.posterior_likelihood import Likelihood
+from sunspin.infer.posterior_model import State, model
 from sunspin.infer.posterior_modes import APART, BESIDE, denser
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -69,3 +73,22 @@ def test_a_family_is_made_denser_as_the_window_grows():
     assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1}
     still, _ = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), reach, 0.5)
     assert len(still) == 10
+
+
+def test_brightness_is_guessed_where_no_sample_gives_a_direction():
+    vehicle = craft(4)
+    data, _, _ = readings(vehicle, samples(vehicle, 20))
+    assert brightness(vehicle, data) == pytest.approx(0.5, abs=0.06)  # the truth; the largest reading alone is 0.45
+
+
+def test_hopeless_hypotheses_keep_a_cost_for_the_best_of_them_to_go_on():
+    vehicle = craft(6)
+    data, _, _ = readings(vehicle, samples(vehicle, 6))
+    unknown, _ = model(vehicle, PRIORS, 0.5)
+    start = State(np.tile(-RATE, (5, 1)), np.tile(-SUN, (5, 1)), np.zeros((5, len(unknown.unknowns))))
+    levels = ((3.0, 2), (1.0, 2))
+    none = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=-1e9)(np.arange(5))
+    every = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=1e9)(np.arange(5))
+    plain = Fit(Likelihood(unknown, data), start, levels, normal=True)(np.arange(5))
+    assert np.isfinite(none["cost"]).all() and none["normal"].shape == every["normal"].shape
+    assert all(np.array_equal(every[name], plain[name]) for name in plain)

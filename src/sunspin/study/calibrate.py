@@ -189,7 +189,7 @@ def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float = 0.25, samples: int = 16, interval_s: float = 30.0,
+def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float = 0.25, samples: int = 16, interval_s: float = 20.0,
               workers: int | None = None, vehicle: Vehicle | None = None) -> list[dict[str, Any]]:  # fmt: skip
     """Judge twins 0 to `twins` - 1 of a kind, reading those that are in `out` already."""
     craft = vehicle or load_case("philae").vehicle
@@ -231,7 +231,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--max-rate", type=float, default=0.25)
     parser.add_argument("--samples", type=int, default=16)
-    parser.add_argument("--interval", type=float, default=30.0)
+    parser.add_argument("--interval", type=float, default=20.0)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
     for kind in given.kind or ["unknown"]:
