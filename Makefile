@@ -8,7 +8,7 @@ OUT ?= results
 BENCH ?=
 EVIDENCE := build/evidence.json
 
-.PHONY: help reproduce test test-slow docs bench lint lock clean
+.PHONY: help reproduce test test-slow docs bench calibrate lint lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
@@ -16,6 +16,7 @@ help:
 	@echo "make test-slow   the long tests"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
+	@echo "make calibrate   is the posterior right? 170 twins of Philae into $(OUT)/calibration, about 25 min; resumable"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
 
@@ -53,6 +54,13 @@ docs: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
+
+# goes on where it was stopped
+calibrate: $(READY)
+	$(BIN)/python -m sunspin.study.calibrate $(OUT)/calibration --twins 100
+	$(BIN)/python -m sunspin.study.calibrate $(OUT)/calibration --twins 20 --kind known
+	$(BIN)/python -m sunspin.study.calibrate $(OUT)/calibration --twins 10 --kind shadow --kind dead --kind jitter --kind swapped --kind wheel_off
+	$(BIN)/python docs/calibration_figure.py $(OUT)/calibration $(OUT)/calibration/calibration.png
 
 lock:
 	rm -rf .lock-env && "$(PYTHON)" -m venv .lock-env

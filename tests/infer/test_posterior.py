@@ -99,7 +99,7 @@ def test_derivatives_are_those_of_another_step():
     data, _, _ = readings(case.vehicle, case.telemetry)
     unknown, _ = model(case.vehicle, None, 0.02)
     data = data.since(1).near(2600.0)  # the wheel stops within the window: the jump is in the derivative
-    likelihood = Likelihood(replace(unknown, after_s=124.477), data)
+    likelihood = Likelihood(replace(unknown, after_s=124.477), data, 1e-6)
     state = State(np.array([[0.18497558, 0.22550964, 0.11285405]]), moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
                   np.zeros((1, len(unknown.unknowns))))  # fmt: skip
     _, _, _, jacobian = likelihood.linearised(state)

@@ -33,6 +33,9 @@ DIRECTION_ERROR = 1e-6
 EDGE = 0.97
 """Draws beyond this part of the largest rate searched say that the truth may be outside."""
 
+LEAST_SEEN, MOST_SEEN = 0.5, 1.2
+"""Range of the largest part of the direction that few panels see, in which gains with a unit may be right."""
+
 LEAST_WEIGHT = 1e-4
 """Regions with less weight are not listed."""
 
@@ -122,13 +125,20 @@ def _whole(seed: Any, draws: Any) -> None:
 
 
 def brightness(vehicle: Vehicle, data: Readings) -> float:
-    """A first guess of the scale: the median over samples that give a direction, else the largest reading's."""
+    """A first guess of the scale: the median over samples that give a direction, else what no sample exceeds.
+
+    In a sample with few panels lit the part of the direction that these do not see is missing, so the largest of all is nearest.
+    Gains in a unit are then believed instead where they can be, as their prior is narrow.
+    """
     value = np.where(data.used, data.value, 0.0)
     told = is_reconstructed(sun_directions(vehicle, value, noise=data.sigma)["status"].values) & data.used.all(axis=1)
     if told.any():
         shape = panel_power(vehicle, best_directions(vehicle, value[told])[0])
         return float(np.median(np.sum(shape * value[told], axis=1) / np.sum(shape**2, axis=1)))
-    return float((value / vehicle.panel_gains).max())
+    seen = [np.linalg.pinv(vehicle.panel_normals_B[lit]) @ (v / vehicle.panel_gains)[lit]
+            for v, lit in zip(value, data.lit, strict=True) if lit.any()]  # fmt: skip
+    least = float(max(np.linalg.norm(s) for s in seen))
+    return 1.0 if vehicle.gain_unit is not None and LEAST_SEEN < least < MOST_SEEN else least
 
 
 def at_first_sample(likelihood: Likelihood, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,10 +2,10 @@
 
 The attitude that the body has reached at the samples next to the reference is computed on a grid of rates, fine enough (turns of
 `TURN` rad from point to point at most) to be interpolated between them. Every cell of the grid is looked through on points a
-quarter of its edge apart, and the best one of each eighth is taken on unless no direction near what it predicts agrees with the
-readings. From there least squares on the interpolated attitudes (rates and direction) finds the nearest solution, and is kept
-if it is one within the error of interpolation. A motion therefore has a start within an eighth of a cell: about a quarter of
-a radian at those samples. The initial direction does not enter the runs: they give rotations.
+quarter of its edge apart, and the best of each eighth is taken on unless no direction near it agrees with the readings. From
+there least squares on the interpolated attitudes finds the nearest solution, kept if it is one within their error. A motion
+therefore has a start within an eighth of a cell: about a quarter of a radian at those samples. The initial direction does not
+enter the runs: they give rotations.
 """
 
 from __future__ import annotations
@@ -43,8 +43,7 @@ SCALE_SHARE = 0.08
 """Relative error of the brightness and of gains while starts are looked for."""
 
 SIGMAS, CAP, LIMIT = 3.0, 16.0, 20.0
-"""A reading counts against a point beyond SIGMAS, by the square of what is left, CAP at most (a shadow may have done it); a
-point falls at LIMIT."""
+"""A reading counts against a point beyond SIGMAS, by the square of what is left, CAP at most (a shadow?); it falls at LIMIT."""
 
 CANDIDATE_GRID = 3000
 """Directions on the sphere, 3.7 degrees apart, of which those that the reference sample allows are starts."""
@@ -77,8 +76,7 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
     gap = panel_power(model.vehicle, grid) * scale - data.value[sample]
     tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.panel_gains)
     misfit = np.where(data.used[sample], np.minimum((gap / tolerance) ** 2, CAP), 0.0).sum(axis=1)
-    order = np.argsort(misfit, kind="stable")
-    allowed = grid[order][misfit[order] < misfit.min() + 1.0]
+    allowed = grid[order := np.argsort(misfit, kind="stable")][misfit[order] < misfit.min() + 1.0]
     kept = allowed[:1]
     while (nearest := (allowed @ kept.T).max(axis=1)).min() < np.cos(CANDIDATE_RAD):
         kept = np.concatenate([kept, allowed[[np.argmin(nearest)]]])
@@ -203,8 +201,8 @@ class Starts:
         full[:-1, :-1, :-1] = whole
         return np.flatnonzero(full)
 
-    def found(self, workers: int) -> State:
-        """The starts, best first."""
+    def found(self, workers: int) -> tuple[State, np.ndarray]:
+        """The starts, best first, and how many points of the grid settled there."""
         side = self.attitudes.side
         corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [side**2, side, 1]
         gains = self.scale * self.attitudes.model.vehicle.panel_gains
@@ -222,15 +220,17 @@ class Starts:
         size = np.linalg.norm(omega, axis=1, keepdims=True)
         omega = omega * np.minimum(1.0, self.attitudes.model.max_rate / np.maximum(size, 1e-12))
         state = State(omega, moved(self.suns[sun], rows[:, 5:7]), np.zeros((len(rows), len(self.attitudes.model.unknowns))))
-        return state.take(distinct(state, rows[:, 7], APART, float(np.abs(self.data.t_s).max())))
+        best, count = _distinct(state, rows[:, 7], float(np.abs(self.data.t_s).max()))
+        return state.take(best), count
 
 
-def distinct(state: State, cost: np.ndarray, apart: float, reach_s: float) -> np.ndarray:
-    """Of states in one box of rate and direction, `apart` rad wide at `reach_s` s, the best; indices, best first."""
+def _distinct(state: State, cost: np.ndarray, reach_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of states in one box of rate and direction, `APART` wide at `reach_s` s, the best and their number; best first."""
     order = np.argsort(cost, kind="stable")
-    box = np.concatenate([state.omega[order] * (reach_s / apart), state.sun[order] / apart], axis=1)
-    _, first = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True)
-    return order[np.sort(first)]
+    box = np.concatenate([state.omega[order] * (reach_s / APART), state.sun[order] / APART], axis=1)
+    _, first, count = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_counts=True)
+    rank = np.argsort(first)
+    return order[first[rank]], count[rank]
 
 
 @njit(nogil=True, cache=True)

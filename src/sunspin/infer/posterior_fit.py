@@ -40,7 +40,8 @@ class Fit:
 
     `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
     `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
-    and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits.
+    and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits;
+    `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level stay as they are then.
     """
 
     likelihood: Likelihood
@@ -48,6 +49,8 @@ class Fit:
     levels: tuple[tuple[float, int], ...]
     still: bool = False
     curved: bool = False
+    normal: bool = False
+    hopeless: float = np.inf
     free: np.ndarray | None = None
 
     @property
@@ -58,6 +61,8 @@ class Fit:
     def outputs(self) -> Mapping[str, Any]:
         d = self.likelihood.model.dimension
         out = {"omega": ("float64", (3,)), "sun": ("float64", (3,)), "u": ("float64", (d - 5,)), "cost": ("float64", ())}
+        if self.normal:
+            out["normal"] = ("float32", (d, d))
         return {**out, "hessian": ("float64", (d, d)), "readings": ("float64", ())} if self.curved else out
 
     def identity(self) -> dict[str, Any]:
@@ -66,10 +71,16 @@ class Fit:
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None)
         search.free = self.free
-        for factor, steps in self.levels:
-            search.widen(factor)
-            for _ in range(steps):
-                search.step()
+        (factor, steps), *others = self.levels
+        search.go(factor, steps)
+        on, left = np.arange(len(index)), None
+        if np.isfinite(self.hopeless) and np.any(search.objective > self.hopeless):
+            on, left = np.flatnonzero(search.objective <= self.hopeless), self._told(search)
+            if not len(on):
+                return left
+            search.only(on)
+        for factor, steps in others:
+            search.go(factor, steps)
         if self.free is None:
             search.fit_noise()
         if self.curved:
@@ -77,8 +88,18 @@ class Fit:
                 search.fit_noise()
                 search.step()
                 search.step()
+        found = self._told(search)
+        if left is None:
+            return found
+        for name, value in found.items():
+            left[name][on] = value
+        return left
+
+    def _told(self, search: _Search) -> dict[str, np.ndarray]:
         state = search.state
-        out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": search.objective}
+        out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": np.array(search.objective)}
+        if self.normal:
+            out["normal"] = search.curvature().astype(np.float32)
         return {**out, "hessian": search.curvature(), "readings": search.cost} if self.curved else out
 
 
@@ -102,6 +123,19 @@ class _Search:
 
     def _sigma(self, state: State) -> np.ndarray:
         return self._factor * self.likelihood.noise(state.u)
+
+    def go(self, factor: float, steps: int) -> None:
+        """Steps under `factor` times the noise."""
+        self.widen(factor)
+        for _ in range(steps):
+            self.step()
+
+    def only(self, rows: np.ndarray) -> None:
+        """Go on with some of the rows."""
+        self.state = self.state.take(rows)
+        self._raw, self._extra, self._jacobian = self._raw[rows], self._extra[rows], self._jacobian[rows]
+        self._damping = self._damping[rows]
+        self._judge()
 
     def widen(self, factor: float) -> None:
         """Set the noise to `factor` times what it is."""

@@ -34,7 +34,10 @@ UNIT_STEP = 1e-4
 UNIT_STEP_S, LARGEST_UNIT_STEP = 2700.0, 3e-3
 
 DERIVATIVE_ERROR, ROUGH_ERROR = 1e-8, 1e-6
-"""Error of directions (rad) in runs that are subtracted from each other, and while many starts are still far away."""
+"""Error of directions (rad) in runs that are subtracted from each other, and while hypotheses are still searched for: a likelihood
+whose own error is `SEARCH_ERROR` is asked only where steps lead."""
+
+SEARCH_ERROR = 1e-5
 
 NODES = 7
 """Nodes of the quadrature over the error of a time tag."""
@@ -83,7 +86,7 @@ class Likelihood:
 
     model: Model
     data: Readings
-    direction_error: float = 1e-5
+    direction_error: float = SEARCH_ERROR
 
     @cached_property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -240,7 +243,7 @@ class Likelihood:
         runs = [state] + [State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)]
         runs.append(State(state.omega, e1, state.u))
         runs += [State(state.omega, state.sun, state.u + own * np.eye(state.u.shape[1])[i]) for i in moving]
-        every = self.predict(State.joined(runs), ROUGH_ERROR if still else DERIVATIVE_ERROR)
+        every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         raw, extra = self.misfit(base, state.u)
         turned = parts[3]

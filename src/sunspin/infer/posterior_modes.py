@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ from sunspin.infer.ensemble import ensemble, worker_count
 from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior_data import Readings
 from sunspin.infer.posterior_fit import FILES, Fit, chunk_rows
-from sunspin.infer.posterior_likelihood import Likelihood, tangents
+from sunspin.infer.posterior_likelihood import Likelihood, moved, tangents
 from sunspin.infer.posterior_model import Model, State
 
 GROWTH = 1.5
@@ -38,17 +39,36 @@ APART = 0.4
 SUN_APART = 0.3
 """The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
 
+NOT_YET = 0.5
+"""What a hypothesis may be worse by, for each reading, after the steps under the wider noise."""
+
 NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 """Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
+
+LOOSE, BESIDE = 0.35, 0.45
+"""rad: a hypothesis that the readings leave free by more than this at the end of the next window is one of a family, and gets
+neighbours on it, this far away."""
+
+JOINED = 2.0
+"""Squared distance, in sigmas, below which hypotheses are one while the window grows."""
+
+FREE = 3
+"""Directions of a family along which neighbours are set, the loosest."""
 
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
 
-MOST_FEW, MOST = 100_000, 6_000
+MOST_FEW, MOST = 100_000, 20_000
 """Hypotheses carried on at most, on few samples and on more; the verdict says when there were more."""
 
 KEPT_ANYWAY = 100
 """Hypotheses carried on where the readings rule out all."""
+
+SPEED_LEFT = 0.3
+"""Part of its speed that a wheel has left at a reference."""
+
+MOST_CHOICES = 40
+"""Samples looked at for the reference, evenly over those that may be it."""
 
 DROP, MOST_MODES = 30.0, 300
 """Modes less probable than the best by exp(-30) are left out, and more than this."""
@@ -82,43 +102,53 @@ class Plan:
 
 
 def plan(model: Model, data: Readings, scale: float) -> Plan:
-    """The reference whose neighbourhood needs the fewest cells; among the first third of the samples, as a wheel may stop."""
-    restless = all(wheel.speed_rad_s != 0 for wheel in model.vehicle.wheels)
-    last = max(1, len(data) // 3) if restless else 0
+    """The reference whose neighbourhood needs the fewest cells, of those samples at which no wheel can have stopped."""
     lit = np.flatnonzero(data.lit.any(axis=1))
-    choices = [a for a in lit if a <= max(last, lit[0])][:40]
+    choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
+    choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
+    suns = {i: c.sun_candidates(model, data, scale, i) for a in choices for i in (a, *_neighbours(data, a))}
     best, least = None, np.inf
     for a in choices:
         around = _neighbours(data, a)
-        suns = c.sun_candidates(model, data, scale, a)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
-        told = [len(c.sun_candidates(model, data, scale, i)) for i in around] if len(choices) < 15 else [1, 1]
-        work = len(suns) * edge**-3.0 * np.prod(told)
+        work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
         if work < least:
-            best, least = (int(a), around, edge, suns), work
-    anchor, around, edge, suns = best
+            best, least = (int(a), around, edge, suns[a]), work
+    anchor, around, edge, found = best
     limit = model.max_rate
-    if c.cell_count(limit, edge) * len(suns) > c.MAX_CELLS:
-        limit = edge * ((c.MAX_CELLS / len(suns) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
-    return Plan(anchor, around, edge, suns, limit)
+    if c.cell_count(limit, edge) * len(found) > c.MAX_CELLS:
+        limit = edge * ((c.MAX_CELLS / len(found) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
+    return Plan(anchor, around, edge, found, limit)
 
 
-def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Plan]:
-    """Model and plan with the plan's sample as the reference, and a ball of rates there that holds what comes of the prior's.
+def _runs_on(model: Model, after_s: float) -> bool:
+    """Whether every wheel still has a good part of its speed then, so that motions can be followed back through it."""
+    none = np.zeros((1, len(model.unknowns)))
+    there = np.abs(replace(model, after_s=after_s).wheel_speeds(none)[0])
+    return after_s == 0.0 or bool(np.all((there > SPEED_LEFT * np.abs(model.wheel_speeds(none)[0])) | (model.wheel_mode == "hold")))
+
+
+def ball(model: Model, after_s: float) -> float:
+    """A largest rate at a reference that holds what comes of the prior's ball at the first sample.
 
     Wheels that run down hand over their momentum, and unequal moments let |omega| vary: uniform in a ball stays uniform, as the
     motion keeps volumes in rate space, but its edge moves. A truth beyond the edge would be lost, and a wrong motion found.
     """
-    after = float(data.t_s[chosen.anchor])
-    there = replace(model, after_s=after)
-    if after == 0.0:
-        return there, chosen
+    if after_s == 0.0:
+        return model.max_rate
     moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
     none = np.zeros((1, len(model.unknowns)))
-    spins = np.abs(there.wheel_speeds(none) - model.wheel_speeds(none))[0] * [w.inertia_kg_m2 for w in model.vehicle.wheels]
-    wider = model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * float(np.sum(spins)) / moments[0]
+    change = np.abs(replace(model, after_s=after_s).wheel_speeds(none) - model.wheel_speeds(none))[0]
+    spins = float(np.sum(change * [w.inertia_kg_m2 for w in model.vehicle.wheels]))
+    return model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * spins / float(moments[0])
+
+
+def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Plan]:
+    """Model and plan with the plan's sample as the reference, and a ball of rates there that holds what comes of the prior's."""
+    after = float(data.t_s[chosen.anchor])
+    wider = ball(model, after)
     limit = chosen.limit if chosen.limit < model.max_rate else wider
-    return replace(there, max_rate=wider), replace(chosen, limit=limit)
+    return replace(model, after_s=after, max_rate=wider), replace(chosen, limit=limit)
 
 
 def _neighbours(data: Readings, a: int) -> np.ndarray:
@@ -162,7 +192,7 @@ class Search:
         self.stage += 1
         return ensemble(function, workers=self.workers, chunk=chunk, store=store, progress=self.progress, label=label)
 
-    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> State:
+    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
         """Starts around the reference; `data` counts time from it."""
         near = data.take(chosen.tried)
         tried = replace(near, others=())
@@ -176,14 +206,14 @@ class Search:
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
         """All modes; `model` and `data` have the plan's sample as the reference."""
-        state = self.starts(model, data, chosen, scale)
+        state, hits = self.starts(model, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
             notes.append(f"only rates up to {chosen.limit:.3g} rad/s could be searched")
         if not len(state):
             state = _anything(model, chosen)
+            hits = np.ones(len(state), dtype=np.int64)
             notes.append("no rate explains even the first samples")
-        hits = np.ones(len(state), dtype=np.int64)
         used = np.sort(np.append(chosen.tried, chosen.anchor))
         trace, first = [], True
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
@@ -191,16 +221,24 @@ class Search:
             part = data.take(used)
             likelihood = Likelihood(model, part)
             still = len(used) < FEW
-            fitted = self.fit(likelihood, state, FIRST_LEVELS if first else LEVELS, f"{len(used)} samples", still=still)
+            levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
+            limit = likeliest(part, still, noisy)
+            hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
+            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless)
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
-            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, still, noisy)
+            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, limit)
             notes += [f"{note} ({len(used)} samples)"] if note else []
-            trace.append((len(used), len(state), len(keep)))
-            state, first = state.take(keep), False
+            before = len(state)
+            state, normal, first = state.take(keep), fitted["normal"][keep], False
+            if not still:
+                only, hits = _joined(state, normal, hits)
+                state, normal = state.take(only), normal[only]
+            trace.append((len(used), before, len(state)))
             if len(following) == len(used):
                 return self._last(likelihood, state, hits, trace, notes)
+            state, hits = denser(state, normal, hits, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
                 state, hits = state.take(keep), hits[keep]
@@ -249,14 +287,14 @@ def coordinates(state: State, centre: State) -> np.ndarray:
     return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
 
 
-def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int]) -> int | None:
+def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME) -> int | None:
     """Which of the kept ones the fit `i` is a copy of, if any."""
     if not kept:
         return None
     d = offset(state, i, np.array(kept))
     distance = np.minimum(np.einsum("mi,mij,mj->m", d, hessian[kept], d), np.einsum("mi,ij,mj->m", d, hessian[i], d))
     nearest = int(np.argmin(distance))
-    return nearest if distance[nearest] < SAME else None
+    return nearest if distance[nearest] < within else None
 
 
 def _anything(model: Model, chosen: Plan) -> State:
@@ -279,25 +317,77 @@ def _grown(data: Readings, used: np.ndarray) -> np.ndarray:
     return np.union1d(used, np.flatnonzero(distance <= half * (1 + 1e-9)))
 
 
+def _joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Hypotheses (best first) without those that lie on the sheet of a better one, and the starts that each stands for.
+
+    Unknown moments, friction and wheel speed make a sheet of each motion: boxes of rate and direction cut it into many.
+    """
+    kept: list[int] = []
+    count: list[int] = []
+    for i in range(len(state)):
+        near = same_mode(state, normal, i, kept, JOINED)
+        if near is None:
+            kept.append(i)
+            count.append(int(hits[i]))
+        else:
+            count[near] += int(hits[i])
+    return np.array(kept), np.array(count)
+
+
+def denser(state: State, normal: np.ndarray, hits: np.ndarray, reach_s: float, widest: float) -> tuple[State, np.ndarray]:
+    """Hypotheses, and neighbours of those that are one of a family, and the starts that each stands for.
+
+    The fits of neighbouring starts stay a step apart where the readings leave a family of motions, and with the window that step
+    grows: without others between them the true one would be lost. `normal` (n, D, D): curvature; u as it is, since what differs by
+    u alone is found from either. `widest`: largest rate.
+    """
+    size = np.array([reach_s] * 3 + [1.0] * 2)
+    spread = np.linalg.inv(normal[:, :5, :5].astype(np.float64) + np.diag([widest**-2] * 3 + [1.0] * 2))
+    values, vectors = np.linalg.eigh(spread * size[:, None] * size)
+    free = np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE
+    parts, parent = [state], [np.arange(len(state))]
+    for signs in product((0, 1, -1), repeat=FREE):
+        along = np.flatnonzero(signs)
+        rows = np.flatnonzero(free[:, along].all(axis=1)) if len(along) else along
+        if len(rows):
+            step = BESIDE * vectors[rows][:, :, ::-1][:, :, :FREE] @ np.array(signs, dtype=np.float64) / size
+            parts.append(State(state.omega[rows] + step[:, :3], moved(state.sun[rows], step[:, 3:]), state.u[rows]))
+            parent.append(rows)
+    every, origin = State.joined(parts), np.concatenate(parent)
+    boxes = _boxes(every, reach_s)
+    _, first = np.unique(boxes, axis=0, return_index=True)
+    kept = np.union1d(first, np.arange(len(state)))  # the fits themselves stay
+    return every.take(kept), np.where(kept < len(state), hits[origin[kept]], 1)
+
+
+def _boxes(state: State, reach_s: float) -> np.ndarray:
+    """Boxes (n, 6) of rate and direction, `APART` wide at `reach_s` s."""
+    return np.floor(np.concatenate([state.omega * (reach_s / APART), state.sun / SUN_APART], axis=1)).astype(np.int64)
+
+
 def expected(data: Readings) -> float:
     """Numbers that a motion must explain: lit readings and other observations."""
     return float(data.lit.sum() + sum(o.value.size for o in data.others))
 
 
+def likeliest(data: Readings, still: bool, noisy: float) -> float:
+    """The misfit that a true motion does not exceed."""
+    n = expected(data)
+    return (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+
+
 def _thinned(
-    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, still: bool, noisy: float
+    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, limit: float
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
-    n = expected(data)
-    limit = (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
     possible = order[cost[order] <= limit]
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
-    box = np.concatenate([state.omega[possible] * (reach_s / APART), state.sun[possible] / SUN_APART], axis=1)
-    _, first, inverse = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    boxes = _boxes(state.take(possible), reach_s)
+    _, first, inverse = np.unique(boxes, axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
     rank = np.argsort(first, kind="stable")  # best first
     most = MOST_FEW if len(data) < FEW else MOST

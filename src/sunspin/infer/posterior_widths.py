@@ -24,8 +24,11 @@ from sunspin.infer.posterior_modes import Modes, coordinates
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student components."""
 
-ROUNDS, DRAWS, LAST_DRAWS = 6, 5_000, 12_000
-"""Rounds in which the mixture learns at most, their draws, and those of the last round."""
+ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 5_000, 12_000, 40_000
+"""Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round."""
+
+WANTED = 3_000.0
+"""Effective draws for which the last round is made longer."""
 
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
@@ -168,22 +171,34 @@ class Sample:
 def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int) -> Sample:
     """The posterior around the modes; `run(function, label, chunk)` computes rows."""
     first, of_mode = _first(likelihood, modes, seed, run, chunk)
-    mixture, trace = first, []
+    mixture, tried, trace = first, [], []
     for turn in range(ROUNDS):
         made = _round(likelihood, mixture, DRAWS, seed, turn, run, chunk)
         trace.append([made.evidence, made.effective / DRAWS, made.tail])
+        tried.append((made.effective / DRAWS, mixture))
         if made.effective > GOOD_SHARE * DRAWS:
             break
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, turn)))
         mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
-    last = _round(likelihood, mixture, LAST_DRAWS, seed, ROUNDS, run, chunk)
-    trace.append([last.evidence, last.effective / LAST_DRAWS, last.tail])
+    share = max(share for share, _ in tried)
+    mixture = tried[-1][1] if share > GOOD_SHARE else _pooled(tried)
+    count = int(np.clip(WANTED / max(share, 1e-3), LAST_DRAWS, MOST_DRAWS))
+    last = _round(likelihood, mixture, count, seed, ROUNDS, run, chunk)
+    trace.append([last.evidence, last.effective / count, last.tail])
     label, of_component = _regions(last, mixture)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
         last.state, last.log_weight, last.log_likelihood, label, share, of_component[of_mode], last.effective, last.tail,
         last.evidence, np.array(trace),
     )  # fmt: skip
+
+
+def _pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
+    """The mixtures of all rounds, by what their draws were worth: none of them may be trusted to cover the posterior alone."""
+    parts, total = [mixture for _, mixture in tried], sum(share for share, _ in tried)
+    numbers = (np.concatenate([getattr(m, name) for m in parts]) for name in ("basis", "bend", "mean", "covariance"))
+    weight = np.concatenate([share / total * m.weight / m.weight.sum() for share, m in tried])
+    return Mixture(State.joined([m.centre for m in parts]), *numbers, weight, parts[0].moving)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -23,13 +24,15 @@ from scipy.stats import binomtest, kstest
 
 from sunspin.cases import load_case
 from sunspin.errors import SunspinError
+from sunspin.infer.identity import code
 from sunspin.infer.posterior import DIRECTION_ERROR, brightness, posterior
 from sunspin.infer.posterior_data import readings
+from sunspin.infer.posterior_fit import FILES
 from sunspin.infer.posterior_likelihood import Likelihood
 from sunspin.infer.posterior_model import Model, State, model
 from sunspin.motion import gyrostat as g
 from sunspin.study.twin import Truth, twin
-from sunspin.vehicle import Friction, Vehicle, Wheel
+from sunspin.vehicle import Friction, Vehicle, Wheel, load_vehicle
 
 KINDS = ("known", "unknown", "shadow", "dead", "jitter", "swapped", "wheel_off")
 
@@ -43,6 +46,9 @@ JITTER_S = 6.0
 
 TAG_S = 0.1
 """Error of the time tags of the kind "jitter"."""
+
+DECIDING = (*FILES, "infer/posterior_modes.py", "infer/posterior_check.py", "infer/posterior_verdict.py", "infer/posterior.py")
+"""Files whose text decides what a twin gives; each row keeps their digest."""
 
 NEAR_SIGMAS = 4.5
 """A mode counts as the true one within this many sigmas of its rates."""
@@ -118,7 +124,9 @@ def judge(
     vehicle: Vehicle, telemetry: xr.Dataset, truth: State, unknown: Model, priors: dict[str, Any], seed: int, **options: Any
 ) -> dict[str, Any]:
     """Run the posterior on a twin and compare it with the truth."""
+    began = time.process_time()
     tree = posterior(vehicle, telemetry, priors, seed, **options)
+    took = time.process_time() - began
     found = tree["posterior"]
     omega = found["omega_B"].values[0]
     # u of the draws, in the order of the model that knows the scale's centre
@@ -149,6 +157,7 @@ def judge(
         "noise_sigmas": tree.attrs["noise_sigmas"], "effective": tree.attrs["effective_draws"], "pareto_k": tree.attrs["pareto_k"],
         "log_true": log_true, "log_best": float(every["log_likelihood"].max()), "error": float(np.min(np.linalg.norm(off, axis=1))),
         "sigma": float(np.sqrt(np.trace(modes["omega_cov_B"].values[0]))), "omega": truth.omega[0].tolist(),
+        "samples": tree.attrs["samples"], "processor_s": took, "code": code(*DECIDING)["physics_sha256"],
     }  # fmt: skip
 
 
@@ -172,13 +181,15 @@ def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "in_90": share([row["level"] <= 0.9 for row in rows]),
         "not_explained": share([row["word"] == "not explained" for row in rows]),
         "confident_misses": sum(not row["recalled"] for row in confident), "confident": len(confident),
+        "confident_in_90": share([row["level"] <= 0.9 for row in confident]) if confident else None,
         "ranks_p": {name: float(kstest([row["ranks"][name] for row in rows], "uniform").pvalue) for name in QUANTITIES},
         "pareto_k": float(np.median([row["pareto_k"] for row in rows])),
         "effective": float(np.median([row["effective"] for row in rows])),
+        "processor_s": float(np.mean([row["processor_s"] for row in rows])), "states_of_code": len({row["code"] for row in rows}),
     }  # fmt: skip
 
 
-def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float = 0.25, samples: int = 23, interval_s: float = 120.0,
+def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float = 0.25, samples: int = 16, interval_s: float = 20.0,
               workers: int | None = None, vehicle: Vehicle | None = None) -> list[dict[str, Any]]:  # fmt: skip
     """Judge twins 0 to `twins` - 1 of a kind, reading those that are in `out` already."""
     craft = vehicle or load_case("philae").vehicle
@@ -200,21 +211,34 @@ def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float =
     return rows
 
 
+def read(out: Path) -> dict[str, list[dict[str, Any]]]:
+    """The judged twins in a folder, by kind; those that were refused are left out."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for path in sorted(out.glob("*/[0-9]*.json")):
+        row = json.loads(path.read_text("utf-8"))
+        if "refused" not in row:
+            found.setdefault(path.parent.name.split("-")[0], []).append(row)
+    return found
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run twins and print what they say."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.study.calibrate", description=main.__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--twins", type=int, default=100)
-    parser.add_argument("--kind", choices=KINDS, default="unknown")
+    parser.add_argument("--kind", choices=KINDS, action="append", help="repeatable; unknown unless given")
+    parser.add_argument("--vehicle", default="philae", help="a vehicle file or the name of one")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--max-rate", type=float, default=0.25)
-    parser.add_argument("--samples", type=int, default=23)
-    parser.add_argument("--interval", type=float, default=120.0)
+    parser.add_argument("--samples", type=int, default=16)
+    parser.add_argument("--interval", type=float, default=20.0)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
-    rows = calibrate(given.out, given.kind, given.twins, given.seed, given.max_rate, given.samples, given.interval, given.workers)
-    good = [row for row in rows if "refused" not in row]
-    print(json.dumps(tally(good) | {"refused": len(rows) - len(good)}, indent=1))
+    for kind in given.kind or ["unknown"]:
+        rows = calibrate(given.out, kind, given.twins, given.seed, given.max_rate, given.samples, given.interval, given.workers,
+                         load_vehicle(given.vehicle))  # fmt: skip
+        good = [row for row in rows if "refused" not in row]
+        print(json.dumps({"kind": kind} | tally(good) | {"refused": len(rows) - len(good)}, indent=1), flush=True)
     return 0
 
 

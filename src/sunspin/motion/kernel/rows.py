@@ -50,6 +50,13 @@ def common_spin(free: np.ndarray) -> np.ndarray:
 
 def mode_table(vehicle: Vehicle, bodies: Bodies) -> np.ndarray:
     """For every body and set of free wheels, (n, 2^n_wheel, 19): spin, inverse inertia, principal inverse moments and axes."""
+    numbers = np.concatenate([bodies.inertia_kg_m2.reshape(-1, 9), bodies.wheel_inertia_kg_m2], axis=-1)
+    same = np.ascontiguousarray(numbers).view([("", np.float64)] * numbers.shape[1]).ravel()
+    _, first, which = np.unique(same, return_index=True, return_inverse=True)
+    return _mode_table(vehicle, bodies.take(first))[which.ravel()] if len(first) < len(numbers) else _mode_table(vehicle, bodies)
+
+
+def _mode_table(vehicle: Vehicle, bodies: Bodies) -> np.ndarray:
     free = principal.free_inertias(bodies)
     frame = principal.frames(vehicle, bodies)
     axes = frame.axes.reshape(*frame.axes.shape[:-2], 9)

@@ -1,0 +1,94 @@
+"""The posterior of vehicles unlike Philae: what four panels cannot tell, noise on dark panels, families of motions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.infer.posterior import brightness
+from sunspin.infer.posterior_data import readings
+from sunspin.infer.posterior_fit import Fit
+from sunspin.infer.posterior_likelihood import Likelihood
+from sunspin.infer.posterior_model import State, model
+from sunspin.infer.posterior_modes import APART, BESIDE, denser
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+
+FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
+RATE = np.array([0.05, -0.08, 0.11])
+PRIORS = {"max_rate_rad_s": 0.3, "inertia": 0.0}
+
+
+def craft(panels: int, noise: float = 0.02) -> Vehicle:
+    sides = [Panel(name, normal, 1.0) for name, normal in list(FACES.items())[:panels]]
+    form = TelemetryForm(quantity="current_A", noise=noise)
+    return Vehicle("box", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=sides, telemetry=form)
+
+
+def samples(vehicle: Vehicle, n: int = 15, interval_s: float = 15.0, seed: int = 0):
+    rng = np.random.default_rng(seed)
+    t = interval_s * np.arange(n) + np.concatenate([[0.0], rng.uniform(-2, 2, n - 1)])
+    return ss.twin(vehicle, {"omega_B": RATE, "sun_B": SUN, "t_s": t, "scale": 0.5}, seed=seed)
+
+
+def within(tree, rate) -> np.ndarray:
+    """Which modes are within 4.5 sigmas of a rate."""
+    off = rate - tree["modes"]["omega_B"].values
+    return np.array([o @ np.linalg.solve(c, o) < 4.5**2 for o, c in zip(off, tree["modes"]["omega_cov_B"].values, strict=True)])
+
+
+def test_the_mirror_image_that_side_panels_cannot_tell_has_half_the_weight():
+    vehicle = craft(4)
+    tree = ss.posterior(vehicle, samples(vehicle, 20), PRIORS, seed=0, draws=1000, workers=2)
+    weight = tree["modes"]["weight"].values
+    for rate in (RATE, RATE * [-1, -1, 1]):  # rates are mirrored as a turn about z turns them, the direction as a mirror does
+        assert weight[within(tree, rate)].sum() == pytest.approx(0.5, abs=0.1), tree.attrs["verdict"]
+    assert tree.attrs["verdict_word"] == "aliases", tree.attrs["verdict"]
+
+
+def test_noise_on_dark_panels_is_no_contradiction():
+    vehicle = craft(6)
+    telemetry = samples(vehicle)
+    value = telemetry["current_A"].values
+    noise = np.maximum(0.02 * np.random.default_rng(5).standard_normal(value.shape), 0)
+    value[:] = np.where(value > 0, value, noise)
+    tree = ss.posterior(vehicle, telemetry, PRIORS, seed=0, draws=1000, workers=2)
+    assert tree.attrs["verdict_word"] == "unique" and within(tree, RATE)[0], tree.attrs["verdict"]
+    assert abs(tree.attrs["noise_sigmas"]) < 2
+
+
+def test_a_family_is_made_denser_as_the_window_grows():
+    """Members of a line two steps apart get others between them; a motion that the readings hold fast gets none."""
+    reach = 100.0
+    along = np.array([1.0, 0.0, 0.0])
+    places = np.arange(10)[:, None] * 2 * BESIDE / reach
+    line = State(0.1 + places * along, np.tile(SUN, (10, 1)), np.zeros((10, 0)))
+    tight = np.diag([1e8, 1e8, 1e8, 1e4, 1e4])
+    loose = np.array(tight)
+    loose[0, 0] = (reach / 3.0) ** 2
+    found, hits = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), reach, 0.5)
+    gaps = np.diff(np.unique(np.round(found.omega[:, 0], 9))) * reach
+    assert gaps.max() < BESIDE + APART and len(found) > 18
+    assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1}
+    still, _ = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), reach, 0.5)
+    assert len(still) == 10
+
+
+def test_brightness_is_guessed_where_no_sample_gives_a_direction():
+    vehicle = craft(4)
+    data, _, _ = readings(vehicle, samples(vehicle, 20))
+    assert brightness(vehicle, data) == pytest.approx(0.5, abs=0.06)  # the truth; the largest reading alone is 0.45
+
+
+def test_hopeless_hypotheses_keep_a_cost_for_the_best_of_them_to_go_on():
+    vehicle = craft(6)
+    data, _, _ = readings(vehicle, samples(vehicle, 6))
+    unknown, _ = model(vehicle, PRIORS, 0.5)
+    start = State(np.tile(-RATE, (5, 1)), np.tile(-SUN, (5, 1)), np.zeros((5, len(unknown.unknowns))))
+    levels = ((3.0, 2), (1.0, 2))
+    none = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=-1e9)(np.arange(5))
+    every = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=1e9)(np.arange(5))
+    plain = Fit(Likelihood(unknown, data), start, levels, normal=True)(np.arange(5))
+    assert np.isfinite(none["cost"]).all() and none["normal"].shape == every["normal"].shape
+    assert all(np.array_equal(every[name], plain[name]) for name in plain)
