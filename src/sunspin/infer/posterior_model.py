@@ -18,7 +18,7 @@ from sunspin.motion.friction import spin_down_speed
 from sunspin.motion.modes import friction_limit
 from sunspin.vehicle import Vehicle
 
-DEFAULT_MAX_RATE = 0.8
+DEFAULT_MAX_RATE = 0.6
 """rad/s: the ball of rates searched unless the vehicle or the caller says otherwise."""
 
 ASSUMED = {"inertia": 0.01, "wheel_speed": 0.005, "friction": 0.05}

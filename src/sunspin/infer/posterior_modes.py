@@ -46,11 +46,13 @@ NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 """Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
 
 LOOSE, BESIDE = 0.35, 0.45
-"""rad: a hypothesis that the readings leave free by more than this at the end of the next window is one of a family, and gets
-neighbours on it, this far away."""
+"""rad: a hypothesis free by more than this at the end of the next window is one of a family, and gets neighbours this far away."""
 
 JOINED = 2.0
 """Squared distance, in sigmas, below which hypotheses are one while the window grows."""
+
+GRID_SAMPLES = 3
+"""Samples for which the grid of starts is dense enough: neighbours are set from the next window on."""
 
 FREE = 3
 """Directions of a family along which neighbours are set, the loosest."""
@@ -238,7 +240,8 @@ class Search:
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
                 return self._last(likelihood, state, hits, trace, notes)
-            state, hits = denser(state, normal, hits, reach, model.max_rate)
+            if len(used) > GRID_SAMPLES:
+                state, hits = denser(state, normal, hits, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
                 state, hits = state.take(keep), hits[keep]

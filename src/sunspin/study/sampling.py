@@ -126,9 +126,9 @@ class Near(Search):
         super().__init__(workers, None, False)
         self.start = start
 
-    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> State:
-        """The given ones."""
-        return self.start
+    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
+        """The given ones, each standing for itself."""
+        return self.start, np.ones(len(self.start), dtype=np.int64)
 
 
 def around(truth: State, period_s: float) -> State:
