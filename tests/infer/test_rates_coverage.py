@@ -14,11 +14,8 @@ def test_intervals_hold_the_truth_with_all_faults_at_once():
     assert found.error < np.radians(0.05)  # of 1 to 3 deg/s
 
 
-TOO_NARROW = pytest.mark.xfail(reason="the Earth's light from one side is a bias in common, modelled as noise: 0.70", strict=True)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(name, marks=TOO_NARROW) if name == "albedo" else name for name in FAULTS])
+@pytest.mark.parametrize("name", FAULTS)
 def test_intervals_hold_the_truth(name):
     """Forty twins, 120 components, not independent within a twin: a share is known to about 5 %."""
     found = coverage(FAULTS[name], 40, seed=1)
