@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 import warnings
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,8 @@ from sunspin.tell.results import MARKER
 from tests.corrupted import BYTES
 from trust import fuzz
 from trust.border import judge, sunspin
-from trust.pool import Verdict, limit_memory
+from trust.pool import Verdict
+from trust.suite import Suite
 
 FORMATS = (
     "telemetry.nc", "telemetry.parquet", "trajectory.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip", "report",
@@ -39,26 +38,15 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-class Corrupt:
-    """The suite: case number -> verdict."""
+class Corrupt(Suite):
+    """Damaged files of every format that is read."""
 
-    def __init__(self, seed: int = 0, memory: int | None = fuzz.MORE_MEMORY, only: str | None = None) -> None:
-        self.seed, self.memory, self.only = seed, memory, only
-
-    def __enter__(self) -> Corrupt:
-        self.stack = ExitStack()
-        self.home = Path(self.stack.enter_context(tempfile.TemporaryDirectory(prefix="trust-")))
-        self.stack.callback(os.chdir, os.getcwd())
+    def prepare(self) -> None:
+        """Good files, and shorter work."""
         for change in fuzz.cut_short():
             self.stack.enter_context(change)
         os.chdir(self.home)
         self.good = make_files(self.home)
-        if self.memory is not None:
-            limit_memory(self.memory)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.stack.close()
 
     def __call__(self, index: int) -> Verdict:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from trust import pool
 from trust.corrupt import FORMATS, Corrupt
-from trust.fuzz_command import common, here, tell
+from trust.fuzz_command import common, run_suite
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -16,9 +15,4 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: Any) -> int:
-    if options.here:
-        return here(Corrupt, options)
-    return tell(
-        pool.run(Corrupt, options.n, first=options.first, workers=options.workers, say=lambda text: print(text, flush=True),
-                 seed=options.seed, only=options.only)
-    )  # fmt: skip
+    return run_suite(Corrupt, options)

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -21,10 +19,8 @@ import numpy as np
 from sunspin.infer.rates_motion import _runge_kutta
 from trust import hostile
 from trust.border import Accepted, judge, sunspin
-from trust.pool import Verdict, limit_memory
-
-MORE_MEMORY = 2 * 1024**3
-"""Bytes of address space that a case may take beyond what the imports took."""
+from trust.pool import Verdict
+from trust.suite import Suite
 
 SMALL_ROWS = 64
 """Scans and Monte Carlos of so few rows are run."""
@@ -39,17 +35,11 @@ ON_VEHICLES = ("check", "check", "sun", "simulate", "simulate", "scan", "outcome
 ON_TABLES = ("check", "check", "sun", "sun", "scan", "rates", "posterior")
 
 
-class Fuzz:
-    """The suite: case number -> verdict. A context, as it makes files."""
+class Fuzz(Suite):
+    """Hostile vehicles, telemetry and options."""
 
-    def __init__(self, seed: int = 0, memory: int | None = MORE_MEMORY, only: str | None = None) -> None:
-        self.seed, self.memory, self.only = seed, memory, only
-
-    def __enter__(self) -> Fuzz:
-        self.stack = ExitStack()
-        self.home = Path(self.stack.enter_context(tempfile.TemporaryDirectory(prefix="trust-")))
-        before = os.getcwd()
-        self.stack.callback(os.chdir, before)
+    def prepare(self) -> None:
+        """The stock of good files, and shorter work."""
         os.environ.pop("SUNSPIN_DATA", None)
         self.stock = self.home / "stock"
         make_stock(self.stock)
@@ -57,12 +47,6 @@ class Fuzz:
             self.stack.enter_context(change)
         self.stack.enter_context(mock.patch("sunspin.infer.rates_motion._runge_kutta", self._while_short(_runge_kutta)))
         self.commands = command_table()
-        if self.memory is not None:
-            limit_memory(self.memory)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.stack.close()
 
     def _while_short(self, function: Any) -> Any:
         def short(*arguments: Any) -> Any:

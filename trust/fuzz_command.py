@@ -8,6 +8,7 @@ from typing import Any
 
 from trust import pool
 from trust.fuzz import KINDS, Fuzz
+from trust.suite import Suite
 
 
 def common(parser: argparse.ArgumentParser) -> None:
@@ -24,15 +25,20 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: Any) -> int:
+    return run_suite(Fuzz, options)
+
+
+def run_suite(suite: type[Suite], options: Any) -> int:
+    """The cases that were asked for, in other processes or here; 1 if anything was found."""
     if options.here:
-        return here(Fuzz, options)
+        return here(suite, options)
     return tell(
-        pool.run(Fuzz, options.n, first=options.first, workers=options.workers, say=lambda text: print(text, flush=True),
+        pool.run(suite, options.n, first=options.first, workers=options.workers, say=lambda text: print(text, flush=True),
                  seed=options.seed, only=options.only)
     )  # fmt: skip
 
 
-def here(suite: Any, options: Any) -> int:
+def here(suite: type[Suite], options: Any) -> int:
     """Cases in this process, each told in full."""
     with suite(seed=options.seed, only=options.only, memory=None) as case:
         for index in range(options.first, options.first + options.n):

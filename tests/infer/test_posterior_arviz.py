@@ -28,6 +28,7 @@ def summary(path):
     return stats.summary(xr.open_datatree(path), var_names=["omega_B", "inertia_xx"], kind="stats", round_to="none")
 
 
+@pytest.mark.evidence("posterior", "validated", "ArviZ reads the file and computes the same means")
 def test_arviz_summarises_the_file(tmp_path):
     tree, state = philae_draws(400, 0.003)
     table = summary(write_netcdf(tmp_path / "posterior.nc", tree))

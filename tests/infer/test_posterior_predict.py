@@ -25,6 +25,7 @@ def craft():
     return ss.load_case("philae").vehicle
 
 
+@pytest.mark.evidence("posterior", "verified", "predictions against the reference propagator, through the stop and backward")
 def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
     """Each with its own inertia, friction and wheel speed; the wheel stops at about 2500 s."""
     tree, state = philae_draws(3, 0.003)

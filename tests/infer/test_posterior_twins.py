@@ -38,6 +38,7 @@ def within(tree, rate) -> np.ndarray:
     return np.array([o @ np.linalg.solve(c, o) < 4.5**2 for o, c in zip(off, tree["modes"]["omega_cov_B"].values, strict=True)])
 
 
+@pytest.mark.evidence("posterior", "verified", "the symmetry of four side panels: two mirror images of half the weight")
 def test_the_mirror_image_that_side_panels_cannot_tell_has_half_the_weight():
     vehicle = craft(4)
     tree = ss.posterior(vehicle, samples(vehicle, 20), PRIORS, seed=0, draws=1000, workers=2)

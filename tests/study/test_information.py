@@ -30,6 +30,7 @@ def told(vehicle: Vehicle, rate, t, priors) -> Information:
     return Information(unknown, exact_readings(unknown, state, t, NOISE), state)
 
 
+@pytest.mark.evidence("posterior", "verified", "the information that readings hold, against a closed form")
 def test_of_a_body_at_rest_it_is_that_of_the_closed_form():
     """About rest dr = r x omega t - and three lit faces measure r - so that information on omega is sum t^2 [r]^T [r] / sigma^2."""
     t = np.array([0.0, 3.0, 7.0, 8.0])

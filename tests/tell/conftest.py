@@ -52,12 +52,14 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     vehicle.write_text(text, "utf-8")
     lines = telemetry.read_text("utf-8").splitlines(keepends=True)
     telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
-    folders = {name: root / name for name in ("sun", "rates", "scan", "simulate", "outcomes")}
+    folders = {name: root / name for name in ("sun", "rates", "scan", "simulate", "posterior", "outcomes")}
     data = str(vehicle), str(telemetry)
     sunspin("sun", *data, "--out", str(folders["sun"]))
     sunspin("rates", *data, "--max-rate", "8", "--out", str(folders["rates"]))
     grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
     sunspin("scan", *data, *grid, "--lines", "0", "--out", str(folders["scan"]))
+    known = [f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed")]
+    sunspin("posterior", *data, "--prior=max_rate_rad_s=0.1", *known, "--predict=0,600", "--out", str(folders["posterior"]))
     motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
     sunspin("simulate", str(vehicle), *motion, "--duration", "300", "--out", str(folders["simulate"]))
     sunspin("outcomes", "philae", "--runs", "20", "--strategy", "off", "--strategy", "held", "--out", str(folders["outcomes"]))

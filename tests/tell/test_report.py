@@ -69,6 +69,7 @@ def test_the_study_has_every_part_and_no_problem(page):
     assert "could not be" not in page.text
 
 
+@pytest.mark.evidence("report", "verified", "every verdict and sentence of summary.json")
 def test_the_page_says_what_the_summary_says(study, page):
     summary = json.loads((study / "summary.json").read_text("utf-8"))
     assert len(summary["headline"]) == 3
@@ -130,7 +131,8 @@ def test_no_label_ends_the_script_it_stands_in(text):
     [
         ("sun", ["powers", "sun-path", "quality"]), ("rates", ["lander", "rates", "powers"]), ("scan", ["powers", "rate-space",
         "maps"]),
-        ("simulate", ["lander", "trajectory", "sun-path"]), ("outcomes", ["outcomes", "strategies"]),
+        ("simulate", ["lander", "trajectory", "sun-path"]), ("posterior", ["lander", "posterior", "powers", "sun-path"]),
+        ("outcomes", ["outcomes", "strategies"]),
     ],
 )  # fmt: skip
 def test_every_command_gets_its_parts(user_runs, name, expected):
@@ -157,20 +159,42 @@ def test_what_it_does_not_know_it_lists_and_what_is_broken_it_names(user_runs, t
         assert f"{name} could not be read" in text
 
 
-def test_a_posterior_is_shown(tmp_path):
+@pytest.mark.evidence("report", "verified", "the draws and the best motion of a posterior's files")
+def test_a_posterior_is_shown_with_its_best_motion_and_what_it_predicts(user_runs):
+    folder = user_runs["posterior"]
+    read, tree = Page(write_report(folder)), xr.load_datatree(folder / "posterior.nc")
+    for axis in range(3):
+        values = np.degrees(tree["posterior"]["omega_B"].values[..., axis])
+        assert f"{values.mean():.4g} ± {values.std():.2g}" in read.text
+    speed = np.degrees(np.median(tree["predictions"]["rate"].sel(predicted_s=600.0)))
+    assert f"{speed:.4g}" in read.text and "2026-01-01 00:10:00" in read.text
+    motion = xr.load_dataset(folder / "motion-region-1.nc")
+    best = tree["posterior"].to_dataset().isel(chain=0, draw=int(np.argmax(tree["posterior"]["log_likelihood_sum"].values)))
+    assert np.allclose(motion["omega_B"].values[0], best["omega_B"].values, atol=1e-12)
+    assert motion["time"].values[[0, -1]] == pytest.approx([tree.attrs["t_first_s"], tree.attrs["t_last_s"]])
+    samples = xr.load_dataset(folder / "telemetry.nc")["power_W"]
+    modelled = motion["panel_signal"].interp(time=samples["time"]).values
+    scale = (samples.values * modelled).sum() / (modelled**2).sum()
+    assert np.abs(scale * modelled - samples.values).max() < 6 * 0.02  # of its noise, 0.02 W
+
+
+def test_regions_of_a_posterior_have_their_weights(tmp_path):
     rng = np.random.default_rng(3)
+    region = np.repeat([0, 4], [2 * 20, 2 * 5]).reshape(2, 25)
+    each = ("chain", "draw")
     draws = xr.Dataset(
         {
-            "omega_B": (("draw", "axis"), rng.normal([0.1, 0.0, 0.2], 0.01, (50, 3))), "log_weight": ("draw", np.zeros(50)),
-            "mode_id": ("draw", np.repeat([0, 4], 25)),
+            "omega_B": ((*each, "axis"), rng.normal(np.where(region[..., None] == 0, 0.1, -0.2), 1e-6, (2, 25, 3))),
+            "log_weight": (each, np.zeros((2, 25))), "mode_id": (each, region),
         }
     )  # fmt: skip
     tree = xr.DataTree.from_dict({"/posterior": draws, "/modes": xr.Dataset({"evidence": ("mode", [1.0, 2.0])})})
-    tree.attrs["verdict"] = "two modes <b> fit"
+    tree.attrs["verdict"] = "two regions <b> fit"
     tree.to_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")
     (tmp_path / MARKER).write_text("posterior\n", "utf-8")
     read = Page(write_report(tmp_path))
-    assert "posterior" in read.ids("section") and "Two modes <b> fit." in read.text and "could not be" not in read.text
+    assert "posterior" in read.ids("section") and "Two regions <b> fit." in read.text and "could not be" not in read.text
+    assert re.search(r"1 0\.8 5\.73 ± \S+ 5\.73 ± \S+ 5\.73 ± \S+ 5 0\.2 -11\.46 ±", read.text)
 
 
 def test_only_our_folders_are_taken(tmp_path):

@@ -61,6 +61,7 @@ def text(browser: Browser, selector: str) -> str:
     return browser.js(f"document.querySelector({json.dumps(selector)}).textContent")
 
 
+@pytest.mark.evidence("report", "validated", "Chromium: no error, no request, every plot drawn")
 def test_it_is_quiet_and_asks_nobody(page):
     assert page.complaints() == []
     outside = [url for url in page.requests() if not url.startswith(("file:", "data:", "blob:"))]
@@ -85,6 +86,7 @@ def test_the_lander_is_there_and_turns(page, study):
     assert np.mean(np.abs(second - first).max(axis=2) > 0.05) > 0.005
 
 
+@pytest.mark.evidence("report", "verified", "rate, wheel, panels and time shown, against the result files")
 def test_the_readings_are_those_of_the_files(page, study):
     names = page.js("[...document.getElementById('lander-motion').options].map(o => o.textContent)")
     for k, name in enumerate(names):
@@ -103,6 +105,7 @@ def test_the_readings_are_those_of_the_files(page, study):
         assert run.attrs["about"][1:40] in text(page, "#lander-about")
 
 
+@pytest.mark.evidence("report", "verified", "the drawn attitude carries the Sun where the result file has it")
 def test_what_is_drawn_is_the_stored_attitude(page, study):
     """The Sun's direction in the body, from the drawn vertices: the scene's Sun carried back by the drawn turn."""
     run = xr.load_dataset(study / "motion-best-fit.nc", engine="h5netcdf")
@@ -208,7 +211,7 @@ def test_it_prints_with_its_pictures(browser, study):
     assert browser.js("document.querySelectorAll('.print-image').length") == 0
 
 
-@pytest.mark.parametrize("name", ["simulate", "rates"])
+@pytest.mark.parametrize("name", ["simulate", "rates", "posterior"])
 def test_a_users_run_with_a_hostile_name(browser, user_runs, name):
     browser.open(write_report(user_runs[name]))
     browser.js(TOP)

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import click
 
-from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options
+from sunspin.cli.common import (
+    data_option,
+    find_telemetry,
+    numbers,
+    on_terminal,
+    output_options,
+    report,
+    run_options,
+    store_run,
+)
 from sunspin.errors import InputError, sentence
 
 
@@ -39,7 +49,8 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
-    modes.csv, and with --predict predicted.csv and predicted.png. Without TELEMETRY the case's own is used.
+    modes.csv, the likeliest motion of each region, and with --predict predicted.csv and predicted.png; `sunspin report` makes
+    a page of them. Without TELEMETRY the case's own is used.
 
     \b
     Examples:
@@ -70,7 +81,8 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
         summary["predicted"], more = _predicted(craft, tree, times, seed)
         lines += more
     if out is not None:
-        lines.append(f"Results: {write(out, tree)}")
+        folder = write(out, craft, tree)
+        lines += [f"Results: {folder}", store_run(folder, summary, vehicle, samples)]
     report(summary, lines, as_json, quiet)
 
 
@@ -108,10 +120,10 @@ def _lines(summary: dict[str, Any], tree: Any) -> list[str]:
         omega, sigma = (", ".join(f"{x:.4f}" for x in mode[key]) for key in ("omega_B", "sigma"))
         fit = f"chi-square {mode['chi_square']:.0f}"
         lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) rad/s  {fit}")
-    lines.append(
-        f"  predictive p {summary['p_value']:.3g}, worth {summary['effective_draws']:.0f} draws, "
-        f"Pareto k {summary['pareto_k']:.2f}; priors {tree.attrs['priors']}"
-    )
+    worth = f"worth {summary['effective_draws']:.0f} draws, Pareto k {summary['pareto_k']:.2f}"
+    lines.append(f"  predictive p {summary['p_value']:.3g}, {worth}")
+    priors = json.loads(tree.attrs["priors"])
+    lines.append("  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items()))
     return lines
 
 
@@ -158,10 +170,11 @@ def _predicted(vehicle: Any, tree: Any, times: dict[float, str], seed: int) -> t
     return table, lines
 
 
-def write(out: Path, tree: Any) -> Path:
-    """Write the posterior as NetCDF, its modes as CSV, and a corner plot."""
+def write(out: Path, vehicle: Any, tree: Any) -> Path:
+    """Write the posterior as NetCDF, its modes as CSV, the best motion of each, and a corner plot."""
     import pandas as pd
 
+    from sunspin.infer.posterior_motion import best_motions
     from sunspin.tell.figures import save
     from sunspin.tell.figures_posterior import corner_figure, search_figure
     from sunspin.tell.results import results_folder, write_netcdf, write_whole
@@ -177,6 +190,8 @@ def write(out: Path, tree: Any) -> Path:
     label = "# synthetic telemetry\n" if tree.attrs.get("synthetic") else ""
     text = label + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
     write_whole(folder / "modes.csv", lambda part: part.write_text(text, "utf-8"))
+    for run in best_motions(vehicle, tree):
+        write_netcdf(folder / f"motion-region-{run.attrs['region']}.nc", run)
     save(corner_figure(tree), folder, "corner")
     save(search_figure(tree), folder, "search")
     if "predictions" in tree.children:

@@ -120,12 +120,15 @@ def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike) -> xr.D
     InputError
         Times that are no numbers or more than a week away, a posterior of another vehicle.
     """
-    times = checked_times(times_s, float(tree.attrs["t_first_s"]))
+    first = float(tree.attrs["t_first_s"])
+    times = checked_times(times_s, first)
     unknown, rows = drawn_rows(vehicle, tree)
-    run = run_to(vehicle, rows, times - float(tree.attrs["t_first_s"]), unknown.wheel_mode)
-    out = predictions(unknown, rows, run, times)
-    out.attrs |= {key: tree.attrs[key] for key in ("synthetic", "vehicle", "epoch_utc", "verdict_word") if key in tree.attrs}
-    return out
+    return predictions(unknown, rows, run_to(vehicle, rows, times - first, unknown.wheel_mode), times).assign_attrs(carried(tree))
+
+
+def carried(tree: xr.DataTree) -> dict[str, Any]:
+    """What predictions take over from the posterior's attributes."""
+    return {key: tree.attrs[key] for key in ("synthetic", "vehicle", "epoch_utc", "verdict_word") if key in tree.attrs}
 
 
 def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:

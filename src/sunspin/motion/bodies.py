@@ -54,6 +54,16 @@ class Bodies:
             changes[field.name] = (value[None] if not self.shape else value)[index]
         return replace(self, **changes)
 
+    def vehicle(self, vehicle: Vehicle, row: int) -> Vehicle:
+        """`vehicle` with the inertia and friction of one of the variants."""
+        wheels = tuple(
+            replace(wheel, inertia_kg_m2=float(self.wheel_inertia_kg_m2[row, i]), friction=replace(
+                wheel.friction, coulomb_N_m=float(self.coulomb_N_m[row, i]), viscous_N_m_s=float(self.viscous_N_m_s[row, i])
+            ))
+            for i, wheel in enumerate(vehicle.wheels)
+        )  # fmt: skip
+        return replace(vehicle, inertia_kg_m2=self.inertia_kg_m2[row], wheels=wheels)
+
     @property
     def shape(self) -> tuple[int, ...]:
         """() or (n,)."""

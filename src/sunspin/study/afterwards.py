@@ -7,14 +7,13 @@ beside a blow from anywhere.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
 from sunspin.cases import case_names, load_case
-from sunspin.infer.posterior_predict import checked_times, drawn_rows, predict, predictions, run_to
+from sunspin.infer.posterior_model import Model
+from sunspin.infer.posterior_predict import carried, checked_times, drawn_rows, predictions, run_to
 from sunspin.motion import kernel as k
 from sunspin.motion.impact import impact
 from sunspin.study import scenario as sc
@@ -37,37 +36,33 @@ def predicted(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed:
     At the instant of the collision it is the motion before. Coordinate `after_collision (predicted_s)` says which times
     are behind it, `attrs["collision"]` in words how it was drawn. `seed` is that of legs and directions.
     """
-    times = checked_times(times_s, float(tree.attrs["t_first_s"]))
+    first = float(tree.attrs["t_first_s"])
+    times = checked_times(times_s, first)
     blow = collision_s(vehicle, tree.attrs.get("epoch_utc"))
-    before = predict(vehicle, tree, times)
-    if blow is None or times[-1] <= blow:
-        said = "none: free motion throughout" if blow is None else "later than all times"
-        return _marked(before, np.zeros(times.size, dtype=bool), said)
-    behind = times > blow
-    after = _after(vehicle, tree, times[behind], blow, seed)
-    if behind.all():
-        out = after
-    else:
-        out = xr.concat([before.isel(predicted_s=~behind), after], "predicted_s", data_vars="minimal")
-    out.attrs = dict(before.attrs)
-    speed = _scenario(vehicle).collision_speed_m_s
-    said = f"a leg drawn at random sticks for an instant, the centre of mass at {speed:g} m/s in any direction with a part along -z"
-    return _marked(out, behind, said)
-
-
-def _marked(found: xr.Dataset, behind: np.ndarray, said: str) -> xr.Dataset:
-    found = found.assign_coords(after_collision=("predicted_s", behind))
-    found.attrs["collision"] = said
-    return found
+    unknown, rows = drawn_rows(vehicle, tree)
+    behind = np.zeros(times.size, dtype=bool) if blow is None else times > blow
+    parts = []
+    if not behind.all():
+        run = run_to(vehicle, rows, times[~behind] - first, unknown.wheel_mode)
+        parts.append(predictions(unknown, rows, run, times[~behind]))
+    said = "none: free motion throughout" if blow is None else "later than all times"
+    if behind.any():
+        parts.append(_after(unknown, rows, first, times[behind], blow, seed))
+        speed = _scenario(vehicle).collision_speed_m_s
+        said = "a leg drawn at random sticks for an instant, the centre of mass at "
+        said += f"{speed:g} m/s in any direction with a part along -z"
+    found = xr.concat(parts, "predicted_s", data_vars="minimal").assign_coords(after_collision=("predicted_s", behind))
+    return found.assign_attrs(carried(tree), collision=said)
 
 
 def _scenario(vehicle: Vehicle) -> sc.Scenario:
     return sc.paper_scenario(load_case(vehicle.name))
 
 
-def _after(vehicle: Vehicle, tree: Any, times_s: np.ndarray, blow_s: float, seed: int) -> xr.Dataset:
-    unknown, rows = drawn_rows(vehicle, tree)
-    reached = run_to(vehicle, rows, [blow_s - float(tree.attrs["t_first_s"])], unknown.wheel_mode)
+def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, blow_s: float, seed: int) -> xr.Dataset:
+    """The draws (n), `rows` at the first sample, at times behind the blow."""
+    vehicle = unknown.vehicle
+    reached = run_to(vehicle, rows, [blow_s - first_s], unknown.wheel_mode)
     omega, sun, speeds = (reached[name][:, 0] for name in ("omega_B", "sun_B", "wheel_speed_rad_s"))
     fine = np.isfinite(omega).all(axis=1)
     scenario, draw = _scenario(vehicle), sc.draws(seed, np.arange(len(rows)))

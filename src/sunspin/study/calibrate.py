@@ -14,7 +14,7 @@ import json
 import sys
 import time
 from collections import Counter
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +23,17 @@ import xarray as xr
 from scipy.stats import binomtest, kstest
 
 from sunspin.cases import load_case
-from sunspin.errors import SunspinError
+from sunspin.errors import Interrupted, SunspinError
 from sunspin.infer.identity import code
 from sunspin.infer.posterior import DIRECTION_ERROR, brightness, posterior
 from sunspin.infer.posterior_data import readings
 from sunspin.infer.posterior_fit import FILES
 from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import Model, State, model
+from sunspin.infer.posterior_model import Model, State, model, rate_and_direction
 from sunspin.motion import gyrostat as g
+from sunspin.study.command import command, kept, rows_folder
 from sunspin.study.twin import Truth, twin
-from sunspin.vehicle import Friction, Vehicle, Wheel, load_vehicle
+from sunspin.vehicle import Vehicle, load_vehicle
 
 KINDS = ("known", "unknown", "shadow", "dead", "jitter", "swapped", "wheel_off")
 
@@ -56,23 +57,10 @@ NEAR_SIGMAS = 4.5
 
 def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
     """One draw of the prior, at the first sample; the scale is left at its centre, as its prior is all but flat."""
-    direction = rng.standard_normal((2, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    omega = unknown.max_rate * rng.random() ** (1 / 3) * direction[:1]
+    omega, sun = rate_and_direction(unknown.max_rate, rng)
     u = rng.standard_normal((1, len(unknown.unknowns)))
     u[:, unknown.where("scale")] = 0.0
-    return State(omega, direction[1:], u)
-
-
-def vehicle_of(unknown: Model, truth: State) -> Vehicle:
-    """The vehicle with the truth's inertia, friction and wheel inertia."""
-    body = unknown.bodies(truth.u)
-    wheels = tuple(
-        Wheel(w.name, w.axis_B, float(body.wheel_inertia_kg_m2[0, i]), w.speed_rad_s,
-              Friction(float(body.coulomb_N_m[0, i]), float(body.viscous_N_m_s[0, i])))
-        for i, w in enumerate(unknown.vehicle.wheels)
-    )  # fmt: skip
-    return replace(unknown.vehicle, inertia_kg_m2=body.inertia_kg_m2[0], wheels=wheels)
+    return State(omega, sun, u)
 
 
 def make(vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int):
@@ -86,7 +74,7 @@ def make(vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s:
     noise = vehicle.telemetry.noise * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
     speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
     told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise)
-    telemetry = twin(vehicle_of(unknown, truth), told, seed=int(rng.integers(2**31)))
+    telemetry = twin(unknown.bodies(truth.u).vehicle(vehicle, 0), told, seed=int(rng.integers(2**31)))
     return _spoilt(telemetry, kind, rng), truth, unknown, priors
 
 
@@ -193,22 +181,18 @@ def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float =
               workers: int | None = None, vehicle: Vehicle | None = None) -> list[dict[str, Any]]:  # fmt: skip
     """Judge twins 0 to `twins` - 1 of a kind, reading those that are in `out` already."""
     craft = vehicle or load_case("philae").vehicle
-    folder = out / f"{kind}-{seed}-{max_rate:g}-{samples}-{interval_s:g}"
-    folder.mkdir(parents=True, exist_ok=True)
-    rows = []
-    for i in range(twins):
-        path = folder / f"{i:04d}.json"
-        if not path.is_file():
-            telemetry, truth, unknown, priors = make(craft, kind, max_rate, samples, interval_s, seed, i)
-            try:
-                row = judge(craft, telemetry, truth, unknown, priors, seed, workers=workers)
-            except SunspinError as error:
-                row = {"refused": str(error)}
-            part = path.with_suffix(".part")
-            part.write_text(json.dumps(row), "utf-8")
-            part.replace(path)
-        rows.append(json.loads(path.read_text("utf-8")))
-    return rows
+    folder = rows_folder(out / f"{kind}-{seed}-{max_rate:g}-{samples}-{interval_s:g}")
+
+    def row(i: int) -> dict[str, Any]:
+        telemetry, truth, unknown, priors = make(craft, kind, max_rate, samples, interval_s, seed, i)
+        try:
+            return judge(craft, telemetry, truth, unknown, priors, seed, workers=workers)
+        except Interrupted:
+            raise
+        except SunspinError as error:
+            return {"refused": str(error)}
+
+    return [kept(folder / f"{i:04d}.json", partial(row, i)) for i in range(twins)]
 
 
 def read(out: Path) -> dict[str, list[dict[str, Any]]]:
@@ -221,7 +205,8 @@ def read(out: Path) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def main(arguments: list[str] | None = None) -> int:
+@command
+def main(arguments: list[str] | None = None) -> None:
     """Run twins and print what they say."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.study.calibrate", description=main.__doc__)
     parser.add_argument("out", type=Path)
@@ -239,7 +224,6 @@ def main(arguments: list[str] | None = None) -> int:
                          load_vehicle(given.vehicle))  # fmt: skip
         good = [row for row in rows if "refused" not in row]
         print(json.dumps({"kind": kind} | tally(good) | {"refused": len(rows) - len(good)}, indent=1), flush=True)
-    return 0
 
 
 if __name__ == "__main__":

@@ -18,10 +18,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.errors import InputError, SunspinError, sentence
+from sunspin.cases import load_case
+from sunspin.errors import InputError, sentence
 from sunspin.infer.posterior import brightness
 from sunspin.infer.posterior_data import Observation, readings
 from sunspin.infer.posterior_model import State, model
+from sunspin.measure.netcdf import read_groups
+from sunspin.measure.telemetry import read_telemetry
+from sunspin.study.command import command
 from sunspin.study.information import Information, rate_volume, speed_sigma
 from sunspin.vehicle import Vehicle, load_vehicle
 
@@ -62,6 +66,20 @@ def best_state(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any) -> tuple[Any,
     return unknown, data, draws.take([best])
 
 
+NEEDED = {"t_first_s", "t_last_s", "samples", "priors_given"}
+"""Attributes of a posterior without which it cannot be taken apart."""
+
+
+def read_posterior(path: Path) -> xr.DataTree:
+    """The posterior in a file of `sunspin posterior`; InputError where it is none."""
+    tree = xr.DataTree.from_dict(read_groups(path, path.name, InputError))
+    missing = sorted(NEEDED - set(tree.attrs)) + sorted({"posterior"} - set(tree.children))
+    if missing:
+        raise InputError(sentence("this is no posterior", got=f"no {', '.join(missing)}", do="give posterior.nc of `sunspin "
+                                  "posterior`", where=str(path)))  # fmt: skip
+    return tree
+
+
 def window(tree: Any) -> tuple[float, float]:
     """First and last sample (s from the epoch) of a posterior."""
     return float(tree.attrs["t_first_s"]) - 1e-6, float(tree.attrs["t_last_s"]) + 1e-6
@@ -93,7 +111,6 @@ def contributions(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any, extra: dic
 
 def philae_extras(vehicle: Vehicle, tree: Any) -> dict[str, Observation]:
     """The magnetometer's turn of 13 s before the collision, known to 2 s, as an angular speed; the same to 0.1 s; and a gyro."""
-    from sunspin.cases import load_case
     from sunspin.study.collision import SIGMA_PERIOD_S
 
     case = load_case(vehicle.name)
@@ -118,27 +135,19 @@ def text(table: list[Line]) -> list[str]:
     return lines
 
 
-def main(arguments: list[str] | None = None) -> int:
+@command
+def main(arguments: list[str] | None = None) -> None:
     """Print what each observation contributes to a posterior written by `sunspin posterior`."""
-    from sunspin.cases import load_case
-
     parser = argparse.ArgumentParser(prog="python -m sunspin.study.contributions", description=main.__doc__)
     parser.add_argument("posterior", type=Path, help="posterior.nc of `sunspin posterior`")
     parser.add_argument("--vehicle", default="philae")
     parser.add_argument("--telemetry", type=Path, help="default: that of the built-in case")
     given = parser.parse_args(arguments)
-    try:
-        from sunspin.measure.telemetry import read_telemetry
-
-        craft = load_vehicle(given.vehicle)
-        samples = load_case(given.vehicle).telemetry if given.telemetry is None else read_telemetry(given.telemetry, craft)
-        tree = xr.open_datatree(given.posterior)
-        extra = philae_extras(craft, tree) if given.vehicle == "philae" else {}
-        print("\n".join(text(contributions(craft, samples, tree, extra))))
-    except SunspinError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    craft = load_vehicle(given.vehicle)
+    samples = load_case(given.vehicle).telemetry if given.telemetry is None else read_telemetry(given.telemetry, craft)
+    tree = read_posterior(given.posterior)
+    extra = philae_extras(craft, tree) if given.vehicle == "philae" else {}
+    print("\n".join(text(contributions(craft, samples, tree, extra))))
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,10 @@ from scipy.special import logsumexp
 
 from sunspin.cases import load_case
 from sunspin.infer.posterior_data import Readings, readings
-from sunspin.infer.posterior_model import Model, State, model
+from sunspin.infer.posterior_model import Model, State, model, rate_and_direction
 from sunspin.infer.posterior_modes import Plan, Search
 from sunspin.infer.posterior_predict import run_to
+from sunspin.study.command import command, kept, rows_folder
 from sunspin.study.information import Information, exact_readings, rate_volume, speed_sigma
 from sunspin.study.twin import Truth, twin
 from sunspin.vehicle import Panel, Vehicle
@@ -79,13 +81,8 @@ class Widths:
 def motions(unknown: Model, count: int, max_rate: float, seed: int) -> list[State]:
     """Motions at the first sample: rates uniform in a ball, directions on the sphere, everything else as it should be."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-    made = []
-    for _ in range(count):
-        direction = rng.standard_normal((2, 3))
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        rate = max_rate * rng.random() ** (1 / 3) * direction[:1]
-        made.append(State(rate, direction[1:], np.zeros((1, len(unknown.unknowns)))))
-    return made
+    nothing = np.zeros((1, len(unknown.unknowns)))
+    return [State(*rate_and_direction(max_rate, rng), nothing) for _ in range(count)]
 
 
 def with_more_panels(vehicle: Vehicle) -> Vehicle:
@@ -195,22 +192,18 @@ def aliases(
     vehicle: Vehicle, out: Path, twins: int, seed: int = 0, periods: Sequence[float] = ALIAS_PERIODS_S, workers: int | None = None
 ) -> list[dict[str, Any]]:
     """Those of `twins` twins at every period, regular and irregular, reading what is in `out` already."""
-    out.mkdir(parents=True, exist_ok=True)
+    rows_folder(out)
     rows = []
     for i in range(twins):
         for period in periods:
             for irregular in (False, True):
                 path = out / f"{seed}-{period:g}-{'irregular' if irregular else 'regular'}-{i:03d}.json"
-                if not path.is_file():
-                    row = neighbours_left(vehicle, float(period), irregular, i, seed, workers)
-                    part = path.with_suffix(".part")
-                    part.write_text(json.dumps(row), "utf-8")
-                    part.replace(path)
-                rows.append(json.loads(path.read_text("utf-8")))
+                rows.append(kept(path, partial(neighbours_left, vehicle, float(period), irregular, i, seed, workers)))
     return rows
 
 
-def main(arguments: list[str] | None = None) -> int:
+@command
+def main(arguments: list[str] | None = None) -> None:
     """Compute widths and aliases, and print what they say."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.study.sampling", description=main.__doc__)
     parser.add_argument("out", type=Path)
@@ -232,7 +225,6 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{n} panels: best {each.min():.2g} rad/s ({', '.join(best)}), {said}")
     for row in aliases(craft, given.out, given.twins, given.seed, given.periods, given.workers):
         print(json.dumps(row))
-    return 0
 
 
 if __name__ == "__main__":

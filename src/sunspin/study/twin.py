@@ -19,9 +19,10 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.cases import Case, case_names, load_case
-from sunspin.errors import InputError, SunspinError, sentence
+from sunspin.errors import InputError, sentence
 from sunspin.measure.panels import panel_power
 from sunspin.motion.propagate import propagate
+from sunspin.study.command import command
 from sunspin.study.twin_data import (
     csv_text,
     generator,
@@ -146,7 +147,8 @@ def _noise(truth: Truth, vehicle: Vehicle) -> float:
     return float(noise)
 
 
-def main(arguments: list[str] | None = None) -> int:
+@command
+def main(arguments: list[str] | None = None) -> None:
     """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.study.twin", description=main.__doc__)
     parser.add_argument("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it")
@@ -154,21 +156,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--case", default="philae", choices=case_names())
     parser.add_argument("--force", action="store_true", help="replace existing files")
     given = parser.parse_args(arguments)
-    try:
-        case = load_case(given.case)
-        telemetry = twin(case, seed=given.seed)
-        comments = [
-            f"synthetic: not measured; made by sunspin {metadata.version('sunspin')} from published facts",
-            f"synthetic: python -m sunspin.study.twin --case {given.case} --seed {given.seed} {given.out.name}",
-        ]
-        more = ["synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"]
-        write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)
-        about = [f"The truth behind {given.out.name}; see sunspin.study.twin_philae for how each part was chosen."]
-        write_new(given.out.parent / "twin_truth.toml", truth_text(telemetry, comments + about), given.force)
-    except SunspinError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    case = load_case(given.case)
+    telemetry = twin(case, seed=given.seed)
+    comments = [
+        f"synthetic: not measured; made by sunspin {metadata.version('sunspin')} from published facts",
+        f"synthetic: python -m sunspin.study.twin --case {given.case} --seed {given.seed} {given.out.name}",
+    ]
+    more = ["synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"]
+    write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)
+    about = [f"The truth behind {given.out.name}; see sunspin.study.twin_philae for how each part was chosen."]
+    write_new(given.out.parent / "twin_truth.toml", truth_text(telemetry, comments + about), given.force)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ Synthetic telemetry is called so in the title of every figure that shows it.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sunspin.measure.sun import STATUS_TEXT, SunStatus
+from sunspin.tell.results import write_whole
 
 # colour-blind safe (Okabe and Ito)
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
@@ -23,15 +24,11 @@ matplotlib.rcParams["svg.hashsalt"] = "sunspin"  # the same figure gives the sam
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG under temporary names first, so that no half file is ever left."""
+    """Write a figure as PNG and SVG."""
     paths = []
-    for suffix in ("png", "svg"):
-        target = folder / f"{name}.{suffix}"
-        part = folder / f".{name}.part.{suffix}"
-        metadata = {"Date": None} if suffix == "svg" else {}
-        figure.savefig(part, dpi=130, metadata=metadata)
-        os.replace(part, target)
-        paths.append(target)
+    for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
+        draw = partial(figure.savefig, format=suffix, dpi=130, metadata=metadata)
+        paths.append(write_whole(folder / f"{name}.{suffix}", draw))
     return paths
 
 

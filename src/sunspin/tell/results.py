@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import re
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sunspin import whole
 from sunspin.errors import OutputError, sentence
 from sunspin.vehicle.file import vehicle_text
 
@@ -47,13 +46,11 @@ def results_folder(path: Any, command: str) -> Path:
                 raise OutputError(
                     sentence(f"the folder holds results of `sunspin {maker}`", do="choose another --out", where=str(folder))
                 )
-        elif any(not _is_left(entry) for entry in folder.iterdir()):
+        elif any(not whole.is_left(entry) for entry in folder.iterdir()):
             raise OutputError(
                 sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
             )
-        for entry in folder.iterdir():
-            if _is_left(entry):
-                entry.unlink(missing_ok=True)
+        whole.sweep(folder)
         write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
     except OSError as error:
         raise OutputError(
@@ -62,39 +59,15 @@ def results_folder(path: Any, command: str) -> Path:
     return folder
 
 
-PART = re.compile(r"\..+\.(\d{1,9})\.part")
-
-
-def _is_left(entry: Path) -> bool:
-    """Whether a file is what a killed run had begun to write: the process in its name is no more."""
-    named = PART.fullmatch(entry.name)
-    if named is None or int(named[1]) == os.getpid():
-        return False
-    try:
-        os.kill(int(named[1]), 0)
-    except ProcessLookupError:
-        return True
-    except OSError:
-        pass
-    return False
-
-
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
-    """Let `write` fill a temporary file beside the target, then rename it: the target is never half written."""
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    """As :func:`sunspin.whole.write_whole`; where the file cannot be written, one sentence."""
     try:
-        write(part)
-        with open(part, "rb") as file:
-            os.fsync(file.fileno())  # or a power failure may leave an empty file under the final name
-        os.replace(part, target)
+        return whole.write_whole(target, write)
     except OSError as error:
         raise OutputError(
             sentence(f"the file cannot be written ({error.strerror or error})", do="free space or choose another --out",
                      where=str(target))
         ) from None  # fmt: skip
-    finally:
-        part.unlink(missing_ok=True)
-    return target
 
 
 def write_json(target: Path, data: Any) -> Path:

@@ -26,6 +26,8 @@ from sunspin.motion.kernel.compiled import kernel
 
 _lock = threading.Lock()
 _under_way: dict[Path, subprocess.Popen] = {}
+_ready: set[Path] = set()
+"""Modules known to be on disk with their machine code: a kernel is asked for before every piece of a run."""
 
 POLL_S = 0.05
 
@@ -63,10 +65,12 @@ def ready_kernel(structure: c.Structure) -> ModuleType:
     """The module with the compiled function `run` for this structure; waits until another process has compiled it."""
     module = kernel(structure)
     path = _path(module)
-    _begin([path])
-    process = _under_way.get(path)
-    while process is not None and process.poll() is None and not is_kept(path):
-        time.sleep(POLL_S)
+    if path not in _ready:
+        _begin([path])
+        process = _under_way.get(path)
+        while process is not None and process.poll() is None and not is_kept(path):
+            time.sleep(POLL_S)
+        _ready.add(path)
     return module
 
 

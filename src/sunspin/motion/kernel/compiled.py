@@ -25,6 +25,7 @@ from sunspin.motion.kernel.deposit import deposit_body, signed_body
 from sunspin.motion.kernel.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
 from sunspin.motion.kernel.series_lanes import ORDER, SeriesLanes
 from sunspin.motion.kernel.split_lanes import TIMES, SplitLanes
+from sunspin.whole import write_whole
 
 _lock = threading.Lock()
 
@@ -168,9 +169,7 @@ def module_of(text: str, compiler: str) -> ModuleType:
             return sys.modules[name]
         path = cache_folder() / f"{name}.py"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
-            part = path.with_suffix(f".{os.getpid()}.part")
-            part.write_text(text, encoding="utf-8")
-            os.replace(part, path)
+            write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
         spec = importlib.util.spec_from_file_location(name, path)
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module

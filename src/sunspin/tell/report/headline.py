@@ -35,7 +35,7 @@ def sentences(results: Results) -> list[str]:
     own = results.summary.get("headline")
     if isinstance(own, list):
         return [str(sentence) for sentence in own][:3]
-    make = {"rates": _rates, "sun": _sun, "simulate": _simulate, "scan": _scan, "outcomes": _outcomes, "posterior": _verdict}
+    make = {"rates": _rates, "sun": _sun, "simulate": _simulate, "scan": _scan, "outcomes": _outcomes, "posterior": _posterior}
     told = make.get(results.command, _verdict)(results)
     return told or [f"This folder holds results of `sunspin {results.command}`; below is what is in it."]
 
@@ -71,6 +71,22 @@ def _rates(results: Results) -> list[str]:
         f"{number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit); the best motion there has a "
         f"weight of "
         f"{best['modes'][0]['weight']:.2f}.",
+    ]
+
+
+def _posterior(results: Results) -> list[str]:
+    told, s = _verdict(results)[:1], results.summary
+    rate, modes = s.get("rate_rad_s"), s.get("modes")
+    if not isinstance(rate, dict) or not modes or s.get("verdict_word") == "not explained":
+        return told
+    low, middle, high = (np.degrees(rate[key]) for key in ("low_90", "median", "high_90"))
+    share = f"The likeliest of {len(modes)} regions of motions holds {modes[0]['weight']:.1%} of the probability."
+    sigma = f"Each component of the rate is known to {np.degrees(max(modes[0]['sigma'])):.2g} deg/s (one sigma) or better."
+    return [
+        *told,
+        f"At the first sample it turned at {middle:.4g} deg/s, one turn in {360 / middle if middle else np.inf:.3g} s; with a "
+        f"probability of 90 % it was between {low:.4g} and {high:.4g} deg/s.",
+        share if len(modes) > 1 else sigma,
     ]
 
 

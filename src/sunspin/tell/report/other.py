@@ -26,6 +26,9 @@ SEEN = {
 }
 """Keys of a summary that have a place of their own."""
 
+SEEN_OF = {"posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "p_value", "effective_draws", "pareto_k", "predicted"}}
+"""The same, for one command's summary."""
+
 MOST_TEXT = 400
 
 
@@ -40,7 +43,8 @@ def conclusions(results: Results) -> Section | None:
 def unknown(results: Results) -> Section | None:
     """Every variable of files that no other part has shown, and the summary's other entries."""
     items = []
-    rows = [[key.replace("_", " "), _short(value)] for key, value in results.summary.items() if key not in SEEN]
+    seen = SEEN | SEEN_OF.get(results.command, set())
+    rows = [[key.replace("_", " "), _short(value)] for key, value in results.summary.items() if key not in seen]
     if rows:
         items.append(Table(["entry", "value"], rows, "Entries of the summary", closed=len(rows) > 12))
     for name, data in results.data.items():
