@@ -1,0 +1,116 @@
+"""What is installed with sunspin: what is imported is declared, what is declared is imported, and licences bind no user."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+
+MODULES = {"numba-cuda": "numba", "pot": "ot"}
+"""Distribution -> module, where the names differ."""
+
+NOT_IMPORTED = {
+    "numba-cuda": "numba finds it by itself",
+    "h5py": "h5netcdf reads and writes by it, and from 1.7 on does not bring it",
+    "soupsieve": "holds back a version of what furo needs",
+    "furo": "named in docs/conf.py, found by Sphinx", "myst-parser": "named in docs/conf.py, found by Sphinx",
+    "sphinx": "run as a program",
+    "parquet": "xarray and pandas read by it",
+}  # fmt: skip
+
+BROUGHT = {"pandas": "xarray", "markupsafe": "jinja2", "llvmlite": "numba"}
+"""Imported here, and needed always by a declared one, which knows the version that it needs."""
+
+SHARE_ALIKE = re.compile(r"\b(A?GPL|GNU (Affero )?General Public)", re.IGNORECASE)
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.match(r"[A-Za-z0-9_.-]+", text)[0].lower().replace("_", "-") for text in requirements}
+
+
+CORE = names(PROJECT["dependencies"])
+EXTRAS = {extra: names(wanted) for extra, wanted in PROJECT["optional-dependencies"].items()}
+
+
+def imported(folder: Path) -> dict[str, set[str]]:
+    """Third-party module -> files below a folder that import it."""
+    found: dict[str, set[str]] = {}
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.level == 0:
+                modules = [node.module or ""]
+            for module in modules:
+                top = module.split(".")[0]
+                if top not in sys.stdlib_module_names | {"sunspin", "trust", "tests", "docs", "bench"}:
+                    found.setdefault(top, set()).add(path.relative_to(ROOT).as_posix())
+    return found
+
+
+def module_of(distribution: str) -> str:
+    return MODULES.get(distribution, distribution.replace("-", "_"))
+
+
+def test_what_is_imported_is_declared():
+    runtime = CORE | set().union(*(wanted for extra, wanted in EXTRAS.items() if extra not in ("test", "docs", "bench")))
+    used = imported(ROOT / "src" / "sunspin")
+    assert len(used) > 10
+    for module, parent in BROUGHT.items():
+        needs = [text for text in metadata.requires(parent) or [] if "extra ==" not in text]
+        assert module in used and parent in CORE and module in names(needs)
+    declared = {module_of(name) for name in runtime} | set(BROUGHT)
+    assert not {module: files for module, files in used.items() if module not in declared}
+
+
+def test_what_is_declared_is_imported():
+    used = set(imported(ROOT / "src" / "sunspin"))
+    missing = {name for name in CORE if module_of(name) not in used} - set(NOT_IMPORTED)
+    assert not missing
+
+
+def closure(wanted: set[str]) -> set[str]:
+    """Distributions with all that they bring, as far as they are installed."""
+    found, todo = set(), set(wanted)
+    while todo:
+        name = todo.pop()
+        try:
+            needs = metadata.requires(name) or []
+        except metadata.PackageNotFoundError:
+            continue
+        found.add(name)
+        todo |= names([text for text in needs if "extra ==" not in text]) - found
+    return found
+
+
+def licence(name: str) -> str:
+    about = metadata.metadata(name)
+    given = [about.get("License-Expression") or "", *(c for c in about.get_all("Classifier", []) if c.startswith("License"))]
+    return " ".join(filter(None, given)) or str(about.get("License") or "")[:200]
+
+
+@pytest.mark.parametrize("extra", ["", *(name for name in EXTRAS if name not in ("test", "docs"))])
+def test_licences_let_users_choose_their_own(extra):
+    """Of what comes with sunspin or an extra; tools of the tests and of the documentation are not passed on."""
+    every = closure(EXTRAS[extra] if extra else CORE)
+    assert every or extra, "nothing is installed"
+    told = {name: licence(name) for name in every}
+    assert all(told.values()), f"no licence: {sorted(name for name, text in told.items() if not text)}"
+    assert not {name: text for name, text in told.items() if SHARE_ALIKE.search(text)}
+
+
+def test_the_lock_fits_what_is_declared():
+    """Every direct dependency is locked, once, at an exact version."""
+    lines = [line for line in (ROOT / "requirements.lock").read_text("utf-8").splitlines() if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.+-]+", line) for line in lines)
+    locked = [line.split("==")[0].lower().replace("_", "-") for line in lines]
+    assert len(locked) == len(set(locked))
+    wanted = CORE | set().union(*(EXTRAS[extra] for extra in EXTRAS if extra != "gpu"))
+    assert not wanted - set(locked)
