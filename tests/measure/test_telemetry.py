@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.errors import TelemetryError
 from sunspin.measure.sun import is_reconstructed
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -94,6 +95,26 @@ def test_bad_rows_can_be_flagged_instead(tmp_path):
 def test_small_negative_values_are_noise_where_noise_is_stated(tmp_path):
     data = read(tmp_path, GOOD.replace("0.0", "-0.02"), vehicle(noise=0.01))
     assert data["power_W"].values[1, 1] == -0.02
+
+
+def test_without_a_stated_noise_the_file_tells_what_is_noise(tmp_path):
+    """Dark panels of a real file read a little below zero now and then; a panel with its sign turned reads far below."""
+    rng = np.random.default_rng(2)
+    lit = np.maximum(0, np.sin(np.arange(40)[:, None] + [0.0, np.pi]))
+    noisy = lit + 0.01 * rng.standard_normal(lit.shape)
+    craft = vehicle(time_format="elapsed", epoch_utc="2026-01-01")
+
+    def text(values) -> str:
+        return "time,a,b\n" + "".join(f"{10 * k},{a:.4f},{b:.4f}\n" for k, (a, b) in enumerate(values))
+
+    assert (noisy < -0.01).sum() > 3
+    data = read(tmp_path, text(noisy), craft)
+    np.testing.assert_array_equal(data["flag"].values, 0)
+    np.testing.assert_allclose(data["power_W"].values, noisy, rtol=0, atol=1e-4)
+    assert ss.sun_directions(craft, data).attrs["noise"] == pytest.approx(0.01, rel=0.5)
+    for spoilt in (noisy * [1, -1], np.where(np.arange(80).reshape(40, 2) == 33, -0.2, noisy)):
+        with pytest.raises(TelemetryError, match="a panel cannot give a negative value"):
+            read(tmp_path, text(spoilt), craft)
 
 
 @pytest.mark.evidence("read_telemetry", "validated", "real beacons of skCUBE")

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.errors import InputError, sentence
+from sunspin.measure.noise import dark_noise
 from sunspin.measure.panels import Pattern, arrangement, lit_patterns, observable_patterns, panel_power, plane_basis
 from sunspin.vehicle import Vehicle
 
@@ -108,9 +109,11 @@ def sun_directions(
     ----------
     telemetry : Dataset of `read_telemetry`, or (n, n_panel) powers (or currents) in the order of the vehicle's panels
     noise : float, optional
-        One-sigma noise of a panel's value, in its unit; default: the vehicle's, else estimated from the redundancy.
+        One-sigma noise of a panel's value, in its unit; default: the vehicle's, else estimated from the redundancy, else from
+        readings below zero, which are dark panels'.
     lit_threshold : float, optional
-        A panel counts as lit above this; default: the vehicle's, else three sigma, else 2 % of the largest value.
+        A panel counts as lit above this; default: the vehicle's, else three sigma, else 2 % of the largest value or, if
+        readings below zero tell more, three sigma of those.
 
     Returns
     -------
@@ -125,8 +128,10 @@ def sun_directions(
     threshold = lit_threshold if lit_threshold is not None else vehicle.telemetry.lit_threshold
     finite = np.all(np.isfinite(power), axis=1) & ~_flagged(base, len(power))
     clean = np.where(finite[:, None], power, 0.0)
+    dark = dark_noise(clean)
     if threshold is None:
-        threshold = LIT_SIGMAS * noise if noise is not None else LIT_FRACTION * float(clean.max(initial=0.0))
+        untold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
+        threshold = LIT_SIGMAS * noise if noise is not None else untold
     lit = (clean > threshold) & finite[:, None]
     status, texts = _statuses(vehicle, lit, finite)
     direction, delta = best_directions(vehicle, clean)
@@ -134,6 +139,8 @@ def sun_directions(
     noise_from = "given" if noise is not None else "estimated from the redundancy of samples with more than three lit panels"
     if noise is None:
         noise = _pooled_noise(clean, delta, lit, status)
+    if np.isnan(noise) and dark is not None:
+        noise, noise_from = dark, "estimated from readings below zero"
     covariance = _covariances(vehicle, clean, lit, told, noise)
     arcs = _arcs(vehicle, clean, lit, status)
     return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.errors import TelemetryError, sentence
+from sunspin.measure.noise import dark_noise
 from sunspin.measure.sensors import ABSURD, read_sensors, unwrapped
 from sunspin.measure.tables import Table, read_table
 from sunspin.vehicle import TelemetryForm, Vehicle
@@ -24,7 +25,10 @@ FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
 
 NEGATIVE_SIGMAS = 5.0
-"""With a stated noise, values down to minus this many sigma are noise around zero and not an error."""
+"""Values down to minus this many sigma are noise around zero and not an error: of the stated noise, or of the file's own."""
+
+NEGATIVE_SHARE = 0.05
+"""Without a stated noise, no value further below zero than this part of full light is taken for noise."""
 
 COLDEST_C, HOTTEST_C = -200.0, 250.0
 """No solar panel in flight is colder or hotter: such a reading is none."""
@@ -111,7 +115,7 @@ def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -
     values = np.array(cells).reshape(len(table.rows), -1)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
     values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
-    floor = -NEGATIVE_SIGMAS * form.noise if form.noise is not None else 0.0
+    floor = _floor(form, values)
     flag = np.zeros(len(values), dtype=np.uint8)
     problems = (
         (1, ~np.isfinite(values), "a finite number is expected"),
@@ -130,6 +134,17 @@ def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -
             )
         flag |= np.where(bad.any(axis=1), np.uint8(bit), np.uint8(0))
     return values, flag
+
+
+def _floor(form: TelemetryForm, values: np.ndarray) -> float:
+    """The lowest value that is still noise of a dark panel: of the stated noise, or of that which the file tells."""
+    if form.noise is not None:
+        return -NEGATIVE_SIGMAS * form.noise
+    sigma = dark_noise(values, least=1)
+    if sigma is None:
+        return 0.0
+    full = float(np.quantile(np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1), 0.9))
+    return -min(NEGATIVE_SIGMAS * sigma, NEGATIVE_SHARE * max(full, 0.0))
 
 
 def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path) -> tuple[np.ndarray, dict[str, Any]]:
