@@ -67,6 +67,9 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     refused(sunspin("check", vehicle, telemetry), "telemetry.csv", "-3")
     vehicle.write_text(vehicle.read_text().replace('bad_rows = "refuse"', 'bad_rows = "flag"'))
     assert "1  flagged: negative" in sunspin("check", vehicle, telemetry)[1]
+    telemetry.write_text("\n".join([*rows[:20], *rows[9:12], *rows[20:]]) + "\n")
+    said = sunspin("check", vehicle, telemetry)[1]
+    assert "3  flagged: time_not_increasing" in said and "14 s apart at least" in said
 
 
 def test_quiet_says_nothing(sunspin, tmp_path):

@@ -100,6 +100,22 @@ def test_numbers_that_are_missing_are_left_out(cube, telemetry):
 
 
 @pytest.mark.evidence("posterior", "verified", "differences of another step, through the wheel's stop")
+def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
+    """A converter's filler, 2e8 times full Sun, and dark panels with noise to both sides of zero, which tells how much."""
+    silent = replace(cube, telemetry=replace(cube.telemetry, noise=None))
+    wild = telemetry.copy(deep=True)
+    value = wild["current_A"].values
+    value[:] = np.where(value > 0, value, 0.02 * np.random.default_rng(8).standard_normal(value.shape))
+    value[4, 1] = 99999999.0
+    data, _, remarks = readings(silent, wild)
+    assert not data.used[4, 1] and np.count_nonzero(~data.used) == 1 and "1 readings far beyond full Sun" in remarks[0]
+    assert data.sigma == pytest.approx(0.02, rel=0.4) and data.largest < 1
+    found = ss.posterior(silent, wild, SMALL, seed=0, draws=500, workers=2)
+    off = RATE - found["modes"]["omega_B"].values[0]
+    assert found.attrs["verdict_word"] == "unique", found.attrs["verdict"]
+    assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
+
+
 def test_derivatives_are_those_of_another_step(reached):
     case = ss.load_case("philae")
     data, _, _ = readings(case.vehicle, case.telemetry)
@@ -142,7 +158,7 @@ def _found(**changes):
     [
         ({}, "unique", "one region"),
         ({"p": 1e-4}, "not explained", "no motion fits"),
-        ({"noise_sigmas": 5.0}, "not explained", "more than the vehicle file"),
+        ({"noise_sigmas": 5.0}, "not explained", "more than was assumed"),
         ({"tail": 0.9}, "not sure", "rough"),
         ({"doubts": ["only rates up to 0.2 rad/s could be searched"]}, "not sure", "only rates"),
         ({"length": np.array([0.3])}, "line", "a line"),

@@ -58,9 +58,14 @@ def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
     return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)
 
 
+def intervals(samples: Any) -> np.ndarray:
+    """Intervals (s) between the samples whose time is in order; late and repeated frames are no samples."""
+    latest = np.unique(np.maximum.accumulate(samples["time"].values))
+    return np.diff(latest)
+
+
 def _sampling(samples: Any) -> tuple[dict[str, Any], list[str]]:
-    gaps = np.diff(samples["time"].values)
-    gaps = gaps[gaps > 0]
+    gaps = intervals(samples)
     if len(gaps) < 2:
         return {}, ["  too few samples to tell a rate"]
     usual = float(np.median(gaps))

@@ -110,18 +110,18 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
 def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
     import numpy as np
 
-    from sunspin.cli.check_words import worth
+    from sunspin.cli.check_words import intervals, worth
     from sunspin.measure.telemetry import FLAGS, read_telemetry
 
     samples = read_telemetry(path, craft)
     time, flag = samples["time"].values, samples["flag"].values
-    gaps = np.diff(time)
+    gaps = intervals(samples)
     summary: dict[str, Any] = {
         "file": str(path),
         "samples": int(time.size),
         "synthetic": bool(samples.attrs["synthetic"]),
         "epoch_utc": str(samples.attrs["epoch_utc"]),
-        "span_s": float(time[-1] - time[0]),
+        "span_s": float(np.ptp(time)) if time.size else 0.0,
         "interval_s": [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None,
         "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
     }

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.errors import InputError, sentence
+from sunspin.measure.noise import dark_noise
 from sunspin.measure.sun import signals
 from sunspin.vehicle import Vehicle
 
@@ -20,7 +21,10 @@ MAX_SAMPLES = 600
 """Samples beyond this are thinned evenly: the motion is overdetermined long before, and time is spent on what is not."""
 
 NOISE_OF_LARGEST = 0.02
-"""Noise assumed, as a part of the largest reading, where the vehicle states none."""
+"""Noise assumed, as a part of the largest reading, where neither the vehicle nor readings below zero tell it."""
+
+WILD = 20.0
+"""A reading this many times the usual brightest one of a sample is no light: a wrapped count, a filler, a broken converter."""
 
 BEYOND_LARGEST = 1.5
 """A reading that has nothing to do with the Sun is anything up to this many times the largest."""
@@ -113,10 +117,12 @@ def readings(
     times = np.asarray(telemetry["time"], dtype=np.float64)
     keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
     flag = np.asarray(telemetry["flag"]) if "flag" in telemetry else np.zeros(len(times), dtype=np.uint8)
-    finite = np.isfinite(value)
+    finite = np.isfinite(value) & ~_wild(vehicle, value)
     usable = keep & np.isfinite(times) & ((flag & 4) == 0) & finite.any(axis=1)
     index = np.flatnonzero(usable)
     index = index[np.concatenate([[True], np.diff(np.maximum.accumulate(times[index])) > 0])] if len(index) else index
+    if (np.isfinite(value) & ~finite)[index].any():
+        remarks.append(f"{np.count_nonzero((np.isfinite(value) & ~finite)[index])} readings far beyond full Sun were left out")
     if int(keep.sum()) > len(index):
         remarks.append(f"{int(keep.sum()) - len(index)} samples without readings or in disorder were left out")
     if len(index) > MAX_SAMPLES:
@@ -131,11 +137,19 @@ def readings(
                      do="widen the window; `sunspin check` says what is wrong with samples")
         )  # fmt: skip
     largest = float(value[used].max())
-    sigma = vehicle.telemetry.noise or NOISE_OF_LARGEST * largest
+    sigma = vehicle.telemetry.noise or dark_noise(value[used]) or NOISE_OF_LARGEST * largest
     start = float(times[index[0]])
     others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
     made = Readings(times[index] - start, value, used, lit, float(sigma), threshold, largest, others)
     return made, start, remarks
+
+
+def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
+    """Readings (n, n_panel) that no light explains."""
+    relative = np.nan_to_num(value / vehicle.panel_gains)
+    brightest = relative.max(axis=1, initial=0.0)
+    lit = brightest[brightest > 0]
+    return relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
 
 
 def _window(telemetry: xr.Dataset, times: np.ndarray, begin_s, end_s, phase) -> tuple[np.ndarray, list[str]]:

@@ -89,7 +89,7 @@ def _not_explained(found: Found) -> str:
     if abs(found.noise_sigmas) > NOISE_LIMIT:
         side = "more" if found.noise_sigmas > 0 else "less"
         text = "not explained: no motion fits unless the noise is far "
-        text += f"{side} than the vehicle file states ({found.noise_sigmas:+.1f} sigma)"
+        text += f"{side} than was assumed, from the vehicle file or from the readings ({found.noise_sigmas:+.1f} sigma)"
     if found.spoilt:
         text += "; " + "; ".join(found.spoilt)
     return f"{text}; the vehicle, the window or the state of the wheels is not what was assumed, or a panel is shadowed or dead"
