@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from sunspin.errors import InputError, sentence
 
@@ -63,6 +63,15 @@ class Timeline:
 def utc_seconds(utc: str, epoch_utc: str) -> float:
     """Seconds from `epoch_utc` to `utc`, both ISO-8601 UTC (days of 86400 s: no leap second is counted)."""
     return (_instant(utc) - _instant(epoch_utc)).total_seconds()
+
+
+def utc_after(seconds: float, epoch_utc: str) -> str:
+    """The time (ISO-8601 UTC, whole seconds) so many seconds after `epoch_utc`; the epoch and the seconds beyond the calendar."""
+    try:
+        instant = _instant(epoch_utc) + timedelta(seconds=round(seconds))
+    except OverflowError:
+        return f"{epoch_utc} and {seconds:g} s"
+    return instant.isoformat().replace("+00:00", "Z")
 
 
 def _instant(utc: str) -> datetime:

@@ -72,6 +72,15 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     assert "3  flagged: time_not_increasing" in said and "14 s apart at least" in said
 
 
+def test_check_says_when_the_samples_begin_and_what_times_are_counted_from(sunspin, tmp_path):
+    sunspin("init", tmp_path / "mine")
+    vehicle, telemetry = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
+    text = vehicle.read_text().replace('# epoch_utc = "2026-01-01', 'epoch_utc = "2025-12-31')
+    vehicle.write_text(text)
+    said = sunspin("check", vehicle, telemetry)[1]
+    assert "from 2026-01-01T00:00:00Z" in said and "times are counted from 2025-12-31T00:00:00Z, 86400 s before" in said
+
+
 def test_quiet_says_nothing(sunspin, tmp_path):
     assert sunspin("init", tmp_path / "mine", "--quiet") == (0, "", "")
     assert sunspin("check", "philae", "--quiet") == (0, "", "")

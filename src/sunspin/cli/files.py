@@ -112,6 +112,7 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
 
     from sunspin.cli.check_words import intervals, worth
     from sunspin.measure.telemetry import FLAGS, read_telemetry
+    from sunspin.timeline import utc_after
 
     samples = read_telemetry(path, craft)
     time, flag = samples["time"].values, samples["flag"].values
@@ -126,7 +127,10 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
         "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
     }
     kind = "synthetic sample" if summary["synthetic"] else "sample"
-    lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {summary['epoch_utc']}"]
+    begin = utc_after(float(time.min()), summary["epoch_utc"]) if time.size else summary["epoch_utc"]
+    lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"]
+    if time.size and round(float(time[0])):
+        lines.append(f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample")
     if gaps.size:
         lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
