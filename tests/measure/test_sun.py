@@ -138,6 +138,15 @@ def test_every_sample_without_a_direction_says_why(lit, status):
     assert len(sun["status_text"].values[0]) > 10
 
 
+def test_with_nothing_dark_to_bound_it_the_arc_is_half_a_circle():
+    """Two lit panels in one plane and no other: from one pole of that plane over what they see to the other."""
+    craft = Vehicle("two", panels=[Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 1, 0], 1.0)])
+    sun = ss.sun_directions(craft, [[0.6, 0.8]], lit_threshold=1e-9)
+    assert sun["status"].values[0] == SunStatus.ARC
+    ends = sorted(sun["sun_arc_B"].values[0].tolist(), key=lambda end: end[2])
+    np.testing.assert_allclose(ends, [[0, 0, -1], [0, 0, 1]], rtol=0, atol=1e-12)
+
+
 def test_below_the_side_panels_the_answer_is_an_arc():
     """At z < 0 the side powers fix the azimuth only: the arc runs from the horizon to the nadir."""
     n = np.array([0.7, -0.3, -0.5]) / np.linalg.norm([0.7, -0.3, -0.5])
