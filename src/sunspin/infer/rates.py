@@ -15,9 +15,10 @@ from sunspin.errors import InputError, sentence
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body
 from sunspin.infer.rates_observe import observations, passes
-from sunspin.infer.rates_seed import SEED_NOISE, cooled, search, seeds
-from sunspin.infer.rates_smooth import Motion, Observations, Track
+from sunspin.infer.rates_seed import SEED_NOISE, cooled, forgiving, search, seeds
+from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit
 from sunspin.infer.rates_spread import with_spread
+from sunspin.infer.rates_start import coarse
 from sunspin.infer.rates_wheels import wheel_momenta
 from sunspin.vehicle import Vehicle
 
@@ -35,9 +36,6 @@ LADDER_PASSES = 2
 
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
-
-BAD_COST = 3.7
-"""Cost per sample beyond which even the best motion does not fit; sound ones, of skCUBE and of twins, stay below 3.6."""
 
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
@@ -89,7 +87,8 @@ def rates(
         On `time` (the samples used), of each pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
-        fewer modes; `omega_sigma_all_B` (pass_id, axis): about the best mode's mean, all modes counted. On `sample`: `why`:
+        fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
+        mean, all modes counted. On `sample`: `why`:
         what became of each sample of the file. attrs: `verdict`, `source`, the settings.
 
     Raises
@@ -109,7 +108,9 @@ def rates(
     motion = Motion(body, noise, rate_max / 2)
     found, walk = link(o, [modes(o.take(part), part, motion, rate_max) for part in parts], motion)
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
-    return result.assign_attrs(wheels=wheels, walk_between_passes=np.nan if walk is None else walk)
+    missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
+    result = result.assign_attrs(wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
+    return result.assign_attrs(verdict=verdict(result))
 
 
 def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
@@ -121,6 +122,7 @@ def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
 
 def modes(o: Observations, index: np.ndarray, motion: Motion, rate_max: float) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method)."""
+    o = forgiving(o)
     track = search(o, motion, rate_max)
     order = np.argsort(-track.log_weight, kind="stable")
     weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
@@ -168,6 +170,7 @@ def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: 
     From the loosest to the stiffest, each from where the one before ended.
     """
     found = np.full(len(noises), -np.inf)
+    o = forgiving(o)
     motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
     try:
         track, last = seeds(o, motion, rate_max, pairs=1), motion.noise
@@ -236,6 +239,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
             "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
             "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
+            "cost_limit": ("pass_id", [cost_limit(o.take(p.index)) for p in found], {"units": "1"}),
             "why": ("sample", why.astype(np.str_)),
         },
         coords={
@@ -244,21 +248,21 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         },
         attrs=attrs,
     )  # fmt: skip
-    result.attrs["verdict"] = verdict(result)
     return result
 
 
 def verdict(result: xr.Dataset) -> str:
     """What the data can tell, in words."""
     best = result["weight"].values[:, 0]
-    count = np.bincount(result["pass_of"].values, minlength=len(best))
-    bad = result["cost"].values[:, 0] > BAD_COST * count
+    bad = result["cost"].values[:, 0] > result["cost_limit"].values
     decided = int(np.count_nonzero((best >= DECIDED) & ~bad))
     text = f"{decided} of {len(best)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight"
     if bad.any():
         text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
     if decided + np.count_nonzero(bad) < len(best):
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    if missed := result.attrs["coarse_passes"]:
+        text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate, if one is known"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     return text

@@ -17,7 +17,7 @@ from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, no
 def with_spread(o: Observations, track: Track, motion: Motion) -> tuple[Track, np.ndarray]:
     """Modes whose covariance counts the common errors of gyro, gains and the Earth's light, and the sigma (K, 3) of each one's rate
     averaged over the samples, with what their errors have in common."""
-    diagonal, upper, slope, _ = normal_equations(o, track, motion)
+    diagonal, upper, slope, *_ = normal_equations(o, track, motion)
     variance = np.empty((len(track.omega), 3))
     for axis in range(3):
         average = np.zeros_like(slope)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.infer.rates import BAD_COST
+from sunspin.infer.rates_smooth import BAD_COST
 from sunspin.tell.report.read import Results
 from sunspin.tell.text import counted, number_text
 
@@ -57,7 +57,8 @@ def _rates(results: Results) -> list[str]:
     passes = [p for p in results.summary.get("passes", []) if p.get("modes")]
     if found is None or len(passes) != found.sizes["pass_id"]:
         return told
-    fits = found["cost"].values[:, 0] <= BAD_COST * np.bincount(found["pass_of"].values, minlength=len(passes))
+    usual = BAD_COST * np.bincount(found["pass_of"].values, minlength=len(passes))  # folders of earlier versions have no limit
+    fits = found["cost"].values[:, 0] <= (found["cost_limit"].values if "cost_limit" in found else usual)
     sound = [p for p, fit in zip(passes, fits, strict=True) if fit]
     if not sound:
         return [*told, "So the rates below describe no motion that the samples support, and should not be used."]
