@@ -262,7 +262,7 @@ def verdict(result: xr.Dataset) -> str:
     if decided + np.count_nonzero(bad) < len(best):
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
     if missed := result.attrs["coarse_passes"]:
-        text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate, if one is known"
+        text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     return text
