@@ -12,6 +12,8 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
+from sunspin.infer.rates_clock import lateness, suspected
+from sunspin.infer.rates_common import Clock, has_common, with_common
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body
 from sunspin.infer.rates_observe import observations, passes
@@ -21,6 +23,7 @@ from sunspin.infer.rates_spread import with_spread
 from sunspin.infer.rates_start import coarse
 from sunspin.infer.rates_wheels import wheel_momenta
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import Clock as Lateness
 
 MAX_MODES = 6
 """Modes reported for each pass."""
@@ -39,6 +42,10 @@ DEFAULT_MAX_RATE = 1.0
 
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
+
+
+SUSPECTED = "the data alone, not counted"
+"""Where a lateness comes from that the vehicle file does not speak of."""
 
 
 class Pass(NamedTuple):
@@ -89,7 +96,7 @@ def rates(
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
         mean, all modes counted. On `sample`: `why`:
-        what became of each sample of the file. attrs: `verdict`, `source`, the settings.
+        what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`, `sensors_late_sigma_s`.
 
     Raises
     ------
@@ -106,10 +113,13 @@ def rates(
         raise InputError(sentence("acceleration_noise must be positive", got=given))
     noise, o, wheels = choose(o, parts, body, rate_max, given, wheel_momenta(vehicle, telemetry))
     motion = Motion(body, noise, rate_max / 2)
-    found, walk = link(o, [modes(o.take(part), part, motion, rate_max) for part in parts], motion)
+    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
+    clock, late = _clock(sensors.clock, tracks, motion)
+    found, walk = link(o, [finished(*one, motion, clock) for one in
+                           ((own, part, track) for (own, track), part in zip(tracks, parts, strict=True))], motion)  # fmt: skip
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
-    result = result.assign_attrs(wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
+    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
     return result.assign_attrs(verdict=verdict(result))
 
 
@@ -120,15 +130,41 @@ def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
     return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
 
 
-def modes(o: Observations, index: np.ndarray, motion: Motion, rate_max: float) -> Pass:
-    """The modes of one pass with their weights (masses of the posterior, by Laplace's method)."""
-    o = forgiving(o)
-    track = search(o, motion, rate_max)
+def _clock(
+    told: Lateness | None, tracks: list[tuple[Observations, Track]], motion: Motion
+) -> tuple[Clock | None, dict[str, float | str]]:
+    """The clock with which the passes are finished, narrowed by all of them, and what is said of it."""
+    nothing = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
+    if told is None:
+        late = suspected(tracks, motion)
+        if late is None:
+            return None, nothing
+        return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
+    clock = Clock(told.late_s, told.sigma_s)
+    late = lateness(tracks, motion, clock) if told.sigma_s > 0 else None
+    if late is not None:
+        clock = Clock(late.late_s, late.sigma_s)
+    words = "vehicle file" if late is None else "vehicle file and data"
+    return clock, {"sensors_late_s": clock.late_s, "sensors_late_sigma_s": clock.sigma_s, "sensors_late_from": words}
+
+
+def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
+    """The heavier modes of one pass, best first."""
+    track = search(forgiving(o), motion, rate_max)
     order = np.argsort(-track.log_weight, kind="stable")
     weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
-    keep = order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]
-    kept, sigma = with_spread(o, track.take(keep), motion)
-    return Pass(index, kept, weight[: len(keep)] / weight[: len(keep)].sum(), sigma)
+    return track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))])
+
+
+def finished(o: Observations, index: np.ndarray, track: Track, motion: Motion, clock: Clock | None) -> Pass:
+    """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants."""
+    common = with_common(o, track, motion, clock) if has_common(o, clock) else None
+    track, sigma = with_spread(o, track if common is None else common.track, motion, common)
+    if common is not None:
+        track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
+    order = np.argsort(-track.log_weight, kind="stable")
+    weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
+    return Pass(index, track.take(order), weight / weight.sum(), sigma[order])
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -263,6 +299,11 @@ def verdict(result: xr.Dataset) -> str:
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
     if missed := result.attrs["coarse_passes"]:
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
+    late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
+    if result.attrs["sensors_late_from"] == SUSPECTED:
+        text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
+    elif np.isfinite(result.attrs["sensors_late_s"]):
+        text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     return text

@@ -262,7 +262,7 @@ def normal_equations(o: Observations, track: Track, motion: Motion) -> tuple[np.
     """Diagonal (K, n, 6, 6) and upper (K, n-1, 6, 6) blocks, gradient (K, n, 6), cost (K) of the whole pass; and what one unit
     of damping adds to the diagonal (K, 6)."""
     diagonal, slope, cost = measured(o, track)
-    damping = _damping(diagonal, o.t_s)
+    damping = damping_scale(diagonal, o.t_s)
     value, first, second = between(o, track, motion)
     diagonal[:, :-1] += np.swapaxes(first, -1, -2) @ first
     diagonal[:, 1:] += np.swapaxes(second, -1, -2) @ second
@@ -277,7 +277,7 @@ def normal_equations(o: Observations, track: Track, motion: Motion) -> tuple[np.
     return diagonal, upper, slope, total + (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2), damping
 
 
-def _damping(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
+def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
     """Damping (K, 6) of turn and rate in the measure of what was measured (K, n, 6, 6): one in that of the equations of motion,
     which are stiff where samples are close together, would hold a whole hypothesis in its place."""
     size = np.einsum("knii->kni", told).mean(axis=1)
