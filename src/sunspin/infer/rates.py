@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from sunspin.errors import InputError, sentence
 from sunspin.infer.rates_clock import lateness, suspected
 from sunspin.infer.rates_common import Clock, has_common, with_common
+from sunspin.infer.rates_dense import Dense
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body
-from sunspin.infer.rates_observe import observations, passes
+from sunspin.infer.rates_observe import observations, passes, usable
 from sunspin.infer.rates_seed import SEED_NOISE, cooled, forgiving, search, seeds
 from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit
 from sunspin.infer.rates_spread import with_spread
@@ -49,12 +50,14 @@ SUSPECTED = "the data alone, not counted"
 
 
 class Pass(NamedTuple):
-    """The modes of one pass, best first, with weights that add to one; `index` are its samples,
-    `mean_sigma` (K, 3) belongs to the rate averaged over them."""
+    """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
+    smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3)."""
 
     index: np.ndarray
+    kept: np.ndarray
     track: Track
     weight: np.ndarray
+    mean: np.ndarray
     mean_sigma: np.ndarray
 
 
@@ -91,7 +94,8 @@ def rates(
     Returns
     -------
     xarray.Dataset
-        On `time` (the samples used), of each pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
+        On `time` (all samples used; the search keeps 40 of a pass, the motion carries what it finds to the others), of each
+        pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
@@ -113,10 +117,12 @@ def rates(
         raise InputError(sentence("acceleration_noise must be positive", got=given))
     noise, o, wheels = choose(o, parts, body, rate_max, given, wheel_momenta(vehicle, telemetry))
     motion = Motion(body, noise, rate_max / 2)
+    use = usable(o, why)
+    wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
     tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
     clock, late = _clock(sensors.clock, tracks, motion)
-    found, walk = link(o, [finished(*one, motion, clock) for one in
-                           ((own, part, track) for (own, track), part in zip(tracks, parts, strict=True))], motion)  # fmt: skip
+    each = zip(wholes, parts, (track for _, track in tracks), strict=True)
+    found, walk = link(o, [finished(o, *one, motion, clock) for one in each], motion)
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
@@ -156,27 +162,33 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     return track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))])
 
 
-def finished(o: Observations, index: np.ndarray, track: Track, motion: Motion, clock: Clock | None) -> Pass:
-    """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants."""
+def finished(
+    every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None
+) -> Pass:
+    """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
+    found at the samples `kept` of `index`, carried to all of them."""
+    o = every.take(kept)
     common = with_common(o, track, motion, clock) if has_common(o, clock) else None
-    track, sigma = with_spread(o, track if common is None else common.track, motion, common)
+    between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
+    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common)
     if common is not None:
         track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
     order = np.argsort(-track.log_weight, kind="stable")
     weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
-    return Pass(index, track.take(order), weight / weight.sum(), sigma[order])
+    whole = between.filled(track, motion).take(order)
+    return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
     """The passes with weights that count their neighbours in, best mode first, hopeless ones left out; and the walk."""
     middle = [float(o.t_s[p.index].mean()) for p in found]
-    rates = [p.track.omega.mean(axis=1) for p in found]
-    weights, walk = linked(middle, rates, [p.mean_sigma for p in found], [p.weight for p in found], motion.rate_prior)
+    means, sigmas = [p.mean for p in found], [p.mean_sigma for p in found]
+    weights, walk = linked(middle, means, sigmas, [p.weight for p in found], motion.rate_prior)
     result = []
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")
         keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
-        result.append(Pass(p.index, p.track.take(keep), weight[keep], p.mean_sigma[keep]))
+        result.append(Pass(p.index, p.kept, p.track.take(keep), weight[keep], p.mean[keep], p.mean_sigma[keep]))
     return result, walk
 
 
@@ -248,7 +260,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     attitude = np.concatenate([track.attitude[0] for track in best])
     covariance = np.concatenate([track.covariance[0] for track in best])
     sun = np.concatenate([track.sun_B[0] for track in best])
-    means = [(p.track.omega.mean(axis=1), p.mean_sigma) for p in found]
+    means = [(p.mean, p.mean_sigma) for p in found]
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
@@ -275,7 +287,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
             "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
             "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
-            "cost_limit": ("pass_id", [cost_limit(o.take(p.index)) for p in found], {"units": "1"}),
+            "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found], {"units": "1"}),
             "why": ("sample", why.astype(np.str_)),
         },
         coords={

@@ -15,9 +15,9 @@ from sunspin.infer.rates_common import Common
 from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, normal_equations, solve
 
 
-def with_spread(o: Observations, track: Track, motion: Motion, common: Common | None = None) -> tuple[Track, np.ndarray]:
-    """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of each one's rate
-    averaged over the samples, with what their errors have in common. `common`: those of gyro and clock, which were fitted."""
+def with_spread(o: Observations, track: Track, motion: Motion, mean: np.ndarray, common: Common | None = None) -> tuple[Track, np.ndarray]:
+    """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates over
+    the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors of gyro and clock, fitted."""
     if common is None:
         diagonal, upper, *_ = normal_equations(o, track, motion)
         seen = track
@@ -28,16 +28,14 @@ def with_spread(o: Observations, track: Track, motion: Motion, common: Common | 
         seen, answer = common.seen, common.shift
     variance = np.empty((len(track.omega), 3))
     for axis in range(3):
-        average = np.zeros((*track.omega.shape[:2], 6))
-        average[..., 3 + axis] = -1 / len(o)
-        variance[:, axis] = answer(average)[..., 3 + axis].mean(axis=1)
+        variance[:, axis] = np.einsum("kni,kni->k", mean[..., axis, :], answer(-mean[..., axis, :]))
     covariance = track.covariance
     back = np.swapaxes(seen.attitude @ np.swapaxes(track.attitude, -1, -2), -1, -2)  # from the Sun's instant to the state's
     for slope in [*_gain_slopes(o, seen), *_earth_slopes(o, seen)]:
         slope[..., :3] = np.einsum("knij,knj->kni", back, slope[..., :3])
         shift = answer(slope)
         covariance = covariance + shift[..., :, None] * shift[..., None, :]
-        variance += shift[..., 3:].mean(axis=1) ** 2
+        variance += np.einsum("knji,kni->kj", mean, shift) ** 2
     return replace(track, covariance=covariance), np.sqrt(np.maximum(variance, 0.0))
 
 
