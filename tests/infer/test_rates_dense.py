@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.errors import InputError
 from sunspin.infer.rates_dense import Dense, bridge
 from sunspin.infer.rates_motion import Body
 from sunspin.infer.rates_observe import MAX_SAMPLES, observations, thinned
@@ -119,3 +120,9 @@ def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
     kept = thinned(np.arange(len(off)))  # control: the mean over what is kept is another
     other = np.abs(run["omega_B"].values[kept].mean(axis=0) - mean)
     assert (other / found["omega_sigma_B"].values[0, 0]).max() > 20
+
+
+@pytest.mark.parametrize("noise", [0.0, -1e-5, 1e-30, 1e30, np.nan])
+def test_a_noise_that_no_satellite_has_is_refused(pass_, noise):
+    with pytest.raises(InputError, match="acceleration_noise must lie between"):
+        ss.rates(CRAFT, pass_[0], acceleration_noise=noise)

@@ -35,6 +35,9 @@ LEAST_WEIGHT = 1e-3
 NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
 """Angular-acceleration noises (rad/s^1.5) tried where none is given; at 3e-4 a rate wanders by 0.3 deg/s in 5 minutes."""
 
+NOISE_RANGE = (1e-9, 1.0)
+"""rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
+
 LADDER_PASSES = 2
 """Passes whose evidence chooses among them."""
 
@@ -110,11 +113,12 @@ def rates(
     o, why, source = observations(vehicle, telemetry, source)
     parts = passes(o, why, gap_s)
     sensors = vehicle.sensors
-    rate_max = _rate_max(max_rate_rad_s or sensors.disturbance.max_rate_rad_s, o, parts)
+    rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
     body = Body.of(vehicle, sensors.disturbance.dipole)
-    given = acceleration_noise or _known_noise(vehicle, o)
-    if given is not None and not (np.isfinite(given) and given > 0):
-        raise InputError(sentence("acceleration_noise must be positive", got=given))
+    given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
+    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
+        low, high = NOISE_RANGE
+        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
     noise, o, wheels = choose(o, parts, body, rate_max, given, wheel_momenta(vehicle, telemetry))
     motion = Motion(body, noise, rate_max / 2)
     use = usable(o, why)
