@@ -15,7 +15,9 @@ from sunspin.infer.rates_common import Common
 from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, normal_equations, solve
 
 
-def with_spread(o: Observations, track: Track, motion: Motion, mean: np.ndarray, common: Common | None = None) -> tuple[Track, np.ndarray]:
+def with_spread(
+    o: Observations, track: Track, motion: Motion, mean: np.ndarray, common: Common | None = None
+) -> tuple[Track, np.ndarray]:
     """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates over
     the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors of gyro and clock, fitted."""
     if common is None:
