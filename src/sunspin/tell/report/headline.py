@@ -69,8 +69,8 @@ def _rates(results: Results) -> list[str]:
         *told,
         f"In the pass told best ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) it turned "
         f"at {speed:.3g} deg/s, one turn in {360 / speed if speed else np.inf:.3g} s; each component's mean over the pass is known "
-        f"to {number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit), and the best motion there has a "
-        f"weight of {best['modes'][0]['weight']:.2f}.",
+        f"to {number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit), and the best motion there has "
+        f"a weight of {best['modes'][0]['weight']:.2f}.",
     ]
 
 
