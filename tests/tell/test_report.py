@@ -210,3 +210,20 @@ def test_the_command_names_the_page(user_runs):
     done = CliRunner().invoke(cli, ["report", str(user_runs["sun"]), "--json"], catch_exceptions=False)
     said = json.loads(done.output)
     assert Path(said["report"]).stat().st_size == said["bytes"]
+
+
+def test_a_time_axis_names_the_days_of_its_times_and_not_of_the_epoch():
+    from sunspin.tell.report.section import time_axis
+
+    def title(*hours: float) -> str:
+        return time_axis("2025-03-01T00:00:00Z", [3600.0 * h for h in hours])["title"]["text"]
+
+    assert title(25, 26, np.nan) == "UTC, 2025-03-02" and title(23, 25) == "UTC, 2025-03-01 to 2025-03-02"
+    assert time_axis(None, [0.0])["title"]["text"] == "time (s)"
+
+
+def test_a_number_shows_as_many_decimals_as_its_sigma_tells():
+    from sunspin.tell.text import with_sigma
+
+    assert with_sigma(4.09204, 0.00478) == "4.0920 ± 0.0048" and with_sigma(-123.456, 2.34) == "-123.5 ± 2.3"
+    assert with_sigma(1.0, np.inf) == "1.000 ± inf" and with_sigma(0.5, 0.0) == "0.500 ± 0"

@@ -59,8 +59,6 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
 
 
 def _summary(result: Any) -> tuple[dict[str, Any], list[str]]:
-    from sunspin.infer.rates import BAD_COST
-
     degrees = np.degrees
     passes, lines = [], [result.attrs["verdict"]]
     for k in range(result.sizes["pass_id"]):
@@ -73,7 +71,7 @@ def _summary(result: Any) -> tuple[dict[str, Any], list[str]]:
         found = [{"weight": float(w), "omega_deg_s": m.tolist()} for w, m in zip(weight, mean, strict=True)]
         span = {"start_s": float(t[0]), "end_s": float(t[-1]), "samples": len(at)}
         passes.append(span | {"sigma_deg_s": sigma.tolist(), "modes": found})
-        poor = "  FITS BADLY" if result["cost"].values[k, 0] > BAD_COST * len(at) else ""
+        poor = "  FITS BADLY" if result["cost"].values[k, 0] > result["cost_limit"].values[k] else ""
         others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
         digits = _digits(sigma)
         best = f"omega ({_row(mean[0], digits)}) +- ({_row(sigma, digits)}) deg/s  weight {weight[0]:.2f}{others}{poor}"

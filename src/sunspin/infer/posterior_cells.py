@@ -24,8 +24,7 @@ from sunspin.infer.posterior_data import Readings
 from sunspin.infer.posterior_fit import FILES
 from sunspin.infer.posterior_likelihood import moved, tangents
 from sunspin.infer.posterior_model import Model, State
-from sunspin.infer.rates_seed import sphere
-from sunspin.measure.panels import panel_power
+from sunspin.measure.panels import panel_power, sphere
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
 from sunspin.motion.compiler import njit

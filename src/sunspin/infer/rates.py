@@ -12,14 +12,19 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
+from sunspin.infer.rates_clock import lateness, suspected
+from sunspin.infer.rates_common import Clock, has_common, with_common
+from sunspin.infer.rates_dense import Dense
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body
-from sunspin.infer.rates_observe import observations, passes
-from sunspin.infer.rates_seed import SEED_NOISE, cooled, search, seeds
-from sunspin.infer.rates_smooth import Motion, Observations, Track
+from sunspin.infer.rates_observe import observations, passes, usable
+from sunspin.infer.rates_seed import SEED_NOISE, cooled, forgiving, search, seeds
+from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit
 from sunspin.infer.rates_spread import with_spread
+from sunspin.infer.rates_start import coarse
 from sunspin.infer.rates_wheels import wheel_momenta
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import Clock as Lateness
 
 MAX_MODES = 6
 """Modes reported for each pass."""
@@ -30,26 +35,32 @@ LEAST_WEIGHT = 1e-3
 NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
 """Angular-acceleration noises (rad/s^1.5) tried where none is given; at 3e-4 a rate wanders by 0.3 deg/s in 5 minutes."""
 
+NOISE_RANGE = (1e-9, 1.0)
+"""rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
+
 LADDER_PASSES = 2
 """Passes whose evidence chooses among them."""
 
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
 
-BAD_COST = 3.7
-"""Cost per sample beyond which even the best motion does not fit; sound ones, of skCUBE and of twins, stay below 3.6."""
-
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
 
+SUSPECTED = "the data alone, not counted"
+"""Where a lateness comes from that the vehicle file does not speak of."""
+
+
 class Pass(NamedTuple):
-    """The modes of one pass, best first, with weights that add to one; `index` are its samples,
-    `mean_sigma` (K, 3) belongs to the rate averaged over them."""
+    """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
+    smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3)."""
 
     index: np.ndarray
+    kept: np.ndarray
     track: Track
     weight: np.ndarray
+    mean: np.ndarray
     mean_sigma: np.ndarray
 
 
@@ -86,11 +97,13 @@ def rates(
     Returns
     -------
     xarray.Dataset
-        On `time` (the samples used), of each pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
+        On `time` (all samples used; the search keeps 40 of a pass, the motion carries what it finds to the others), of each
+        pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
-        fewer modes; `omega_sigma_all_B` (pass_id, axis): about the best mode's mean, all modes counted. On `sample`: `why`:
-        what became of each sample of the file. attrs: `verdict`, `source`, the settings.
+        fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
+        mean, all modes counted. On `sample`: `why`:
+        what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`, `sensors_late_sigma_s`.
 
     Raises
     ------
@@ -100,16 +113,24 @@ def rates(
     o, why, source = observations(vehicle, telemetry, source)
     parts = passes(o, why, gap_s)
     sensors = vehicle.sensors
-    rate_max = _rate_max(max_rate_rad_s or sensors.disturbance.max_rate_rad_s, o, parts)
+    rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
     body = Body.of(vehicle, sensors.disturbance.dipole)
-    given = acceleration_noise or _known_noise(vehicle, o)
-    if given is not None and not (np.isfinite(given) and given > 0):
-        raise InputError(sentence("acceleration_noise must be positive", got=given))
+    given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
+    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
+        low, high = NOISE_RANGE
+        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
     noise, o, wheels = choose(o, parts, body, rate_max, given, wheel_momenta(vehicle, telemetry))
     motion = Motion(body, noise, rate_max / 2)
-    found, walk = link(o, [modes(o.take(part), part, motion, rate_max) for part in parts], motion)
+    use = usable(o, why)
+    wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
+    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
+    clock, late = _clock(sensors.clock, tracks, motion)
+    each = zip(wholes, parts, (track for _, track in tracks), strict=True)
+    found, walk = link(o, [finished(o, *one, motion, clock) for one in each], motion)
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
-    return result.assign_attrs(wheels=wheels, walk_between_passes=np.nan if walk is None else walk)
+    missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
+    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
+    return result.assign_attrs(verdict=verdict(result))
 
 
 def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
@@ -119,26 +140,59 @@ def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
     return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
 
 
-def modes(o: Observations, index: np.ndarray, motion: Motion, rate_max: float) -> Pass:
-    """The modes of one pass with their weights (masses of the posterior, by Laplace's method)."""
-    track = search(o, motion, rate_max)
+def _clock(
+    told: Lateness | None, tracks: list[tuple[Observations, Track]], motion: Motion
+) -> tuple[Clock | None, dict[str, float | str]]:
+    """The clock with which the passes are finished, narrowed by all of them, and what is said of it."""
+    nothing = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
+    if told is None:
+        late = suspected(tracks, motion)
+        if late is None:
+            return None, nothing
+        return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
+    clock = Clock(told.late_s, told.sigma_s)
+    late = lateness(tracks, motion, clock) if told.sigma_s > 0 else None
+    if late is not None:
+        clock = Clock(late.late_s, late.sigma_s)
+    words = "vehicle file" if late is None else "vehicle file and data"
+    return clock, {"sensors_late_s": clock.late_s, "sensors_late_sigma_s": clock.sigma_s, "sensors_late_from": words}
+
+
+def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
+    """The heavier modes of one pass, best first."""
+    track = search(forgiving(o), motion, rate_max)
     order = np.argsort(-track.log_weight, kind="stable")
     weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
-    keep = order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]
-    kept, sigma = with_spread(o, track.take(keep), motion)
-    return Pass(index, kept, weight[: len(keep)] / weight[: len(keep)].sum(), sigma)
+    return track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))])
+
+
+def finished(
+    every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None
+) -> Pass:
+    """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
+    found at the samples `kept` of `index`, carried to all of them."""
+    o = every.take(kept)
+    common = with_common(o, track, motion, clock) if has_common(o, clock) else None
+    between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
+    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common)
+    if common is not None:
+        track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
+    order = np.argsort(-track.log_weight, kind="stable")
+    weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
+    whole = between.filled(track, motion).take(order)
+    return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
     """The passes with weights that count their neighbours in, best mode first, hopeless ones left out; and the walk."""
     middle = [float(o.t_s[p.index].mean()) for p in found]
-    rates = [p.track.omega.mean(axis=1) for p in found]
-    weights, walk = linked(middle, rates, [p.mean_sigma for p in found], [p.weight for p in found], motion.rate_prior)
+    means, sigmas = [p.mean for p in found], [p.mean_sigma for p in found]
+    weights, walk = linked(middle, means, sigmas, [p.weight for p in found], motion.rate_prior)
     result = []
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")
         keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
-        result.append(Pass(p.index, p.track.take(keep), weight[keep], p.mean_sigma[keep]))
+        result.append(Pass(p.index, p.kept, p.track.take(keep), weight[keep], p.mean[keep], p.mean_sigma[keep]))
     return result, walk
 
 
@@ -168,6 +222,7 @@ def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: 
     From the loosest to the stiffest, each from where the one before ended.
     """
     found = np.full(len(noises), -np.inf)
+    o = forgiving(o)
     motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
     try:
         track, last = seeds(o, motion, rate_max, pairs=1), motion.noise
@@ -209,7 +264,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     attitude = np.concatenate([track.attitude[0] for track in best])
     covariance = np.concatenate([track.covariance[0] for track in best])
     sun = np.concatenate([track.sun_B[0] for track in best])
-    means = [(p.track.omega.mean(axis=1), p.mean_sigma) for p in found]
+    means = [(p.mean, p.mean_sigma) for p in found]
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
@@ -236,6 +291,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
             "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
             "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
+            "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found], {"units": "1"}),
             "why": ("sample", why.astype(np.str_)),
         },
         coords={
@@ -244,21 +300,26 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         },
         attrs=attrs,
     )  # fmt: skip
-    result.attrs["verdict"] = verdict(result)
     return result
 
 
 def verdict(result: xr.Dataset) -> str:
     """What the data can tell, in words."""
     best = result["weight"].values[:, 0]
-    count = np.bincount(result["pass_of"].values, minlength=len(best))
-    bad = result["cost"].values[:, 0] > BAD_COST * count
+    bad = result["cost"].values[:, 0] > result["cost_limit"].values
     decided = int(np.count_nonzero((best >= DECIDED) & ~bad))
     text = f"{decided} of {len(best)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight"
     if bad.any():
         text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
     if decided + np.count_nonzero(bad) < len(best):
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    if missed := result.attrs["coarse_passes"]:
+        text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
+    late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
+    if result.attrs["sensors_late_from"] == SUSPECTED:
+        text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
+    elif np.isfinite(result.attrs["sensors_late_s"]):
+        text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     return text

@@ -144,9 +144,14 @@ def informative(o: Observations) -> np.ndarray:
     return o.told | (np.isfinite(o.power_sigma).any(axis=1) if o.power.size else False)
 
 
+def usable(o: Observations, why: np.ndarray) -> np.ndarray:
+    """Indices of the samples that are used."""
+    return np.flatnonzero(informative(o) & np.array([not text.startswith("dropped") for text in why]))
+
+
 def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list[np.ndarray]:
     """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
-    use = np.flatnonzero(informative(o) & np.array([not text.startswith("dropped") for text in why]))
+    use = usable(o, why)
     if len(use) < 3:
         raise InputError(
             sentence("fewer than three samples say where the Sun is", got=f"{len(use)} of {len(o)}",

@@ -1,8 +1,8 @@
-"""Where :mod:`sunspin.infer.rates` starts from: every turn, and every number of turns, that takes one direction to the next.
+"""How :mod:`sunspin.infer.rates` searches: starts of a pair of neighbours are tried on the samples around, and grow from there.
 
-Two directions a known time apart leave a family of constant rates: one angle, the sign of the axis, and whole turns. The
-family of a pair of neighbours is laid out, tried on the samples around, the best are smoothed there, and the window grows by
-a sample at either end while hypotheses that have become alike or improbable are dropped.
+Starts (:mod:`sunspin.infer.rates_start`) are coarse, and a Student law lets a start that misses most samples rest where it is. So
+they are tried, and first smoothed, with errors as wide as the starts are apart; the best are smoothed as measured, and the window
+grows by a sixth at either end while hypotheses that have become alike or improbable are dropped.
 """
 
 from __future__ import annotations
@@ -12,21 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.rates_motion import nutation, step, turn
-from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, smooth
-from sunspin.measure.panels import sphere
-
-ANGLES = 36
-"""Turns tried in each full turn, 10 degrees apart: the smoother's basin is wider than that."""
-
-GRID = 500
-"""Directions on the sphere (about 9 degrees apart) tried where powers alone bound the Sun."""
-
-CANDIDATES = 10
-"""Directions kept of such a region."""
-
-SHARP_RAD = 0.15
-"""A direction better than this is a point to start from; a worse one is a region."""
+from sunspin.infer.rates_motion import step
+from sunspin.infer.rates_shoot import carried, shot
+from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit, measured, smooth
+from sunspin.infer.rates_start import gyro_decides, starts, steady
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -34,11 +23,12 @@ WINDOW = 2
 DENSE_RAD = 2.2
 """Samples so close that the body turns by less than this between them leave no doubt about whole turns."""
 
-PRECESSION_RAD = 0.5
-"""Wheels that turn the body's rate by more than this between samples: a constant rate is no start then."""
+CROWD, PAIRED, CHOSEN = 3000, 20_000, 1500
+"""More starts than the first number are thinned before they are tried on the whole window: on the pair, to the second number at
+most, and smoothed on the four samples around it, to the third."""
 
-GRID_RAD, GRID_RATES = 0.35, 1500
-"""Step of the grid of rates, as a turn between the first pair of samples, and about how many rates at most."""
+BLUR = 0.6
+"""Errors of starts as a share of their distance from each other."""
 
 SEED_NOISE = 1e-4
 """rad/s^1.5; hypotheses grow under at least this much of unknown torque, however well the motion is known."""
@@ -48,6 +38,12 @@ COOLING = 1.7
 
 GROW_SHARE = 6
 """The window grows by a sixth of its samples at either end: what is known then still carries."""
+
+POOR, DRIFT_RAD = 1.5, 0.1
+"""Cost per sample beyond which a hypothesis is shot anew, where unknown torques turn the body by less than the second number."""
+
+PAIRS, MORE_PAIRS, BADLY = 3, 2, 0.8
+"""Pairs to start from; how many more where even the best hypothesis costs more than this share of what is called bad."""
 
 MAX_TURNS = 100
 """Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
@@ -62,140 +58,81 @@ ALIKE_RAD = 0.25
 """Two hypotheses whose turns between neighbours differ by less everywhere are one."""
 
 
-def facing(sun_B: np.ndarray) -> np.ndarray:
-    """Some attitude (..., 3, 3), B_from_N, that shows the Sun of N in the direction `sun_B` (..., 3)."""
-    other = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = np.cross(other, sun_B)
-    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(sun_B, x), sun_B], axis=-1)
-
-
-def candidates(o: Observations, index: int) -> np.ndarray:
-    """Directions (n, 3) of the Sun that the sample `index` allows, best first."""
-    if o.told[index] and np.trace(o.sun_cov[index]) < 3 * SHARP_RAD**2:
-        return o.sun_B[index : index + 1]
-    grid = sphere(GRID)
-    still = Track(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
-    cost = measured(o.part(index, index + 1), still)[2][:, 0]
-    allowed = grid[cost < cost.min() + 3.0]
-    first = grid[np.argmin(cost)][None]
-    while len(first) < min(CANDIDATES, len(allowed)):  # the farthest from those taken already: they span the region
-        first = np.concatenate([first, allowed[[np.argmin((allowed @ first.T).max(axis=1))]]])
-    return first
-
-
-def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: float) -> np.ndarray:
-    """Constant rates (n, 3) rad/s that carry one direction (3) in the body to another (3) in `dt` s, `rate_max` at most."""
-    apart = float(np.arccos(np.clip(first @ second, -1, 1)))
-    middle = first + second
-    side = np.cross(first, second)
-    if np.linalg.norm(side) < 1e-6:
-        side = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
-    if np.linalg.norm(middle) < 1e-6:
-        middle = np.cross(side, first)
-    middle, side = middle / np.linalg.norm(middle), side / np.linalg.norm(side)
-    angle = np.linspace(apart, np.pi, ANGLES // 2)  # larger ones are turns the other way about the opposite axis
-    tilt = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)  # sine of the axis's angle from the Sun
-    along = np.sqrt(1 - tilt**2) / max(np.cos(apart / 2), 1e-9)
-    along = np.clip(np.concatenate([along, -along]), -1, 1)
-    axis = along[:, None] * middle + np.sqrt(1 - along**2)[:, None] * side
-    turns = np.arange(int(rate_max * dt / (2 * np.pi)) + 1)
-    total = np.concatenate([angle, angle])[:, None] + 2 * np.pi * turns
-    # the body's turn is the opposite of the Sun's; a turn by the rest of a circle goes the other way about the axis
-    found = [-axis[:, None] * total[..., None] / dt, axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None] / dt]
-    if apart < 0.5 and len(turns) > 1:  # nearly whole turns: about any axis
-        found.append(sphere(80)[:, None] * (2 * np.pi * turns[1:])[:, None] / dt)
-    rates = np.concatenate([np.reshape(rate, (-1, 3)) for rate in found])
-    return rates[np.linalg.norm(rates, axis=1) <= rate_max]
-
-
-def wider(o: Observations, noise: float, middle_s: float) -> Observations:
-    """The same measurements, trusted less the farther they are from `middle_s`, as a constant rate holds only near it."""
-    drift = noise * np.sqrt(np.abs(o.t_s - middle_s) ** 3 / 3)
+def wider(o: Observations, noise: float, index: int, apart_rad: float) -> Observations:
+    """The same measurements, trusted as far as starts at sample `index` go: those are `apart_rad` apart at the next sample, and
+    the farther a sample is the more unknown torques (`noise`, rad/s^1.5) have changed."""
+    t = np.abs(o.t_s - o.t_s[index])
+    dt = o.t_s[index + 1] - o.t_s[index]
+    drift = np.hypot(noise * np.sqrt(t**3 / 3), BLUR * apart_rad * t / dt)
     size = np.linalg.norm(np.nan_to_num(o.field), axis=1).max(initial=0.0)
     return replace(
         o,
         sun_cov=o.sun_cov + (drift**2)[:, None, None] * np.eye(3),
         power_sigma=np.hypot(o.power_sigma, drift[:, None] * np.linalg.norm(o.rows, axis=1) * o.scale[:, None]),
         field_sigma=np.hypot(o.field_sigma, drift.max() * size / 2),
+        gyro_sigma=float(np.hypot(o.gyro_sigma, np.hypot(BLUR * apart_rad / dt, noise * np.sqrt(t.max())))),
+        attitude_sigma=float(np.hypot(o.attitude_sigma, drift.max())),
     )
 
 
-def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float) -> tuple[Track, int, int]:
-    """The best constant rates around the pair (index, index + 1), smoothed on samples low to high - 1."""
+def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float, trust: bool = False) -> tuple[Track, int, int]:
+    """The best rates around the pair (index, index + 1), smoothed on samples low to high - 1; `trust`: the gyro is one of them."""
     low, high = max(0, index - WINDOW), min(len(o), index + 2 + WINDOW)
-    o = o.part(low, high)
-    dt = o.t_s[1 + index - low] - o.t_s[index - low]
+    o, index = o.part(low, high), index - low
+    dt = o.t_s[index + 1] - o.t_s[index]
     if not rate_max * dt < 2 * np.pi * MAX_TURNS:
         raise InputError(
             sentence("too many whole turns fit between two samples to try them all", got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
                      do="give a smaller --max-rate (max_rate_rad_s)")
         )  # fmt: skip
-    precession = nutation(motion.body, o.momentum) * dt
-    family = _wheel_family if precession > PRECESSION_RAD else _constant_family
-    track = family(o, index - low, motion, rate_max)
-    if track is None:
+    suns, rates, apart = starts(o, index, motion, rate_max, trust)
+    if len(rates) > CROWD:
+        suns, rates = _thinned(o, index, suns, rates, motion, apart)
+    if not len(rates):
         return Track(np.zeros((0, len(o), 3, 3)), np.zeros((0, len(o), 3))), low, high
-    rate = track.omega[:, index - low]
-    loose = wider(o, motion.noise, o.t_s[index - low] + dt / 2)
-    parts = np.array_split(np.arange(len(rate)), 1 + len(rate) // 4000)
-    cost = np.concatenate([measured(loose, track.take(part))[2].sum(axis=1) for part in parts])
-    cost += (rate**2).sum(axis=1) / (2 * motion.rate_prior**2)
-    track = track.take(np.argsort(cost, kind="stable")[:KEEP_FIRST])
+    track = _best(o, index, suns, rates, motion, apart, KEEP_FIRST)
+    for share in (1.0, 0.3, 0.0):
+        track = distinct(shot(wider(o, motion.noise, index, share * apart), index, track, motion, 4), o.t_s, KEEP_FIRST)
     return distinct(smooth(o, track, motion, steps=6), o.t_s), low, high
 
 
-def _constant_family(o: Observations, index: int, motion: Motion, rate_max: float) -> Track | None:
-    """Constant rates that carry the Sun of sample `index` to that of the next, over all samples of `o`."""
-    start, rate = [], []
-    for s0 in candidates(o, index):
-        for s1 in candidates(o, index + 1):
-            found = rates_between(s0, s1, o.t_s[index + 1] - o.t_s[index], rate_max)
-            start.append(np.broadcast_to(s0, found.shape))
-            rate.append(found)
-    sun, rates = np.concatenate(start), np.concatenate(rate)
-    if not len(rates):
-        return None
-    times = o.t_s - o.t_s[index]
-    attitude = turn(facing(sun)[:, None], rates[:, None] * times[None, :, None])
-    return Track(attitude, np.repeat(rates[:, None], len(times), axis=1))
+def _best(o, index, suns, rates, motion, apart, keep) -> Track:
+    """The `keep` starts at sample `index` that fit all samples of `o` best, moved to them."""
+    loose = wider(o, motion.noise, index, apart)
+    track = carried(o, index, suns, rates, motion)
+    parts = np.array_split(np.arange(len(rates)), 1 + len(rates) // 4000)
+    cost = np.concatenate([measured(loose, track.take(part))[2].sum(axis=1) for part in parts])
+    cost += (rates**2).sum(axis=1) / (2 * motion.rate_prior**2)
+    return track.take(np.argsort(cost, kind="stable")[:keep])
 
 
-def _wheel_family(o: Observations, index: int, motion: Motion, rate_max: float) -> Track:
-    """Where wheels turn the rate itself between two samples: rates on a grid in a ball, moved by the equations of motion."""
-    size = max(GRID_RAD / (o.t_s[index + 1] - o.t_s[index]), rate_max * (4 * np.pi / 3 / GRID_RATES) ** (1 / 3))
-    axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
-    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    grid = grid[np.linalg.norm(grid, axis=1) <= rate_max]
-    suns = candidates(o, index)
-    omega = [np.tile(grid, (len(suns), 1))]
-    attitude = [np.repeat(facing(suns), len(grid), axis=0)]
-    for way in (1, -1):
-        first, last = (index, len(o) - 1) if way == 1 else (index, 0)
-        for i in range(first, last, way):
-            at = -1 if way == 1 else 0
-            made, rate = step(motion.body, omega[at], np.full(len(omega[at]), o.t_s[i + way] - o.t_s[i]), o.wheels(i, i + way))
-            place = len(omega) if way == 1 else 0
-            attitude.insert(place, made @ attitude[at])
-            omega.insert(place, rate)
-    return Track(np.stack(attitude, axis=1), np.stack(omega, axis=1))
+def _thinned(o, index, suns, rates, motion, apart) -> tuple[np.ndarray, np.ndarray]:
+    """The better ones of a crowd of starts, smoothed on four samples at errors as wide as the starts are apart."""
+    pair = _best(o.part(index, index + 2), 0, suns, rates, motion, apart, PAIRED)
+    low, high = max(0, index - 1), min(len(o), index + 3)
+    around, index = o.part(low, high), index - low
+    track = _best(around, index, pair.sun_B[:, 0], pair.omega[:, 0], motion, apart, CHOSEN)
+    track = shot(wider(around, motion.noise, index, apart), index, track, motion, 3)
+    track = distinct(track, around.t_s, CHOSEN, np.inf)
+    return track.sun_B[:, index], track.omega[:, index]
 
 
-def distinct(track: Track, times: np.ndarray, keep: int = KEEP) -> Track:
+def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> Track:
     """Without the improbable and without copies, best first."""
     order = np.argsort(track.cost, kind="stable")
     if not len(order):
         return track
-    order = order[track.cost[order] < track.cost[order[0]] + DROP]
+    order = order[track.cost[order] < track.cost[order[0]] + drop]
     turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    chosen: list[int] = []
+    angle = (track.omega[:, : len(turns)] * turns).astype(np.float32)
+    chosen = np.zeros(0, dtype=int)
     for i in order:
-        apart = [np.max(np.linalg.norm((track.omega[i, :-1] - track.omega[j, :-1]) * turns, axis=-1)) for j in chosen]
-        if not apart or min(apart) > ALIKE_RAD:
-            chosen.append(int(i))
+        apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
+        if not len(chosen) or apart.min() > ALIKE_RAD**2:
+            chosen = np.append(chosen, i)
         if len(chosen) == keep:
             break
-    return track.take(np.array(chosen, dtype=int))
+    return track.take(chosen)
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
@@ -216,14 +153,37 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
                 omega = np.concatenate([rate[:, None], omega], axis=1)
                 low -= 1
         part = o.part(low, high)
-        track = distinct(smooth(part, Track(attitude, omega), motion, steps=4), part.t_s)
+        track = _freed(part, distinct(smooth(part, Track(attitude, omega), motion, steps=4), part.t_s), motion)
     return track
+
+
+def _freed(o: Observations, track: Track, motion: Motion) -> Track:
+    """Hypotheses that fit badly, in a window so short that no torque has told yet, moved by shooting: the smoother creeps there."""
+    poor = np.flatnonzero(track.cost > POOR * len(o))
+    middle = len(o) // 2
+    drift = motion.noise * np.sqrt(np.abs(o.t_s - o.t_s[middle]).max() ** 3 / 3)
+    if not len(poor) or drift > DRIFT_RAD:
+        return track
+    moved = smooth(o, shot(wider(o, motion.noise, middle, 0.0), middle, track.take(poor), motion, 8), motion, steps=4)
+    good = np.setdiff1d(np.arange(len(track.cost)), poor)
+    both = moved if not len(good) else _joined([track.take(good), moved])
+    return distinct(both, o.t_s)
+
+
+def _joined(tracks: list[Track]) -> Track:
+    return Track(*(np.concatenate(parts) for parts in zip(*((t.attitude, t.omega, t.cost) for t in tracks), strict=True)))
 
 
 def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
     """All modes of a pass, best first."""
     loose = replace(motion, noise=max(motion.noise, SEED_NOISE))
     return cooled(o, seeds(o, loose, rate_max, pairs), loose.noise, motion)
+
+
+def forgiving(o: Observations) -> Observations:
+    """The same with a gyro trusted no further than its zero and scale: the search holds it at what the vehicle file says."""
+    common = np.sqrt((o.gyro_common**2).sum(axis=1).mean()) if o.gyro_common.size else 0.0
+    return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)))
 
 
 def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:
@@ -237,14 +197,21 @@ def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track
 def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
     """Modes under a loose motion: from the `pairs` shortest intervals, grown over the whole pass and joined.
 
-    Default: three, or one where the samples begin so close together that no rate hides between them.
+    Default: three, or one where the samples begin so close together that no rate hides between them, where a grid holds all
+    rates anyway, or a gyro tells. Where nothing found fits, more are tried before that is said.
     """
-    dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
-    pairs = pairs or (1 if dense else 3)
     quality = np.where(o.told, 1.0, 2.0)
-    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable")[:pairs]
-    tracks = [grow(o, *first_tracks(o, int(i), motion, rate_max), motion) for i in order]
-    tracks = [track for track in tracks if len(track.omega)]
+    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable")
+    dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
+    trust = gyro_decides(o, int(order[0]))
+    pairs = pairs or (1 if dense or trust or not steady(o, int(order[0]), motion, rate_max) else PAIRS)
+    tracks: list[Track] = []
+    for i in order[: pairs + MORE_PAIRS]:
+        best = min((float(track.cost[0]) for track in tracks), default=np.inf)
+        if len(tracks) >= pairs and best < BADLY * cost_limit(o):
+            break
+        track = grow(o, *first_tracks(o, int(i), motion, rate_max, trust and not tracks), motion)
+        tracks += [track] if len(track.omega) else []
     if not tracks:
         raise InputError(
             sentence(
@@ -252,6 +219,4 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
                 got=f"largest rate {rate_max:.4g} rad/s", do="raise --max-rate, or check the times and the directions",
             )
         )  # fmt: skip
-    joined = Track(*(np.concatenate(parts) for parts in zip(*((t.attitude, t.omega, t.cost) for t in tracks), strict=True)))
-    return distinct(joined, o.t_s)
-
+    return distinct(_joined(tracks), o.t_s)

@@ -26,6 +26,12 @@ RATE_LIMIT = 4.0
 TURN_PRIOR = 10.0
 """rad; holds the turn about the Sun line, which nothing measures, without telling anything."""
 
+BAD_COST = 3.7
+"""Cost per sample beyond which even the best motion does not fit; sound ones, of skCUBE and of twins, stay below 3.6."""
+
+THREE_READINGS = 1.5
+"""What three sound readings cost in the mean."""
+
 SUN_N = np.array([0.0, 0.0, 1.0])
 """The Sun in the local frame N."""
 
@@ -243,9 +249,20 @@ def _field_residuals(o, relative, b0, b1, pair, dt):
     return value, first, second
 
 
+def cost_limit(o: Observations) -> float:
+    """The cost beyond which even the best motion does not fit: so much for each sample's Sun, and what sound readings of the
+    other sensors cost in the mean."""
+    more = [np.isfinite(o.gyro).all(axis=1)]
+    for known, used in ((np.isfinite(o.field).all(axis=1), np.isfinite(o.field_sigma)), (np.isfinite(o.attitude[:, 0, 0]), True)):
+        more.append(known[:-1] & known[1:] & used)
+    return BAD_COST * len(o) + THREE_READINGS * sum(int(part.sum()) for part in more)
+
+
 def normal_equations(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, ...]:
-    """Diagonal (K, n, 6, 6) and upper (K, n-1, 6, 6) blocks, gradient (K, n, 6), cost (K) of the whole pass."""
+    """Diagonal (K, n, 6, 6) and upper (K, n-1, 6, 6) blocks, gradient (K, n, 6), cost (K) of the whole pass; and what one unit
+    of damping adds to the diagonal (K, 6)."""
     diagonal, slope, cost = measured(o, track)
+    damping = damping_scale(diagonal, o.t_s)
     value, first, second = between(o, track, motion)
     diagonal[:, :-1] += np.swapaxes(first, -1, -2) @ first
     diagonal[:, 1:] += np.swapaxes(second, -1, -2) @ second
@@ -257,7 +274,17 @@ def normal_equations(o: Observations, track: Track, motion: Motion) -> tuple[np.
     diagonal[:, 0, :3, :3] += sun[:, :, None] * sun[:, None, :] / TURN_PRIOR**2
     diagonal[:, 0, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 0, 3:] += track.omega[:, 0] / motion.rate_prior**2
-    return diagonal, upper, slope, total + (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2)
+    return diagonal, upper, slope, total + (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2), damping
+
+
+def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
+    """Damping (K, 6) of turn and rate in the measure of what was measured (K, n, 6, 6): one in that of the equations of motion,
+    which are stiff where samples are close together, would hold a whole hypothesis in its place."""
+    size = np.einsum("knii->kni", told).mean(axis=1)
+    turn_size = size[:, :3].mean(axis=1, keepdims=True)
+    step_s = np.diff(t_s).mean() if len(t_s) > 1 else 1.0
+    rate_size = size[:, 3:].mean(axis=1, keepdims=True) + turn_size * step_s**2
+    return np.repeat(np.concatenate([turn_size, rate_size], axis=1), 3, axis=1)
 
 
 def solve(diagonal: np.ndarray, upper: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -277,7 +304,7 @@ def solve(diagonal: np.ndarray, upper: np.ndarray, slope: np.ndarray) -> tuple[n
     return change, covariance, np.linalg.slogdet(pivots)[1].sum(axis=1)
 
 
-def _bounded(omega: np.ndarray, limit: float) -> np.ndarray:
+def shortened(omega: np.ndarray, limit: float) -> np.ndarray:
     """Rates (..., 3) shortened to `limit`: a step far out of the basin must not overflow."""
     size = np.linalg.norm(omega, axis=-1, keepdims=True)
     return omega * np.minimum(1.0, limit / np.maximum(size, 1e-300))
@@ -290,9 +317,9 @@ def smooth(o: Observations, track: Track, motion: Motion, steps: int = 8) -> Tra
     each = np.arange(6)
     for _ in range(steps):
         diagonal = parts[0].copy()
-        diagonal[..., each, each] *= 1 + damping[:, None, None]
+        diagonal[..., each, each] += (damping[:, None] * parts[4])[:, None]
         change = solve(diagonal, parts[1], parts[2])[0]
-        omega = _bounded(track.omega + change[..., 3:], RATE_LIMIT * motion.rate_prior)
+        omega = shortened(track.omega + change[..., 3:], RATE_LIMIT * motion.rate_prior)
         trial = Track(turn(track.attitude, change[..., :3]), omega)
         new = normal_equations(o, trial, motion)
         better = new[3] < parts[3]

@@ -1,8 +1,8 @@
 """How far the answer of :mod:`sunspin.infer.rates` may be off: the mean rate of a pass, and what errors in common add.
 
-A gyro's zero and scale and the panels' gains are wrong by the same amount in every sample of a pass, and the Earth lights the
-same side of a turning body, so that more samples do not help. They are "considered" and not estimated here: the answer's shift for
-each, times its sigma, is added to the covariance.
+The panels' gains are wrong by the same amount in every sample of a pass, and the Earth lights the same side of a turning body, so
+that more samples do not help. They are "considered" and not estimated here: the answer's shift for each, times its sigma, is added
+to the covariance. A gyro's zero and scale are estimated (:mod:`sunspin.infer.rates_common`).
 """
 
 from __future__ import annotations
@@ -11,39 +11,34 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, normal_equations, solve, student
+from sunspin.infer.rates_common import Common
+from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, normal_equations, solve
 
 
-def with_spread(o: Observations, track: Track, motion: Motion) -> tuple[Track, np.ndarray]:
-    """Modes whose covariance counts the common errors of gyro, gains and the Earth's light, and the sigma (K, 3) of each one's rate
-    averaged over the samples, with what their errors have in common."""
-    diagonal, upper, slope, _ = normal_equations(o, track, motion)
+def with_spread(
+    o: Observations, track: Track, motion: Motion, mean: np.ndarray, common: Common | None = None
+) -> tuple[Track, np.ndarray]:
+    """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates over
+    the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors of gyro and clock, fitted."""
+    if common is None:
+        diagonal, upper, *_ = normal_equations(o, track, motion)
+        seen = track
+
+        def answer(slope: np.ndarray) -> np.ndarray:
+            return solve(diagonal, upper, slope)[0]
+    else:
+        seen, answer = common.seen, common.shift
     variance = np.empty((len(track.omega), 3))
     for axis in range(3):
-        average = np.zeros_like(slope)
-        average[..., 3 + axis] = -1 / len(o)
-        variance[:, axis] = solve(diagonal, upper, average)[0][..., 3 + axis].mean(axis=1)
+        variance[:, axis] = np.einsum("kni,kni->k", mean[..., axis, :], answer(-mean[..., axis, :]))
     covariance = track.covariance
-    for slope in [*_gyro_slopes(o, track), *_gain_slopes(o, track), *_earth_slopes(o, track)]:
-        shift = solve(diagonal, upper, slope)[0]
+    back = np.swapaxes(seen.attitude @ np.swapaxes(track.attitude, -1, -2), -1, -2)  # from the Sun's instant to the state's
+    for slope in [*_gain_slopes(o, seen), *_earth_slopes(o, seen)]:
+        slope[..., :3] = np.einsum("knij,knj->kni", back, slope[..., :3])
+        shift = answer(slope)
         covariance = covariance + shift[..., :, None] * shift[..., None, :]
-        variance += shift[..., 3:].mean(axis=1) ** 2
+        variance += np.einsum("knji,kni->kj", mean, shift) ** 2
     return replace(track, covariance=covariance), np.sqrt(np.maximum(variance, 0.0))
-
-
-def _gyro_slopes(o: Observations, track: Track) -> list[np.ndarray]:
-    """What one sigma of each common error of the gyro adds to the gradient (K, n, 6)."""
-    known = np.isfinite(o.gyro).all(axis=1)
-    if not known.any() or not o.gyro_common.any():
-        return []
-    away = np.where(known[:, None], (track.omega - np.nan_to_num(o.gyro)) / o.gyro_sigma, 0.0)
-    weight = student(away)[0] * known / o.gyro_sigma**2
-    found = []
-    for error in np.moveaxis(np.nan_to_num(o.gyro_common), 1, 0):
-        slope = np.zeros((*track.omega.shape[:2], 6))
-        slope[..., 3:] = -weight[..., None] * error
-        found.append(slope)
-    return found
 
 
 def _gain_slopes(o: Observations, track: Track) -> list[np.ndarray]:

@@ -21,6 +21,14 @@ def number_text(value: Any, digits: int = 5) -> str:
     return "none" if value is None else str(value)
 
 
+def with_sigma(value: float, sigma: float) -> str:
+    """A number and its sigma, both with as many decimals as show two figures of the sigma."""
+    if not (np.isfinite(sigma) and sigma > 0):
+        return f"{value:.3f} ± {sigma:.3g}"
+    decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
+    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+
+
 def turn_text(rate_rad_s: float) -> str:
     """The time of one turn: seconds below two minutes, else minutes."""
     seconds = 2 * np.pi / abs(rate_rad_s)

@@ -17,7 +17,15 @@ from sunspin import vehicle as v
 from sunspin.errors import VehicleError, sentence
 from sunspin.outside import read_bytes
 from sunspin.vehicle.form import Form, Name, Value, scalar, take
-from sunspin.vehicle.sensors_file import AttitudeForm, DisturbanceForm, GyroForm, MagnetometerForm, SunSensorForm, read_sensor_forms
+from sunspin.vehicle.sensors_file import (
+    AttitudeForm,
+    ClockForm,
+    DisturbanceForm,
+    GyroForm,
+    MagnetometerForm,
+    SunSensorForm,
+    read_sensor_forms,
+)
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
@@ -121,6 +129,7 @@ class VehicleForm(Form):
     attitude: AttitudeForm | None = None
     magnetometer: MagnetometerForm | None = None
     disturbance: DisturbanceForm = DisturbanceForm()
+    clock: ClockForm | None = None
 
 
 GAIN_KEYS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}

@@ -94,6 +94,15 @@ class Disturbance:
 
 
 @dataclass(frozen=True)
+class Clock:
+    """How late gyro, magnetometer and attitude of a row are behind its panels and Sun sensors (s), and one sigma of that; with
+    zero it is known."""
+
+    late_s: float
+    sigma_s: float
+
+
+@dataclass(frozen=True)
 class Sensors:
     """All of these; what is absent is empty or None."""
 
@@ -102,3 +111,4 @@ class Sensors:
     attitude: Attitude | None = None
     magnetometer: Magnetometer | None = None
     disturbance: Disturbance = Disturbance()
+    clock: Clock | None = None

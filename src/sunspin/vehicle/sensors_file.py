@@ -59,6 +59,10 @@ class DisturbanceForm(Form):
     max_rate_rad_s: Value | None = None
 
 
+class ClockForm(Form):
+    sensors_late_s: Value
+
+
 def read_sensor_forms(form: Any, facts: dict[str, v.Fact]) -> s.Sensors:
     """The sensors of a checked vehicle file; every value's birth certificate goes to `facts`."""
     return s.Sensors(
@@ -67,6 +71,7 @@ def read_sensor_forms(form: Any, facts: dict[str, v.Fact]) -> s.Sensors:
         None if form.attitude is None else _attitude(form.attitude, facts),
         None if form.magnetometer is None else _magnetometer(form.magnetometer, facts),
         _disturbance(form.disturbance, facts),
+        None if form.clock is None else _clock(form.clock, facts),
     )
 
 
@@ -151,6 +156,11 @@ def _magnetometer(form: MagnetometerForm, facts: dict[str, v.Fact]) -> s.Magneto
     noise = _positive(facts, "magnetometer.noise", form.noise)
     wraps = _positive(facts, "magnetometer.wraps_at", form.wraps_at)
     return s.Magnetometer(_three(form.columns), _vector(facts, "magnetometer.zero", form.zero), noise, wraps)
+
+
+def _clock(form: ClockForm, facts: dict[str, v.Fact]) -> s.Clock:
+    late = scalar(facts, "clock.sensors_late_s", form.sensors_late_s)
+    return s.Clock(late, float(_sigma(form.sensors_late_s, "clock.sensors_late_s")))
 
 
 def _disturbance(form: DisturbanceForm, facts: dict[str, v.Fact]) -> s.Disturbance:

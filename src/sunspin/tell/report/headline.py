@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.infer.rates import BAD_COST
+from sunspin.infer.rates_smooth import BAD_COST
 from sunspin.tell.report.read import Results
 from sunspin.tell.text import counted, number_text
 
@@ -57,20 +57,20 @@ def _rates(results: Results) -> list[str]:
     passes = [p for p in results.summary.get("passes", []) if p.get("modes")]
     if found is None or len(passes) != found.sizes["pass_id"]:
         return told
-    fits = found["cost"].values[:, 0] <= BAD_COST * np.bincount(found["pass_of"].values, minlength=len(passes))
+    usual = BAD_COST * np.bincount(found["pass_of"].values, minlength=len(passes))  # folders of earlier versions have no limit
+    fits = found["cost"].values[:, 0] <= (found["cost_limit"].values if "cost_limit" in found else usual)
     sound = [p for p, fit in zip(passes, fits, strict=True) if fit]
     if not sound:
         return [*told, "So the rates below describe no motion that the samples support, and should not be used."]
     best = max(sound, key=lambda p: (p["modes"][0]["weight"], -max(p["sigma_deg_s"])))
-    speed = float(np.linalg.norm(best["modes"][0]["omega_deg_s"]))
+    inside = found["pass_of"].values == passes.index(best)
+    speed = float(np.degrees(np.linalg.norm(found["omega_B"].values[inside], axis=1)).mean())
     return [
         *told,
         f"In the pass told best ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) it turned "
-        f"at "
-        f"{speed:.3g} deg/s, one turn in {360 / speed if speed else np.inf:.3g} s, each component known to "
-        f"{number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit); the best motion there has a "
-        f"weight of "
-        f"{best['modes'][0]['weight']:.2f}.",
+        f"at {speed:.3g} deg/s, one turn in {360 / speed if speed else np.inf:.3g} s; each component's mean over the pass is known "
+        f"to {number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit), and the best motion there has "
+        f"a weight of {best['modes'][0]['weight']:.2f}.",
     ]
 
 

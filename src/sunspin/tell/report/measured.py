@@ -67,7 +67,7 @@ def powers(results: Results) -> Section | None:
     if views:
         views.append({"label": "Samples only, the whole file", "show": dots, "range": instants([t[0], t[-1]], epoch), "text": ""})
     top = 1.1 * float(np.nanmax(measured)) if np.isfinite(measured).any() else 1.0
-    layout = _rows_layout(names, unit, epoch, top)
+    layout = _rows_layout(names, unit, time_axis(epoch, t), top)
     if views:
         layout["xaxis"]["range"] = views[0]["range"]
     caption = (
@@ -137,9 +137,9 @@ def _axis(k: int) -> str:
     return "y" if k == 0 else f"y{k + 1}"
 
 
-def _rows_layout(names: list[str], unit: str, epoch: str | None, top: float) -> dict[str, Any]:
+def _rows_layout(names: list[str], unit: str, axis: dict[str, Any], top: float) -> dict[str, Any]:
     n = len(names)
-    layout: dict[str, Any] = {"xaxis": {**time_axis(epoch), "anchor": "y" if n == 1 else f"y{n}"}}
+    layout: dict[str, Any] = {"xaxis": {**axis, "anchor": "y" if n == 1 else f"y{n}"}}
     for k, name in enumerate(names):
         height = 1.0 / n
         layout["yaxis" if k == 0 else f"yaxis{k + 1}"] = {
@@ -212,8 +212,8 @@ def picture(results: Results) -> Plot | None:
         for k, axis in enumerate("xyz")
     ]  # fmt: skip
     layout = {
-        "xaxis": time_axis(results.epoch_utc), "yaxis": {"title": {"text": "direction to the Sun, body axes (1)"}, "range": [-1.1,
-        1.1]},
+        "xaxis": time_axis(results.epoch_utc, sun["time"].values[told]),
+        "yaxis": {"title": {"text": "direction to the Sun, body axes (1)"}, "range": [-1.1, 1.1]},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
     }  # fmt: skip
     return Plot(

@@ -56,7 +56,7 @@ def _plot(results: Results, sun: xr.Dataset) -> Plot:
             "hovertemplate": "%{x}<br>Delta %{y:.4f}",
         })  # fmt: skip
     layout = {
-        "xaxis": time_axis(results.epoch_utc),
+        "xaxis": time_axis(results.epoch_utc, sun["time"].values),
         "yaxis": {"type": "log", "title": {"text": "misfit Delta (1)"}, "dtick": 1, "exponentformat": "none",
         "range": [np.log10(LEAST_DELTA) - 0.2, 0.1]},
         "legend": {"orientation": "h", "y": -0.24, "yanchor": "top"}, "margin": {"l": 66, "r": 16, "t": 10, "b": 54},

@@ -9,6 +9,7 @@ import xarray as xr
 
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import COLOURS, Plot, Section, Table, clock, packed, thin, time_axis, utc_text
+from sunspin.tell.text import with_sigma
 
 MOST = 4000
 SIGMAS = 2.0
@@ -28,7 +29,7 @@ def rates(results: Results) -> Section | None:
             mean, sigma = (np.degrees(found[name].values[k, mode]) for name in ("omega_mean_B", "omega_sigma_B"))
             rows.append([
                 str(k + 1), utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True), str(at.size), str(mode + 1),
-                f"{weight[mode]:.3f}", *(f"{m:.3f} ± {s:.3f}" for m, s in zip(mean, sigma, strict=True)),
+                f"{weight[mode]:.3f}", *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)),
             ])  # fmt: skip
     table = Table(
         ["pass", "begins", "samples", "motion", "weight (1)", "ωx (deg/s)", "ωy (deg/s)", "ωz (deg/s)"], rows,
@@ -74,7 +75,7 @@ def _rates_plot(results: Results, found: xr.Dataset, id: str) -> Plot:
         })  # fmt: skip
         del wide
     layout = {
-        "xaxis": time_axis(results.epoch_utc), "yaxis": {"title": {"text": "body rate (deg/s)"}},
+        "xaxis": time_axis(results.epoch_utc, t), "yaxis": {"title": {"text": "body rate (deg/s)"}},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
     }  # fmt: skip
     sure = int((weight >= 0.9).sum())

@@ -118,13 +118,15 @@ def utc_text(seconds: float, epoch_utc: str | None, date: bool = False) -> str:
     return moment.strftime("%Y-%m-%d %H:%M:%S" if date else "%H:%M:%S")
 
 
-def time_axis(epoch_utc: str | None, title: str = "") -> dict[str, Any]:
-    """Layout of a time axis."""
+def time_axis(epoch_utc: str | None, seconds: Any) -> dict[str, Any]:
+    """Layout of a time axis for these times (s from the epoch)."""
     if epoch_ms(epoch_utc) is None:
-        return {"title": {"text": title or "time (s)"}}
-    day = str(epoch_utc)[:10]
+        return {"title": {"text": "time (s)"}}
+    known = np.asarray(seconds, dtype=np.float64)
+    known = known[np.isfinite(known)] if np.isfinite(known).any() else np.zeros(1)
+    days = dict.fromkeys(utc_text(t, epoch_utc, date=True)[:10] for t in (known.min(), known.max()))
     return {
-        "type": "date", "title": {"text": title or f"UTC, {day}"}, "hoverformat": "%H:%M:%S",
+        "type": "date", "title": {"text": f"UTC, {' to '.join(days)}"}, "hoverformat": "%H:%M:%S",
         "tickformatstops": [
             {"dtickrange": [None, 59_999], "value": "%H:%M:%S"}, {"dtickrange": [60_000, 43_199_999], "value": "%H:%M"},
             {"dtickrange": [43_200_000, None], "value": "%d %b %H:%M"},
