@@ -38,6 +38,9 @@ NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
 NOISE_RANGE = (1e-9, 1.0)
 """rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
 
+HIGHER_NOISES = (1e-3, 3e-3)
+"""Tried where the highest of these is the best: strong torques, or a body with other moments than the file says."""
+
 LADDER_PASSES = 2
 """Passes whose evidence chooses among them."""
 
@@ -206,10 +209,14 @@ def choose(
         name = next(iter(wheels))
         return noises[0], replace(o, momentum=wheels[name]), name
     longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
-    evidence = {}
+    evidence: dict[tuple[float, str], float] = {}
     for what, momentum in wheels.items():
-        each = [_evidence(replace(o, momentum=momentum).take(part), body, noises, rate_max) for part in longest]
-        evidence |= {(noise, what): float(total) for noise, total in zip(noises, np.sum(each, axis=0), strict=True)}
+        for rungs in (noises, HIGHER_NOISES):
+            each = [_evidence(replace(o, momentum=momentum).take(part), body, rungs, rate_max) for part in longest]
+            evidence |= {(rung, what): float(total) for rung, total in zip(rungs, np.sum(each, axis=0), strict=True)}
+            own = {rung: value for (rung, other), value in evidence.items() if other == what}
+            if noise is not None or max(own, key=own.get) != NOISE_LADDER[-1]:
+                break
     level, name = max(evidence, key=evidence.get)
     others = [value for (_, other), value in evidence.items() if other != name]
     told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name

@@ -99,10 +99,7 @@ def _or_nan(telemetry: xr.Dataset, name: str, n: int) -> np.ndarray:
 
 
 def _gain_errors(vehicle: Vehicle, quality: xr.Dataset) -> np.ndarray:
-    """One sigma (m, n_panel, 3) of each independent error of the estimated gains; gains that are not told have larger
-    sigmas of every reading instead."""
-    if not np.isfinite(quality.attrs["spread"]):
-        return np.zeros((0, len(vehicle.panels), 3))
+    """One sigma (m, n_panel, 3) of each independent error of the gains, estimated or as the vehicle file has them."""
     return np.linalg.cholesky(quality["gain_cov"].values).T[:, :, None] * vehicle.panel_normals_B
 
 
