@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.errors import InputError, sentence
+from sunspin.infer import inertia
 from sunspin.motion import kernel as k
 from sunspin.motion.friction import spin_down_speed
 from sunspin.motion.modes import friction_limit
@@ -21,7 +22,7 @@ from sunspin.vehicle import Vehicle
 DEFAULT_MAX_RATE = 0.6
 """rad/s: the ball of rates searched unless the vehicle or the caller says otherwise."""
 
-ASSUMED = {"inertia": 0.01, "wheel_speed": 0.005, "friction": 0.05}
+ASSUMED = {"inertia": inertia.ASSUMED, "wheel_speed": 0.005, "friction": 0.05}
 """Relative sigmas assumed where the vehicle's file states none; known exactly they would make any answer too sure of itself."""
 
 NOISE_SIGMA = 0.3
@@ -139,17 +140,17 @@ class Model:
         """Inertia, wheel inertia and friction of each hypothesis."""
         wheels = len(self.vehicle.wheels)
         body = k.Bodies.of(self.vehicle, len(u))
-        inertia = np.array(body.inertia_kg_m2)
+        tensor = np.array(body.inertia_kg_m2)
         for i in self.where("inertia"):
             a, b = divmod(self.unknowns[i].index, 3)
-            inertia[:, a, b] += self.unknowns[i].sigma * u[:, i]
+            tensor[:, a, b] += self.unknowns[i].sigma * u[:, i]
             if a != b:
-                inertia[:, b, a] += self.unknowns[i].sigma * u[:, i]
+                tensor[:, b, a] += self.unknowns[i].sigma * u[:, i]
         factors = {
             key: np.array(getattr(body, key)) * np.exp(self.relative(u, kind, wheels))
             for key, kind in (("wheel_inertia_kg_m2", "wheel_inertia"), ("coulomb_N_m", "coulomb"), ("viscous_N_m_s", "viscous"))
         }
-        return replace(body, inertia_kg_m2=inertia, **factors)
+        return replace(body, inertia_kg_m2=tensor, **factors)
 
     def log_prior(self, state: State) -> np.ndarray:
         """Log density (n) over rad/s cubed, the sphere, and u; minus infinity where there is no such body."""
@@ -270,9 +271,8 @@ def _wheel_off(
 def _inertia(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:
     """The moments, each with the same relative sigma, or the elements for which the file states one."""
     tensor = np.array(vehicle.require_inertia())
-    stated = _stated(vehicle, "body.inertia_kg_m2")
-    if stated is not None and "inertia" not in priors:
-        sigma = np.broadcast_to(np.asarray(stated, dtype=np.float64), (3, 3))
+    sigma = inertia.stated_sigma(vehicle)
+    if sigma is not None and "inertia" not in priors:
         told["inertia"] = "vehicle file"
         return [
             Unknown(f"inertia_{'xyz'[a]}{'xyz'[b]}", "inertia", "kg m2", tensor[a, b], float(sigma[a, b]), 3 * a + b)

@@ -175,7 +175,7 @@ def finished(
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
     found at the samples `kept` of `index`, carried to all of them."""
     o = every.take(kept)
-    common = with_common(o, track, motion, clock) if has_common(o, clock) else None
+    common = with_common(o, track, motion, clock) if has_common(o, clock, motion.body) else None
     between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
     track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common)
     if common is not None:

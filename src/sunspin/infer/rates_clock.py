@@ -66,7 +66,7 @@ def lateness(passes: list[tuple[Observations, Track]], motion: Motion, clock: Cl
 def _cost_without(o: Observations, track: Track, motion: Motion, clock: Clock) -> float:
     """The cost of a motion whose sensors are as late as the prior says."""
     known = Clock(clock.late_s) if clock.late_s else None
-    if has_common(o, known):
+    if has_common(o, known, motion.body):
         return float(with_common(o, track, motion, known).track.cost[0])
     return float(smooth(o, track, motion, steps=10).cost[0])
 

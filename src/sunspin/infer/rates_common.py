@@ -1,4 +1,5 @@
-"""Errors that all samples of a pass share, as unknowns of :mod:`sunspin.infer.rates`: a gyro's zero and scale, and a clock.
+"""Errors that all samples of a pass share, as unknowns of :mod:`sunspin.infer.rates`: a gyro's zero and scale, the body's
+inertia, and a clock.
 
 Gyro, magnetometer and attitude of a row may be older than the row's Sun. The states of a fit are then those of the sensors'
 instants, and the Sun is seen so much later, after a turn by the rate: which says how late they are wherever the rate changes. A few
@@ -18,6 +19,7 @@ from sunspin.infer.rates_smooth import (
     Motion,
     Observations,
     Track,
+    between,
     damping_scale,
     measured,
     normal_equations,
@@ -28,6 +30,13 @@ from sunspin.infer.rates_smooth import (
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
 """rad/s^1.5; acceleration noises under which a lateness finds its place."""
+
+
+INERTIA_STEP = 0.02
+"""Step, in sigmas, of the differences that give the answer of the motion to the inertia."""
+
+MOST_SIGMAS = 4.0
+"""No trial inertia is further from that of the vehicle's file than this, in its sigmas."""
 
 
 class Clock(NamedTuple):
@@ -68,9 +77,9 @@ class _Equations(NamedTuple):
     error_slope: np.ndarray
 
 
-def has_common(o: Observations, clock: Clock | None) -> bool:
+def has_common(o: Observations, clock: Clock | None, body: Body) -> bool:
     """Whether a pass has such errors at all."""
-    return clock is not None or bool(np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common))
+    return clock is not None or len(body.errors) > 0 or bool(np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common))
 
 
 def acceleration(body: Body, omega: np.ndarray, momentum: np.ndarray) -> np.ndarray:
@@ -92,8 +101,7 @@ def with_common(
 
     A lateness moves the states of all samples along the motion: where that is stiff it is loosened, and cooled again.
     """
-    shared = o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
-    error = np.zeros((len(track.omega), shared + (clock is not None)))
+    error = np.zeros((len(track.omega), _shared(o) + len(motion.body.errors) + (clock is not None)))
     if clock is not None:
         error[:, -1] = first
         for noise in LOOSE[: int(np.count_nonzero(np.array(LOOSE) > motion.noise))]:
@@ -113,6 +121,8 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
         change, step, *_ = _solved(parts._replace(diagonal=diagonal))
         omega = shortened(track.omega + change[..., 3:], RATE_LIMIT * motion.rate_prior)
         trial, trial_error = Track(turn(track.attitude, change[..., :3]), omega), error + step
+        inertia = slice(_shared(o), _shared(o) + len(motion.body.errors))
+        trial_error[:, inertia] = np.clip(trial_error[:, inertia], -MOST_SIGMAS, MOST_SIGMAS)
         new = _equations(o, trial, trial_error, motion, clock)
         better = new.cost < parts.cost
         gained = np.where(better, parts.cost - new.cost, 0.0)
@@ -128,6 +138,11 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
     fitted = Track(track.attitude, track.omega, parts.cost, -parts.cost - sizes / 2, covariance)
     seen = track if clock is None else seen_later(o, track, motion, _late(clock, error))
     return Common(fitted, error, spread, answer, parts.diagonal, parts.upper, parts.border, seen)
+
+
+def _shared(o: Observations) -> int:
+    """How many errors the samples of the gyro have in common."""
+    return o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
 
 
 def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
@@ -153,15 +168,45 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
     n = len(o)
     blind = np.full((n, 3, 3), np.nan)
     nothing = replace(o, sun_cov=blind, power=np.zeros((n, 0)), power_sigma=np.zeros((n, 0)), gyro=np.full((n, 3), np.nan))
-    diagonal, upper, slope, cost, _ = normal_equations(nothing, track, motion)
+    first = _shared(o)
+    moved = [moving(nothing, track.take(np.array([k])), motion, error[k, first : first + len(motion.body.errors)])
+             for k in range(len(error))]  # fmt: skip
+    diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
+    place = slice(first, first + inside.shape[-1])
     border = np.zeros((*slope.shape, error.shape[1]))
     corner = np.repeat(np.eye(error.shape[1])[None], len(error), axis=0)
     error_slope = error.copy()
+    border[..., place] += inside
+    corner[:, place, place] += between_errors
+    error_slope[:, place] += downhill
     told = np.zeros_like(diagonal)
     cost = cost + (error**2).sum(axis=1) / 2
     cost += _add_sun(o, track, error, motion, clock, told, slope, border, corner, error_slope)
     cost += _add_gyro(o, track, error, told, slope, border, corner, error_slope)
     return _Equations(diagonal + told, upper, slope, cost, damping_scale(told, o.t_s), border, corner, error_slope)
+
+
+def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What the motion of one hypothesis says, with the inertia off by `error` (r) sigmas: blocks (1, n, 6, 6) and (1, n-1, 6, 6),
+    gradient (1, n, 6), cost (1), and of the inertia's errors border (1, n, 6, r), corner (1, r, r) and gradient (1, r)."""
+    inertia = motion.body.inertia + np.tensordot(error, motion.body.errors, axes=1)
+    motion = replace(motion, body=replace(motion.body, inertia=inertia))
+    diagonal, upper, slope, cost, _ = normal_equations(o, track, motion)
+    r = len(error)
+    border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((1, r, r)), np.zeros((1, r))
+    if not r:
+        return diagonal, upper, slope, cost, border, corner, downhill
+    value, first, second = between(o, track, motion)
+    answer = []
+    for change in motion.body.errors:
+        other = replace(motion, body=replace(motion.body, inertia=inertia + INERTIA_STEP * change))
+        answer.append((between(o, track, other)[0] - value) / INERTIA_STEP)
+    answers = np.stack(answer, axis=-1)
+    border[:, :-1] += np.einsum("knmi,knmr->knir", first, answers)
+    border[:, 1:] += np.einsum("knmi,knmr->knir", second, answers)
+    corner += np.einsum("knmr,knms->krs", answers, answers)
+    downhill += np.einsum("knmr,knm->kr", answers, value)
+    return diagonal, upper, slope, cost, border, corner, downhill
 
 
 def _add_sun(o, track, error, motion, clock, told, slope, border, corner, error_slope) -> np.ndarray:
@@ -191,7 +236,7 @@ def _add_gyro(o, track, error, told, slope, border, corner, error_slope) -> np.n
     known = np.isfinite(o.gyro).all(axis=1)
     if not known.any():
         return np.zeros(len(error))
-    shared = o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
+    shared = _shared(o)
     column = np.nan_to_num(o.gyro_common[:, :shared]) * known[:, None, None] / o.gyro_sigma
     value = np.where(known[:, None], (track.omega - np.nan_to_num(o.gyro)) / o.gyro_sigma, 0.0)
     value = value + np.einsum("ka,nai->kni", error[:, :shared], column)

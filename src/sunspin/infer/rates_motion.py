@@ -7,13 +7,14 @@ its torque-free rate is constant, and the process noise covers what it is not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from sunspin.infer.inertia import inertia_errors
 from sunspin.motion import gyrostat as g
 from sunspin.vehicle import Vehicle
 
@@ -29,12 +30,13 @@ DIFFERENCE = 1e-5
 
 @dataclass(frozen=True)
 class Body:
-    """What moves: inertia (3, 3) in units of its mean moment, `unit` (kg m2), and `dipole` (3): angular acceleration
-    dipole x field, in rad/s2 per unit of the field, zero where there is none."""
+    """What moves: inertia (3, 3) in units of its mean moment, and `dipole` (3): angular acceleration dipole x field, in rad/s2 per
+    unit of the field, zero where there is none; `errors` (m, 3, 3): changes of the inertia by one sigma of each of its errors."""
 
     inertia: np.ndarray
     dipole: np.ndarray
     spherical: bool
+    errors: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     @classmethod
     def of(cls, vehicle: Vehicle, dipole: npt.ArrayLike | None = None) -> Body:
@@ -42,7 +44,8 @@ class Body:
         pull = np.zeros(3) if dipole is None else np.asarray(dipole, dtype=np.float64)
         if vehicle.inertia_kg_m2 is None:
             return cls(np.eye(3), pull, True)
-        return cls(np.array(vehicle.inertia_kg_m2) / mean_moment(vehicle), pull, False)
+        unit = mean_moment(vehicle)
+        return cls(np.array(vehicle.inertia_kg_m2) / unit, pull, False, inertia_errors(vehicle) / unit)
 
 
 def mean_moment(vehicle: Vehicle) -> float:

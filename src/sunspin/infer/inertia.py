@@ -1,0 +1,34 @@
+"""How well a vehicle's inertia is known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sunspin.vehicle import Vehicle
+
+ASSUMED = 0.01
+"""Relative sigma of each moment where the vehicle's file states none: known exactly, they would make any answer too sure."""
+
+
+def stated_sigma(vehicle: Vehicle) -> np.ndarray | None:
+    """One sigma (3, 3) of the elements of the tensor, kg m2, if the vehicle's file states it."""
+    fact = vehicle.facts.get("body.inertia_kg_m2")
+    if fact is None or fact.sigma is None:
+        return None
+    return np.array(np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3)))
+
+
+def inertia_errors(vehicle: Vehicle) -> np.ndarray:
+    """Changes (m, 3, 3) of the tensor by one sigma of each independent error, kg m2: of each element for which the file states one,
+    else of each moment."""
+    tensor, sigma = np.array(vehicle.require_inertia()), stated_sigma(vehicle)
+    if sigma is None:
+        sigma = np.diag(ASSUMED * np.diag(tensor))
+    made = []
+    for a in range(3):
+        for b in range(a, 3):
+            if sigma[a, b] > 0:
+                error = np.zeros((3, 3))
+                error[a, b] = error[b, a] = sigma[a, b]
+                made.append(error)
+    return np.array(made).reshape(-1, 3, 3)
