@@ -15,7 +15,7 @@ from sunspin.infer.rates_smooth import Motion, Observations, Track, smooth
 UNTOLD_SIGMA_S = 30.0
 """How late sensors may be where the vehicle file says nothing and it is only asked whether they are."""
 
-LOOKED_AT = 8
+LOOKED_AT = 3
 """Passes, those with the most samples, in which a lateness is looked for."""
 
 SURE_SIGMAS, SURE_GAIN = 5.0, 12.0

@@ -155,8 +155,12 @@ def _choose(better: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _solved(p: _Equations) -> tuple[np.ndarray, ...]:
     """Steps of states (K, n, 6) and errors (K, m), the errors' covariance, the log determinant, the states' answer (K, n, 6, m)."""
-    change, _, size = solve(p.diagonal, p.upper, p.slope)
-    answer = np.stack([solve(p.diagonal, p.upper, p.border[..., a])[0] for a in range(p.border.shape[-1])], axis=-1)
+    right = np.concatenate([p.slope[..., None], p.border], axis=-1)  # all at once: most of the time is the loop over samples
+    k, many = len(p.slope), right.shape[-1]
+    each = np.moveaxis(right, -1, 1).reshape(k * many, *p.slope.shape[1:])
+    change, _, size = solve(np.repeat(p.diagonal, many, axis=0), np.repeat(p.upper, many, axis=0), each)
+    both = np.moveaxis(change.reshape(k, many, *p.slope.shape[1:]), 1, -1)
+    change, answer, size = both[..., 0], both[..., 1:], size[::many]
     schur = p.corner + np.einsum("knia,knib->kab", p.border, answer)
     right = -p.error_slope - np.einsum("knia,kni->ka", p.border, change)
     step = np.linalg.solve(schur, right[..., None])[..., 0]

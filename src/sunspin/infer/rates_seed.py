@@ -39,8 +39,9 @@ COOLING = 1.7
 GROW_SHARE = 6
 """The window grows by a sixth of its samples at either end: what is known then still carries."""
 
-POOR, DRIFT_RAD = 1.5, 0.1
-"""Cost per sample beyond which a hypothesis is shot anew, where unknown torques turn the body by less than the second number."""
+POOR, DRIFT_RAD = 0.4, 0.1
+"""A hypothesis that costs more than this share of what is called bad is shot anew, where unknown torques turn the body by less
+than the second number."""
 
 PAIRS, MORE_PAIRS, BADLY = 3, 2, 0.8
 """Pairs to start from; how many more where even the best hypothesis costs more than this share of what is called bad."""
@@ -159,7 +160,7 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
 
 def _freed(o: Observations, track: Track, motion: Motion) -> Track:
     """Hypotheses that fit badly, in a window so short that no torque has told yet, moved by shooting: the smoother creeps there."""
-    poor = np.flatnonzero(track.cost > POOR * len(o))
+    poor = np.flatnonzero(track.cost > POOR * cost_limit(o))
     middle = len(o) // 2
     drift = motion.noise * np.sqrt(np.abs(o.t_s - o.t_s[middle]).max() ** 3 / 3)
     if not len(poor) or drift > DRIFT_RAD:
