@@ -36,7 +36,7 @@ EDGE = 0.97
 LEAST_SEEN, MOST_SEEN = 0.5, 1.2
 """Range of the largest part of the direction that few panels see, in which gains with a unit may be right."""
 
-TAG_CHANCE = 0.03
+TAG_CHANCE = 0.05
 """Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
 
 LEAST_WEIGHT = 1e-4
@@ -68,7 +68,8 @@ def posterior(
         One stretch of motion without blows; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
     priors : mapping, optional
         Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain`
-        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s; `wheel_off_s`, how long
+        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s (unless given they are
+        taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
         instant; `max_rate_rad_s`, the
         ball in which rates are uniform. Default: what the vehicle's file states, else the values in
@@ -108,7 +109,8 @@ def posterior(
     search = Search(workers, None if store is None else Path(store), progress)
     modes = search.modes(there, here, chosen, scale)
     likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
-    off = checked.tag_s if checked.tag_p < TAG_CHANCE and not refused(checked.p, checked.noise_sigmas) else 0.0
+    noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
+    off = checked.tag_s if noticed else 0.0
     if off:
         there = replace(there, time_sigma_s=off)
         likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
