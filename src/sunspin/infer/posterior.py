@@ -115,6 +115,7 @@ def posterior(
         there = replace(there, time_sigma_s=off)
         likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
         told["time_s"] = f"{off:.2g} s (from the residuals)"
+        modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
     tree = _tree(likelihood, modes, drawn, picked)
     tree.attrs |= _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
@@ -122,8 +123,6 @@ def posterior(
         modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
     _judge(tree, modes, drawn, checked, here, vehicle, remarks)
     tree.attrs["time_sigma_s"] = there.time_sigma_s
-    if off:
-        tree.attrs["verdict"] += f"; time tags seem to be off by about {off:.1g} s, which is allowed for"
     return tree
 
 

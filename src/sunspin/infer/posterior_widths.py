@@ -30,9 +30,6 @@ ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 5_000, 12_000, 40_000
 WANTED = 3_000.0
 """Effective draws for which the last round is made longer."""
 
-AGAIN, SURE_TAIL, SURE_DRAWS = 3, 0.5, 1_000.0
-"""Last rounds anew, each with what the one before has taught, where Pareto's k and the effective draws are not like this."""
-
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
 
@@ -188,13 +185,6 @@ def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int
     count = int(np.clip(WANTED / max(share, 1e-3), LAST_DRAWS, MOST_DRAWS))
     last = _round(likelihood, mixture, count, seed, ROUNDS, run, chunk)
     trace.append([last.evidence, last.effective / count, last.tail])
-    for turn in range(ROUNDS + 1, ROUNDS + 1 + AGAIN):
-        if last.tail < SURE_TAIL and last.effective > SURE_DRAWS:
-            break
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, turn)))
-        mixture = _learnt(last, first, mixture, local=True, rng=rng)
-        last = _round(likelihood, mixture, MOST_DRAWS, seed, turn, run, chunk)
-        trace.append([last.evidence, last.effective / MOST_DRAWS, last.tail])
     label, of_component = _regions(last, mixture)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
