@@ -20,7 +20,7 @@ from sunspin.infer.posterior_fit import chunk_rows
 from sunspin.infer.posterior_likelihood import Likelihood
 from sunspin.infer.posterior_model import Model, State, model
 from sunspin.infer.posterior_modes import Modes, Search, at_reference, plan
-from sunspin.infer.posterior_verdict import Found, spoilt_panels, verdict
+from sunspin.infer.posterior_verdict import Found, refused, spoilt_panels, verdict
 from sunspin.infer.posterior_widths import Sample, resampled, sample
 from sunspin.measure.panels import panel_power
 from sunspin.measure.sun import best_directions, is_reconstructed, sun_directions
@@ -35,6 +35,9 @@ EDGE = 0.97
 
 LEAST_SEEN, MOST_SEEN = 0.5, 1.2
 """Range of the largest part of the direction that few panels see, in which gains with a unit may be right."""
+
+TAG_CHANCE = 0.05
+"""Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
 
 LEAST_WEIGHT = 1e-4
 """Regions with less weight are not listed."""
@@ -65,7 +68,8 @@ def posterior(
         One stretch of motion without blows; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
     priors : mapping, optional
         Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain`
-        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s; `wheel_off_s`, how long
+        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s (unless given they are
+        taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
         instant; `max_rate_rad_s`, the
         ball in which rates are uniform. Default: what the vehicle's file states, else the values in
@@ -104,18 +108,32 @@ def posterior(
     here = data.since(chosen.anchor)
     search = Search(workers, None if store is None else Path(store), progress)
     modes = search.modes(there, here, chosen, scale)
-    likelihood = Likelihood(there, here, DIRECTION_ERROR)
-    drawn = sample(likelihood, modes, seed, search.run, chunk_rows(likelihood))
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
-    picked = resampled(drawn.log_weight, draws, rng)
-    checked = check(likelihood, drawn.state.take(picked), rng)
+    likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
+    noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
+    off = checked.tag_s if noticed else 0.0
+    if off:
+        there = replace(there, time_sigma_s=off)
+        likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
+        told["time_s"] = f"{off:.2g} s (from the residuals)"
+        modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
     tree = _tree(likelihood, modes, drawn, picked)
     tree.attrs |= _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
     if edge > 0.01:
         modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
     _judge(tree, modes, drawn, checked, here, vehicle, remarks)
+    tree.attrs["time_sigma_s"] = there.time_sigma_s
     return tree
+
+
+def _drawn(
+    likelihood: Likelihood, modes: Modes, seed: int, search: Search, draws: int
+) -> tuple[Likelihood, Sample, np.ndarray, Check]:
+    """The posterior about the modes: draws, those told, and whether readings like these come from them."""
+    drawn = sample(likelihood, modes, seed, search.run, chunk_rows(likelihood))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    picked = resampled(drawn.log_weight, draws, rng)
+    return likelihood, drawn, picked, check(likelihood, drawn.state.take(picked), rng)
 
 
 def _whole(seed: Any, draws: Any) -> None:

@@ -14,7 +14,7 @@ from sunspin.infer.posterior_model import State
 
 FILES = (
     "infer/posterior_data.py", "infer/posterior_model.py", "infer/posterior_likelihood.py", "infer/posterior_fit.py",
-    "infer/posterior_cells.py", "infer/posterior_widths.py",
+    "infer/posterior_cells.py", "infer/posterior_widths.py", "infer/posterior_tags.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
@@ -30,7 +30,7 @@ READINGS_AT_ONCE = 2_500_000
 
 def chunk_rows(likelihood: Likelihood) -> int:
     """Rows that one worker fits at once."""
-    size = likelihood.data.value.size * likelihood.model.dimension * len(likelihood.nodes[0])
+    size = likelihood.data.value.size * likelihood.model.dimension
     return int(np.clip(READINGS_AT_ONCE // max(size, 1), 8, 1024))
 
 

@@ -15,6 +15,7 @@ from scipy.special import log_ndtr
 
 from sunspin.infer.posterior_data import Readings
 from sunspin.infer.posterior_model import Model, State
+from sunspin.infer.posterior_tags import power_slope, tagged
 from sunspin.motion import kernel as k
 
 OUTLIERS = 0.02
@@ -39,9 +40,6 @@ whose own error is `SEARCH_ERROR` is asked only where steps lead."""
 
 SEARCH_ERROR = 1e-5
 
-NODES = 7
-"""Nodes of the quadrature over the error of a time tag."""
-
 
 def tangents(sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors (n, 3) that make a right-handed frame with each direction (n, 3)."""
@@ -62,21 +60,22 @@ def moved(sun: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Prediction:
-    """`sun` (n, K, m, 3): directions at the samples for each node of their time's error; `omega` and `at` (n, others, 3): rates
-    and directions at the other observations; `fine` (n): the run could be computed."""
+    """`sun`, `rate` (n, K, 3): directions and body rates at the samples; `omega` and `at` (n, others, 3): rates and directions at
+    the other observations; `fine` (n): the run could be computed."""
 
     sun: np.ndarray
+    rate: np.ndarray
     omega: np.ndarray
     at: np.ndarray
     fine: np.ndarray
 
     def piece(self, low: int, high: int) -> Prediction:
         part = slice(low, high)
-        return Prediction(self.sun[part], self.omega[part], self.at[part], self.fine[part])
+        return Prediction(self.sun[part], self.rate[part], self.omega[part], self.at[part], self.fine[part])
 
     def slope(self, base: Prediction, step: float) -> Prediction:
         """The derivative from a run whose unknown was moved by `step`."""
-        pairs = ((self.sun, base.sun), (self.omega, base.omega), (self.at, base.at))
+        pairs = ((self.sun, base.sun), (self.rate, base.rate), (self.omega, base.omega), (self.at, base.at))
         return Prediction(*((a - b) / step for a, b in pairs), self.fine & base.fine)
 
 
@@ -89,21 +88,12 @@ class Likelihood:
     direction_error: float = SEARCH_ERROR
 
     @cached_property
-    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Offsets (m) in s of the time tags and the logarithms of their weights."""
-        if not self.model.time_sigma_s:
-            return np.zeros(1), np.zeros(1)
-        x, w = np.polynomial.hermite_e.hermegauss(NODES)
-        return x * self.model.time_sigma_s, np.log(w / w.sum())
-
-    @cached_property
     def _times(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Output times, and where among them the samples' nodes (K, m) and the other observations are."""
-        wanted = self.data.t_s[:, None] + self.nodes[0]
+        """Output times, and where among them the samples (K) and the other observations are."""
         others = np.array([o.t_s for o in self.data.others])
-        times, place = np.unique(np.concatenate([wanted.ravel(), others]), return_inverse=True)
+        times, place = np.unique(np.concatenate([self.data.t_s, others]), return_inverse=True)
         place = place.ravel()
-        return times, place[: wanted.size].reshape(wanted.shape), place[wanted.size :]
+        return times, place[: len(self.data)], place[len(self.data) :]
 
     def predict(self, state: State, error: float | None = None) -> Prediction:
         """Where the Sun is at the samples, and the rates at the times of other observations."""
@@ -119,13 +109,13 @@ class Likelihood:
                 parts.append((result.sun_B[:, back], result.omega_B[:, back]))
                 fine &= result.outcome == k.Outcome.FINE
         sun, omega = (np.concatenate(every, axis=1) for every in zip(*parts, strict=True))
-        return Prediction(sun[:, samples], omega[:, others], sun[:, others], fine)
+        return Prediction(sun[:, samples], omega[:, samples], omega[:, others], sun[:, others], fine)
 
     def power(self, sun: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Expected readings (n, K, m, P) of directions (n, K, m, 3)."""
-        return self._gains(u)[:, None, None, :] * np.maximum(0.0, sun @ self.model.vehicle.panel_normals_B.T)
+        """Expected readings (n, K, P) of directions (n, K, 3)."""
+        return self.gains(u)[:, None, :] * np.maximum(0.0, sun @ self.model.vehicle.panel_normals_B.T)
 
-    def _gains(self, u: np.ndarray) -> np.ndarray:
+    def gains(self, u: np.ndarray) -> np.ndarray:
         """Signal of each panel at normal incidence (n, P)."""
         model = self.model
         scale = np.zeros(len(u))
@@ -139,13 +129,16 @@ class Likelihood:
         return self.data.sigma * np.exp(self.model.relative(u, "noise", 1)[:, 0])
 
     def readings(self, power: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Log density (..., K, m, P) of each reading under expected ones of that shape and `sigma` (...)."""
-        data, s = self.data, sigma[..., None, None, None]
-        y = data.value[:, None, :]
-        lit = -0.5 * ((y - power) / s) ** 2 - np.log(s) - 0.5 * LOG_2PI
+        """Log density (n, K, P) of each reading under expected ones of that shape and `sigma` (n)."""
+        core = self.sunlight(power, sigma[:, None, None])
+        return np.where(self.data.used, np.logaddexp(core, self.outlier), 0.0)
+
+    def sunlight(self, power: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The same if the reading is the Sun's, times the prior probability of that."""
+        data = self.data
+        lit = -0.5 * ((data.value - power) / s) ** 2 - np.log(s) - 0.5 * LOG_2PI
         dark = log_ndtr((data.threshold - power) / s) - log_ndtr(data.threshold / s)
-        core = np.where(data.lit[:, None, :], lit, dark) + np.log1p(-OUTLIERS)
-        return np.where(data.used[:, None, :], np.logaddexp(core, self.outlier[:, None, :]), 0.0)
+        return np.where(data.lit, lit, dark) + np.log1p(-OUTLIERS)
 
     @cached_property
     def outlier(self) -> np.ndarray:
@@ -153,9 +146,10 @@ class Likelihood:
         return np.log(OUTLIERS * np.where(self.data.lit, (1 - DARK_OUTLIER) * self.data.outlier_density, DARK_OUTLIER))
 
     def samples(self, prediction: Prediction, u: np.ndarray) -> np.ndarray:
-        """Log density (n, K) of each sample, the errors of its time integrated out."""
-        each = self.readings(self.power(prediction.sun, u), self.noise(u)).sum(axis=-1)
-        return np.logaddexp.reduce(each + self.nodes[1], axis=-1) if each.shape[-1] > 1 else each[..., 0]
+        """Log density (n, K) of each sample, the error of its time integrated out."""
+        if self.model.time_sigma_s:
+            return tagged(self, prediction, u, self.model.time_sigma_s)[0]
+        return self.readings(self.power(prediction.sun, u), self.noise(u)).sum(axis=-1)
 
     def others(self, prediction: Prediction) -> np.ndarray:
         """Log density (n) of the other observations."""
@@ -171,11 +165,6 @@ class Likelihood:
         return np.where(prediction.fine & np.isfinite(out), out, -np.inf)
 
     # ---- what least squares needs ------------------------------------------------------------------------------------------
-
-    @property
-    def middle(self) -> int:
-        """The node of no error."""
-        return len(self.nodes[0]) // 2
 
     @cached_property
     def kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -193,15 +182,14 @@ class Likelihood:
         Readings in their unit, a dark one's as far as the prediction is above the threshold; other observations in sigmas.
         """
         data, n = self.data, len(u)
-        power = self.power(prediction.sun[:, :, self.middle, None], u)[:, :, 0]
+        power = self.power(prediction.sun, u)
         raw = np.where(data.lit, data.value - power, -np.maximum(power - data.threshold, 0.0))
         raw = np.where(data.used & prediction.fine[:, None, None], raw, 0.0).reshape(n, -1)
         parts = [raw] + [(o.value - self._seen(prediction, i)) / o.sigma for i, o in enumerate(data.others)]
         every = np.concatenate(parts, axis=1)
         extra = np.zeros_like(every)
         if self.model.time_sigma_s:
-            around, at = self.power(prediction.sun, u), self.middle
-            slope = (around[:, :, at + 1] - around[:, :, at - 1]) / (self.nodes[0][at + 1] - self.nodes[0][at - 1])
+            slope = power_slope(self, prediction.sun, prediction.rate, u)
             extra[:, : raw.shape[1]] = ((slope * self.model.time_sigma_s) ** 2).reshape(n, -1)
         return every, extra
 
@@ -246,10 +234,10 @@ class Likelihood:
         every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         raw, extra = self.misfit(base, state.u)
-        turned = parts[3]
+        turned, rest = parts[3], np.zeros_like(base.rate)
         moves = [p.slope(base, step) for p in parts[:3]]
-        moves.append(Prediction(turned.sun, np.zeros_like(base.omega), turned.at, base.fine))
-        moves.append(Prediction(np.cross(base.sun, turned.sun), moves[3].omega, np.cross(base.at, turned.at), base.fine))
+        moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
+        moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
         columns = [self._moving(base, state.u, move) for move in moves]
         for i in range(state.u.shape[1]):
             if i in moving:
@@ -261,15 +249,15 @@ class Likelihood:
 
     def _counting(self, base: Prediction, u: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """The derivative (n, K * P) of readings from that of powers (n, K, P): none where a dark panel should be dark."""
-        power = self.power(base.sun[:, :, self.middle, None], u)[:, :, 0]
+        power = self.power(base.sun, u)
         counts = self.data.used & (self.data.lit | (power > self.data.threshold))
         return np.where(counts, -slope, 0.0).reshape(len(u), -1)
 
     def _moving(self, base: Prediction, u: np.ndarray, move: Prediction) -> np.ndarray:
         """Derivative (n, R) of the differences along a derivative of the motion."""
-        normals, at = self.model.vehicle.panel_normals_B.T, self.middle
-        lit = base.sun[:, :, at] @ normals > 0
-        columns = [self._counting(base, u, self._gains(u)[:, None, :] * np.where(lit, move.sun[:, :, at] @ normals, 0.0))]
+        normals = self.model.vehicle.panel_normals_B.T
+        lit = base.sun @ normals > 0
+        columns = [self._counting(base, u, self.gains(u)[:, None, :] * np.where(lit, move.sun @ normals, 0.0))]
         for i, o in enumerate(self.data.others):
             change = {"direction": move.at[:, i]}.get(o.kind, move.omega[:, i])
             if o.kind == "field":
@@ -285,6 +273,6 @@ class Likelihood:
         """The same along an unknown that does not change the motion: scale, gains."""
         unknown, panels = self.model.unknowns[i], len(self.model.vehicle.panels)
         share = {"scale": np.ones(panels), "gain": (np.arange(panels) == unknown.index) * 1.0}.get(unknown.kind, np.zeros(panels))
-        power = self.power(base.sun[:, :, self.middle, None], u)[:, :, 0]
+        power = self.power(base.sun, u)
         more = np.zeros((len(u), sum(o.value.size for o in self.data.others)))
         return np.concatenate([self._counting(base, u, power * share * unknown.sigma), more], axis=1)

@@ -197,7 +197,7 @@ def model(
     if not (np.isfinite(limit) and limit > 0):
         raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
     told["rate"] = f"uniform in a ball of {limit:g} rad/s"
-    return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, float(priors.get("time_s", 0.0)),
+    return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, _tags(priors, told),
                  wheel_off_s=0.0 if off is None else off.centre), told  # fmt: skip
 
 
@@ -211,6 +211,15 @@ def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: f
     if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
         raise InputError(sentence(f"the prior sigma of {key} must be zero (known) or positive", got=value))
     told[key] = f"{value:g} ({source})"
+    return float(value)
+
+
+def _tags(priors: Mapping[str, Any], told: dict[str, str]) -> float:
+    """Sigma of the samples' times in s."""
+    value = priors.get("time_s", 0.0)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
+        raise InputError(sentence("time_s, the sigma of the samples' times, must be zero or positive, in s", got=value))
+    told["time_s"] = f"{value:g} s ({'given' if 'time_s' in priors else 'assumed'})"
     return float(value)
 
 

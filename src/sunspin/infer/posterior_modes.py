@@ -177,7 +177,7 @@ class Look:
         return {**code(*FILES), "look": plain(self)}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        seen = self.likelihood.predict(self.state.take(index)).sun[:, :, self.likelihood.middle]
+        seen = self.likelihood.predict(self.state.take(index)).sun
         return {"allowed": c.shortfall(self.likelihood.model, self.likelihood.data, seen, LOOK, self.scale) <= c.LIMIT}
 
 

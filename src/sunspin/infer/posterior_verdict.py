@@ -48,7 +48,7 @@ class Found:
 def verdict(found: Found) -> tuple[str, str]:
     """A word ("unique", "aliases", "line", "not explained", "not sure") and the sentence."""
     told = np.flatnonzero(found.weight >= COUNTS)
-    if found.p < NOT_EXPLAINED or abs(found.noise_sigmas) > NOISE_LIMIT:
+    if refused(found.p, found.noise_sigmas):
         return "not explained", _not_explained(found)
     doubts = list(found.doubts)
     if found.tail > TAIL_LIMIT or found.effective < EFFECTIVE_LIMIT:
@@ -61,6 +61,11 @@ def verdict(found: Found) -> tuple[str, str]:
     if doubts:
         return "not sure", f"not sure: {'; '.join(doubts)}; as far as it goes, {text}"
     return word, text
+
+
+def refused(p: float, noise_sigmas: float) -> bool:
+    """Whether readings this bad, or noise this far from what was stated, mean that no motion explains them."""
+    return p < NOT_EXPLAINED or abs(noise_sigmas) > NOISE_LIMIT
 
 
 def _is_line(found: Found, told: np.ndarray) -> bool:

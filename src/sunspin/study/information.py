@@ -90,6 +90,6 @@ def exact_readings(model: Model, state: State, t_s: np.ndarray, sigma: float) ->
     empty = Readings(t_s, np.zeros(ones.shape), ones, ~ones, sigma, threshold, 1.0)
     blank = Likelihood(model, empty)
     prediction = blank.predict(state)
-    value = blank.power(prediction.sun[:, :, blank.middle, None], state.u)[0, :, 0]
+    value = blank.power(prediction.sun, state.u)[0]
     lit = value > threshold
     return Readings(t_s, np.where(lit, value, 0.0), ones, lit, sigma, threshold, float(value.max()))
