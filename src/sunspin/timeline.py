@@ -77,11 +77,11 @@ def utc_after(seconds: float, epoch_utc: str) -> str:
 def _instant(utc: str) -> datetime:
     try:
         instant = datetime.fromisoformat(utc)
-    except (TypeError, ValueError):
+        return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
+    except (TypeError, ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
         raise InputError(
             sentence("a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it")
         ) from None
-    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
 
 
 def parse_timeline(text: str, where: str) -> Timeline:

@@ -111,3 +111,5 @@ def test_it_is_written_drawn_and_told(craft, tmp_path):
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 12
     with pytest.raises(InputError, match="no epoch"):
         _times("16:20", None)
+    with pytest.raises(InputError, match="ISO-8601"):  # taken to UTC it would lie before the year 1
+        _times("0001-01-01T00:00:00+23:59", tree.attrs["epoch_utc"])

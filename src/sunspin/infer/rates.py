@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
 from sunspin.infer.rates_clock import lateness, suspected
-from sunspin.infer.rates_common import Clock, has_common, with_common
+from sunspin.infer.rates_common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.infer.rates_dense import Dense
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body
@@ -129,7 +129,7 @@ def rates(
     tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
     clock, late = _clock(sensors.clock, tracks, motion)
     each = zip(wholes, parts, (track for _, track in tracks), strict=True)
-    found, walk = link(o, [finished(o, *one, motion, clock) for one in each], motion)
+    found, walk = link(o, [finished(o, *one, motion, clock, rate_max) for one in each], motion)
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
@@ -169,13 +169,23 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     return track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))])
 
 
+def loosened(o: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
+    """Modes found as if strong torques acted, then fitted with the inertia as it may be: where that of the file fits no motion."""
+    loose = replace(motion, noise=max(LOOSER[0], motion.noise))
+    return with_common(o, leading(o, loose, rate_max), motion, clock, begin=loose.noise)
+
+
 def finished(
-    every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None
+    every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
+    rate_max: float,
 ) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
     found at the samples `kept` of `index`, carried to all of them."""
     o = every.take(kept)
     common = with_common(o, track, motion, clock) if has_common(o, clock, motion.body) else None
+    if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
+        other = loosened(o, motion, clock, rate_max)
+        common = other if other.track.cost.min() < common.track.cost.min() else common
     between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
     track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common)
     if common is not None:

@@ -31,6 +31,9 @@ from sunspin.infer.rates_smooth import (
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
 """rad/s^1.5; acceleration noises under which a lateness finds its place."""
 
+LOOSER = (1e-3, 3e-4)
+"""rad/s^1.5; those under which the inertia finds its place, where no motion of the file's inertia fits."""
+
 
 INERTIA_STEP = 0.02
 """Step, in sigmas, of the differences that give the answer of the motion to the inertia."""
@@ -95,18 +98,20 @@ def seen_later(o: Observations, track: Track, motion: Motion, late_s: np.ndarray
 
 
 def with_common(
-    o: Observations, track: Track, motion: Motion, clock: Clock | None, first: np.ndarray | float = 0.0
+    o: Observations, track: Track, motion: Motion, clock: Clock | None, first: np.ndarray | float = 0.0, begin: float = 0.0
 ) -> Common:
     """K hypotheses fitted with their common errors; `first`: the clock's error to begin with, in sigmas.
 
-    A lateness moves the states of all samples along the motion: where that is stiff it is loosened, and cooled again.
+    A lateness moves the states of all samples along the motion: where that is stiff it is loosened, and cooled again. `begin`: the
+    acceleration noise (rad/s^1.5) under which the hypotheses were found, if they have to be cooled from there.
     """
     error = np.zeros((len(track.omega), _shared(o) + len(motion.body.errors) + (clock is not None)))
     if clock is not None:
         error[:, -1] = first
-        for noise in LOOSE[: int(np.count_nonzero(np.array(LOOSE) > motion.noise))]:
-            fit = _fitted(o, track, error, replace(motion, noise=noise), clock, 8)
-            track, error = fit.track, fit.error
+        begin = max(begin, LOOSE[0])
+    for noise in [level for level in (*LOOSER, *LOOSE) if motion.noise < level <= begin]:
+        fit = _fitted(o, track, error, replace(motion, noise=noise), clock, 8)
+        track, error = fit.track, fit.error
     return _fitted(o, track, error, motion, clock, 20)
 
 
