@@ -122,6 +122,12 @@ def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
     assert (other / found["omega_sigma_B"].values[0, 0]).max() > 20
 
 
+def test_wheels_too_fast_to_be_followed_are_refused(pass_):
+    wheel = replace(WHEEL, speed_rad_s=1e12)
+    with pytest.raises(InputError, match="more than can be followed"):
+        ss.rates(replace(CRAFT, wheels=(wheel,)), pass_[0], acceleration_noise=NOISE)
+
+
 @pytest.mark.parametrize("noise", [0.0, -1e-5, 1e-30, 1e30, np.nan])
 def test_a_noise_that_no_satellite_has_is_refused(pass_, noise):
     with pytest.raises(InputError, match="acceleration_noise must lie between"):

@@ -16,7 +16,7 @@ from sunspin.infer.rates_clock import lateness, suspected
 from sunspin.infer.rates_common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.infer.rates_dense import Dense
 from sunspin.infer.rates_link import linked
-from sunspin.infer.rates_motion import Body
+from sunspin.infer.rates_motion import Body, require_followed
 from sunspin.infer.rates_observe import observations, passes, usable
 from sunspin.infer.rates_seed import SEED_NOISE, cooled, forgiving, search, seeds
 from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit
@@ -122,7 +122,10 @@ def rates(
     if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
         low, high = NOISE_RANGE
         raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
-    noise, o, wheels = choose(o, parts, body, rate_max, given, wheel_momenta(vehicle, telemetry))
+    momenta = wheel_momenta(vehicle, telemetry)
+    for part in parts:
+        require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
+    noise, o, wheels = choose(o, parts, body, rate_max, given, momenta)
     motion = Motion(body, noise, rate_max / 2)
     use = usable(o, why)
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from sunspin.errors import InputError, sentence
 from sunspin.infer.inertia import inertia_errors
 from sunspin.motion import gyrostat as g
 from sunspin.vehicle import Vehicle
@@ -23,6 +24,9 @@ STEP_ANGLE = 0.4
 
 MAX_STEPS = 400
 """Steps between two samples; 400 x 0.4 rad are 25 turns, more than sparse directions can tell."""
+
+MOST_NUTATION = 800.0
+"""rad that wheels may turn a rate round between two samples: at 2 rad a step the integration still holds."""
 
 DIFFERENCE = 1e-5
 """Step of the differences that give the answer of a step to its start, rad and (times the interval) rad/s."""
@@ -152,6 +156,16 @@ def nutation(body: Body, momentum: np.ndarray) -> float:
     x, y, z = flat[np.argmax((flat**2).sum(axis=1))]
     turning = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return float(np.abs(np.linalg.eigvals(np.linalg.solve(body.inertia, turning))).max())
+
+
+def require_followed(body: Body, momentum: np.ndarray, longest_s: float) -> None:
+    """Refuse wheels whose momenta (n, 3) turn a rate of the body round too often in the longest interval (s) to be followed."""
+    turned = nutation(body, np.nan_to_num(momentum)) * longest_s
+    if not turned <= MOST_NUTATION:
+        raise InputError(
+            sentence(f"the wheels turn a rate of the body round by {turned:.3g} rad between two samples, more than can be followed",
+                     do="check the wheels' speeds and inertia and their units, or use samples closer together")
+        )  # fmt: skip
 
 
 def step_with_answer(body: Body, omega, dt, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
