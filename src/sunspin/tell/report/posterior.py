@@ -72,10 +72,9 @@ def _regions(draws: Draws, results: Results) -> Table:
         mean = np.average(part, axis=0, weights=weight if share > 0 else None)
         sigma = np.sqrt(np.average((part - mean) ** 2, axis=0, weights=weight if share > 0 else None))
         row = [str(k + 1), f"{share:.3g}", *(f"{m:.4g} ± {s:.2g}" for m, s in zip(mean, sigma, strict=True))]
-        known = modes is not None and k < modes.sizes["mode"]
-        more = (
-            [f"{float(modes[name].values[k]):.4g}" for name in ("chi_square", "lit_readings", "starts")] if known else ["", "", ""]
-        )
+        more = ["", "", ""]
+        if modes is not None and k < modes.sizes["mode"]:
+            more = [f"{float(modes[name].values[k]):.4g}" for name in ("chi_square", "lit_readings", "starts")]
         rows.append(row + more)
     head = ["region", "weight (1)", *(f"ω{axis} (deg/s)" for axis in "xyz"), "chi-square", "lit readings", "starts that led to it"]
     return Table(head, rows, "Regions of motions, heaviest first: rates at the first sample, body axes, and one sigma")
