@@ -5,6 +5,8 @@ import pytest
 
 from coverage_twins import FAULTS, coverage
 
+TOO_WIDE = pytest.mark.xfail(strict=True, reason="with a face missing gains are not told, and 10 % of each is more than they err")
+
 
 def test_intervals_hold_the_truth_with_all_faults_at_once():
     """Eight twins, 24 components: enough to notice intervals that are wrong by a factor, which the control shows."""
@@ -15,7 +17,7 @@ def test_intervals_hold_the_truth_with_all_faults_at_once():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=TOO_WIDE) if name == "dead_panel" else name for name in FAULTS])
 def test_intervals_hold_the_truth(name):
     """Forty twins, 120 components, not independent within a twin: a share is known to about 5 %."""
     found = coverage(FAULTS[name], 40, seed=1)

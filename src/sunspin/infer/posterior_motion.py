@@ -56,7 +56,7 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
         start = (rows.omega_B[best], rows.sun_B[best], rows.wheel_speed_rad_s[best])
         run = _run(bodies.vehicle(vehicle, best), start, tree, unknown.wheel_mode)
         signal = panel_power(vehicle, run["sun_B"].values)
-        about = f"The likeliest draw of region {number + 1}, which holds {weight[number]:.0%} of the weight."
+        about = f"The likeliest draw of region {number + 1}, which holds {weight[number]:.0%} of the weight"
         attrs = {"title": f"Region {number + 1}", "about": about, "region": int(number) + 1, "weight": float(weight[number])}
         carried = {key: tree.attrs[key] for key in ("epoch_utc", "synthetic") if key in tree.attrs}
         found.append(run.assign(panel_signal=(("time", "panel"), signal, {"units": "1"})).assign_attrs(attrs | carried))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.cases import case_names
 from sunspin.infer.rates_smooth import BAD_COST
 from sunspin.tell.report.read import Results
 from sunspin.tell.text import counted, number_text
@@ -27,6 +28,7 @@ def title(results: Results) -> str:
     if isinstance(own, str) and own:
         return own
     vehicle = results.vehicle.name if results.vehicle else "the vehicle"
+    vehicle = vehicle.capitalize() if vehicle in case_names() else vehicle
     return TITLES.get(results.command, f"Results of sunspin {results.command}").format(vehicle=vehicle)
 
 

@@ -106,7 +106,7 @@ def _modelled(
     """Append a model's lines to the traces; the views that show them: a few minutes, and all of it where that can be read."""
     t = model["time"].values
     factor = scale_of(samples["time"].values, values.values, t, model["panel_signal"].values)
-    long = title in WHOLE
+    long = title in WHOLE or "region" in model.attrs  # a region of a posterior fits all samples
     keep = np.arange(0, t.size, MODEL_STEP if t.size > 2000 else 1) if long else np.flatnonzero(t <= t[0] + WINDOW_S)
     first = len(data)
     for k in range(values.sizes["panel"]):

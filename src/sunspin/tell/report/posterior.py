@@ -58,9 +58,8 @@ def section(results: Results) -> Section | None:
     draws = Draws.of(results)
     if draws is None:
         return None
-    told = [text] if (text := str(results.summary.get("verdict", ""))) else []
     tables = [_regions(draws, results), _judged(results), _predicted(results)]
-    return Section("posterior", "The posterior", told, [_cloud(draws), *(table for table in tables if table is not None)])
+    return Section("posterior", "The posterior", [], [_cloud(draws), *(table for table in tables if table is not None)])
 
 
 def _regions(draws: Draws, results: Results) -> Table:
