@@ -14,7 +14,7 @@ from sunspin.infer.posterior_model import State
 
 FILES = (
     "infer/posterior_data.py", "infer/posterior_model.py", "infer/posterior_likelihood.py", "infer/posterior_fit.py",
-    "infer/posterior_cells.py", "infer/posterior_widths.py", "infer/posterior_tags.py",
+    "infer/posterior_cells.py", "infer/posterior_widths.py", "infer/posterior_tags.py", "infer/inertia.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 

@@ -15,7 +15,7 @@ from scipy.special import log_ndtr
 
 from sunspin.infer.posterior_data import Readings
 from sunspin.infer.posterior_model import Model, State
-from sunspin.infer.posterior_tags import power_slope, tagged
+from sunspin.infer.posterior_tags import LOG_2PI, power_slope, tagged
 from sunspin.motion import kernel as k
 
 OUTLIERS = 0.02
@@ -24,7 +24,6 @@ OUTLIERS = 0.02
 DARK_OUTLIER = 0.5
 """Probability that such a reading is dark."""
 
-LOG_2PI = float(np.log(2 * np.pi))
 
 RATE_STEP = 3e-4
 """Step of the differences in rates, as a turn (rad) over the window; the second order it leaves is a part in a thousand."""

@@ -208,17 +208,21 @@ def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: f
         value, source = stated, "vehicle file"
     if key in priors:
         value, source = priors[key], "given"
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
-        raise InputError(sentence(f"the prior sigma of {key} must be zero (known) or positive", got=value))
+    _not_negative(value, f"the prior sigma of {key} must be zero (known) or positive")
     told[key] = f"{value:g} ({source})"
     return float(value)
+
+
+def _not_negative(value: Any, said: str) -> None:
+    """Refuse, as it is `said`, what is no finite number or a negative one."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
+        raise InputError(sentence(said, got=value))
 
 
 def _tags(priors: Mapping[str, Any], told: dict[str, str]) -> float:
     """Sigma of the samples' times in s."""
     value = priors.get("time_s", 0.0)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
-        raise InputError(sentence("time_s, the sigma of the samples' times, must be zero or positive, in s", got=value))
+    _not_negative(value, "time_s, the sigma of the samples' times, must be zero or positive, in s")
     told["time_s"] = f"{value:g} s ({'given' if 'time_s' in priors else 'assumed'})"
     return float(value)
 
@@ -269,8 +273,7 @@ def _wheel_off(
     if not any(key in priors for key in ("wheel_off_s", "wheel_off")):
         return None
     for value in given:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
-            raise InputError(sentence("wheel_off_s and its sigma wheel_off must be zero or positive, in s", got=value))
+        _not_negative(value, "wheel_off_s and its sigma wheel_off must be zero or positive, in s")
     if not any(command != "hold" for command in commands):
         raise InputError(sentence("wheel_off needs a wheel that is not held", got=vehicle.name))
     told["wheel_off"] = f"{given[0]:g} s before the first sample, sigma {given[1]:g} s (given)"

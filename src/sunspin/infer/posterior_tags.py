@@ -24,7 +24,7 @@ FAR = 4.0
 TRIED = np.geomspace(1e-3, 0.1, 13)
 """Sigmas of time tags that are tried where they are said to be exact, as parts of the samples' interval."""
 
-LOG_ROOT_2PI = float(0.5 * np.log(2 * np.pi))
+LOG_2PI = float(np.log(2 * np.pi))
 
 
 def turned(sun: np.ndarray, rate: np.ndarray, shift_s: np.ndarray) -> np.ndarray:
@@ -85,7 +85,7 @@ def _sample(
     total = np.logaddexp(good, likelihood.outlier)
     weight = np.where(data.used, 1.0 if trusting else np.exp(good - total), 0.0)  # probability that it is the Sun's
     off = np.where(data.lit, data.value - power, data.threshold - power) / s
-    mills = np.exp(-0.5 * off**2 - LOG_ROOT_2PI - log_ndtr(off))
+    mills = np.exp(-0.5 * off**2 - 0.5 * LOG_2PI - log_ndtr(off))
     pull = weight * np.where(data.lit, off, -mills) / s
     hold = weight * np.where(data.lit, 1.0, mills * (mills + off)) / s**2
     known = np.where(data.used, total, 0.0).sum(axis=-1)

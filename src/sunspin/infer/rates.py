@@ -167,9 +167,14 @@ def _clock(
 def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     """The heavier modes of one pass, best first."""
     track = search(forgiving(o), motion, rate_max)
-    order = np.argsort(-track.log_weight, kind="stable")
-    weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
+    order, weight = _ranked(track)
     return track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))])
+
+
+def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
+    """The hypotheses' order, heaviest first, and their weights in it, that of the first being one."""
+    order = np.argsort(-track.log_weight, kind="stable")
+    return order, np.exp(track.log_weight[order] - track.log_weight[order[0]])
 
 
 def loosened(o: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
@@ -193,8 +198,7 @@ def finished(
     track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common)
     if common is not None:
         track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
-    order = np.argsort(-track.log_weight, kind="stable")
-    weight = np.exp(track.log_weight[order] - track.log_weight[order[0]])
+    order, weight = _ranked(track)
     whole = between.filled(track, motion).take(order)
     return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
 

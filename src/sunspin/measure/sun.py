@@ -128,7 +128,7 @@ def sun_directions(
     threshold = lit_threshold if lit_threshold is not None else vehicle.telemetry.lit_threshold
     finite = np.all(np.isfinite(power), axis=1) & ~_flagged(base, len(power))
     clean = np.where(finite[:, None], power, 0.0)
-    dark = dark_noise(clean)
+    dark = dark_noise(clean) if noise is None else None
     if threshold is None:
         untold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
         threshold = LIT_SIGMAS * noise if noise is not None else untold

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from sunspin.cases import case_names
-from sunspin.infer.rates_smooth import BAD_COST
 from sunspin.tell.report.read import Results
 from sunspin.tell.text import counted, number_text
 
@@ -55,12 +54,11 @@ def _sentence(text: str) -> str:
 
 def _rates(results: Results) -> list[str]:
     told = _verdict(results)[:1]
-    found = results.first("omega_B", "pass_of", "cost")
+    found = results.first("omega_B", "pass_of", "cost", "cost_limit")
     passes = [p for p in results.summary.get("passes", []) if p.get("modes")]
     if found is None or len(passes) != found.sizes["pass_id"]:
         return told
-    usual = BAD_COST * np.bincount(found["pass_of"].values, minlength=len(passes))  # folders of earlier versions have no limit
-    fits = found["cost"].values[:, 0] <= (found["cost_limit"].values if "cost_limit" in found else usual)
+    fits = found["cost"].values[:, 0] <= found["cost_limit"].values
     sound = [p for p, fit in zip(passes, fits, strict=True) if fit]
     if not sound:
         return [*told, "So the rates below describe no motion that the samples support, and should not be used."]
