@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.infer.posterior import brightness
-from sunspin.infer.posterior_data import readings
-from sunspin.infer.posterior_fit import Fit
-from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import State, model
-from sunspin.infer.posterior_modes import APART, BESIDE, denser
+from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.estimate import brightness
+from sunspin.infer.posterior.fit import Fit
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import State, model
+from sunspin.infer.posterior.modes import APART, BESIDE, denser
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from sunspin.infer.identity import code, plain
-from sunspin.infer.posterior_likelihood import Likelihood, moved
-from sunspin.infer.posterior_model import State
+from sunspin.infer.posterior.likelihood import Likelihood, moved
+from sunspin.infer.posterior.model import State
 
 FILES = (
-    "infer/posterior_data.py", "infer/posterior_model.py", "infer/posterior_likelihood.py", "infer/posterior_fit.py",
-    "infer/posterior_cells.py", "infer/posterior_widths.py", "infer/posterior_tags.py", "infer/inertia.py",
+    "infer/posterior/data.py", "infer/posterior/model.py", "infer/posterior/likelihood.py", "infer/posterior/fit.py",
+    "infer/posterior/cells.py", "infer/posterior/widths.py", "infer/posterior/tags.py", "infer/inertia.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 

@@ -14,14 +14,14 @@ import xarray as xr
 from scipy.special import logsumexp
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.posterior_check import Check, check
-from sunspin.infer.posterior_data import Readings, readings
-from sunspin.infer.posterior_fit import chunk_rows
-from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import Model, State, model
-from sunspin.infer.posterior_modes import Modes, Search, at_reference, plan
-from sunspin.infer.posterior_verdict import Found, refused, spoilt_panels, verdict
-from sunspin.infer.posterior_widths import Sample, resampled, sample
+from sunspin.infer.posterior.check import Check, check
+from sunspin.infer.posterior.data import Readings, readings
+from sunspin.infer.posterior.fit import chunk_rows
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import Model, State, model
+from sunspin.infer.posterior.modes import Modes, Search, at_reference, plan
+from sunspin.infer.posterior.verdict import Found, refused, spoilt_panels, verdict
+from sunspin.infer.posterior.widths import Sample, resampled, sample
 from sunspin.measure.panels import panel_power
 from sunspin.measure.sun import best_directions, is_reconstructed, sun_directions
 from sunspin.motion import kernel as k
@@ -73,7 +73,7 @@ def posterior(
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
         instant; `max_rate_rad_s`, the
         ball in which rates are uniform. Default: what the vehicle's file states, else the values in
-        `sunspin.infer.posterior_model`; the result's attributes say which.
+        `sunspin.infer.posterior.model`; the result's attributes say which.
     seed : int
         The same seed gives the same bits, for any number of workers and however often the run was stopped.
     observations : list of mappings

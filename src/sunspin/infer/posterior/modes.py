@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sunspin.infer import posterior_cells as c
 from sunspin.infer.ensemble import ensemble, worker_count
 from sunspin.infer.identity import code, plain
-from sunspin.infer.posterior_data import Readings
-from sunspin.infer.posterior_fit import FILES, Fit, chunk_rows
-from sunspin.infer.posterior_likelihood import Likelihood, moved, tangents
-from sunspin.infer.posterior_model import Model, State
+from sunspin.infer.posterior import cells as c
+from sunspin.infer.posterior.data import Readings
+from sunspin.infer.posterior.fit import FILES, Fit, chunk_rows
+from sunspin.infer.posterior.likelihood import Likelihood, moved, tangents
+from sunspin.infer.posterior.model import Model, State
 
 GROWTH = 1.5
 """Factor by which the window grows: what is known of the phase then still carries."""
