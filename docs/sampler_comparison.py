@@ -21,8 +21,8 @@ from scipy.special import logsumexp
 
 import sunspin as ss
 from sunspin.cases import load_case
+from sunspin.infer.posterior.brightness import brightness
 from sunspin.infer.posterior.data import readings
-from sunspin.infer.posterior.estimate import brightness
 from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import State, model
 from sunspin.study.calibrate import make

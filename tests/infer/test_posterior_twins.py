@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.infer.posterior.brightness import brightness
 from sunspin.infer.posterior.data import readings
-from sunspin.infer.posterior.estimate import brightness
 from sunspin.infer.posterior.fit import Fit
 from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import State, model

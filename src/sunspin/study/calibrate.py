@@ -26,8 +26,9 @@ from scipy.stats import binomtest, kstest
 from sunspin.cases import load_case
 from sunspin.errors import Interrupted, SunspinError
 from sunspin.infer.identity import code
+from sunspin.infer.posterior.brightness import brightness
 from sunspin.infer.posterior.data import readings
-from sunspin.infer.posterior.estimate import DIRECTION_ERROR, brightness, posterior
+from sunspin.infer.posterior.estimate import DIRECTION_ERROR, posterior
 from sunspin.infer.posterior.fit import FILES
 from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import Model, State, model, rate_and_direction

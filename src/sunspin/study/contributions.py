@@ -20,8 +20,8 @@ import xarray as xr
 
 from sunspin.cases import load_case
 from sunspin.errors import InputError, sentence
+from sunspin.infer.posterior.brightness import brightness
 from sunspin.infer.posterior.data import Observation, readings
-from sunspin.infer.posterior.estimate import brightness
 from sunspin.infer.posterior.model import State, model
 from sunspin.measure.netcdf import read_groups
 from sunspin.measure.telemetry import read_telemetry

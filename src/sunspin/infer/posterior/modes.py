@@ -51,8 +51,8 @@ LOOSE, BESIDE = 0.35, 0.45
 JOINED = 2.0
 """Squared distance, in sigmas, below which hypotheses are one while the window grows."""
 
-GRID_SAMPLES = 3
-"""Samples for which the grid of starts is dense enough: neighbours are set from the next window on."""
+GRID_SAMPLES, FEW_STARTS = 3, 2000
+"""Samples for which the grid of starts is dense enough: neighbours are set from the next window on, or where they cost little."""
 
 FREE = 3
 """Directions of a family along which neighbours are set, the loosest."""
@@ -240,7 +240,7 @@ class Search:
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
                 return self._last(likelihood, state, hits, trace, notes)
-            if len(used) > GRID_SAMPLES:
+            if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits = denser(state, normal, hits, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
