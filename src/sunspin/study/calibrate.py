@@ -69,11 +69,11 @@ def make(vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s:
     """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate} | (KNOWN if kind == "known" else {})
-    scale = vehicle.telemetry.noise / (0.02 * float(vehicle.panel_gains.max()))
+    scale = vehicle.require_noise() / (0.02 * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, priors, scale)
     truth = prior_truth(unknown, rng)
     t = interval_s * np.arange(samples) + np.concatenate([[0.0], rng.uniform(-1, 1, samples - 1)]) * min(JITTER_S, interval_s / 4)
-    noise = vehicle.telemetry.noise * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
+    noise = vehicle.require_noise() * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
     speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
     told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise)
     telemetry = twin(unknown.bodies(truth.u).vehicle(vehicle, 0), told, seed=int(rng.integers(2**31)))

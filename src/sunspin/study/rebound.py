@@ -118,7 +118,7 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
 
 def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
     """An event's time in s from the epoch of a Dataset."""
-    moment = case.timeline.event(event)
+    moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, data.attrs["epoch_utc"])
 
 
@@ -176,7 +176,7 @@ def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | 
 
 def after_touchdown_s(case: Case) -> float:
     """Time in s from the first touchdown to the first sample after it."""
-    return case.timeline.seconds("first_touchdown", "first_sample_after_touchdown")
+    return case.require_timeline().seconds("first_touchdown", "first_sample_after_touchdown")
 
 
 def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float) -> np.ndarray:
