@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from sunspin.errors import InputError, sentence
 from sunspin.infer.posterior_check import Check, check
-from sunspin.infer.posterior_data import Readings, readings
+from sunspin.infer.posterior_data import Readings, group, readings
 from sunspin.infer.posterior_fit import chunk_rows
 from sunspin.infer.posterior_likelihood import Likelihood
 from sunspin.infer.posterior_model import Model, State, model
@@ -257,7 +257,7 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
 def _judge(
     tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
 ) -> None:
-    table = tree["modes"]
+    table = group(tree, "modes")
     doubts = list(modes.notes)
     told = table["weight"].values >= 0.01
     if np.any(table["starts"].values[told] == 1):

@@ -33,6 +33,11 @@ KINDS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
 """Kinds of other observations and how many numbers each is given with."""
 
 
+def group(tree: xr.DataTree, name: str) -> xr.Dataset:
+    """The variables of one group of a posterior."""
+    return tree.children[name].dataset
+
+
 @dataclass(frozen=True)
 class Observation:
     """Something else that was seen at `t_s` (s from the epoch of the telemetry), with one sigma of each number.

@@ -109,14 +109,13 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
     choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
     suns = {i: c.sun_candidates(model, data, scale, i) for a in choices for i in (a, *_neighbours(data, a))}
-    best, least = None, np.inf
+    tried = []
     for a in choices:
         around = _neighbours(data, a)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
         work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
-        if work < least:
-            best, least = (int(a), around, edge, suns[a]), work
-    anchor, around, edge, found = best
+        tried.append((work, int(a), around, edge, suns[a]))
+    _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
     limit = model.max_rate
     if c.cell_count(limit, edge) * len(found) > c.MAX_CELLS:
         limit = edge * ((c.MAX_CELLS / len(found) / (4 / 3 * np.pi)) ** (1 / 3) - 1)

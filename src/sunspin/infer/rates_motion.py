@@ -117,7 +117,7 @@ def _sphere(body, omega, dt, field, field_end):
 
 def _runge_kutta(body, omega, dt, ends):
     field, field_end, held, held_end = ends
-    unit = g.inverse_elements(body.inertia)
+    unit = tuple(g.inverse_elements(body.inertia))
     if held is None:
         held = held_end = np.zeros(3)
     momentum = omega @ body.inertia + held

@@ -27,7 +27,7 @@ from sunspin.cases import load_case
 from sunspin.errors import Interrupted, SunspinError
 from sunspin.infer.identity import code
 from sunspin.infer.posterior import DIRECTION_ERROR, brightness, posterior
-from sunspin.infer.posterior_data import readings
+from sunspin.infer.posterior_data import group, readings
 from sunspin.infer.posterior_fit import FILES
 from sunspin.infer.posterior_likelihood import Likelihood
 from sunspin.infer.posterior_model import Model, State, model, rate_and_direction
@@ -65,7 +65,9 @@ def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
     return State(omega, sun, u)
 
 
-def make(vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int):
+def make(
+    vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int
+) -> tuple[xr.Dataset, State, Model, dict[str, Any]]:
     """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate} | (KNOWN if kind == "known" else {})
@@ -129,7 +131,7 @@ def judge(
     began = time.process_time()
     tree = posterior(vehicle, telemetry, priors, seed, **options)
     took = time.process_time() - began
-    found = tree["posterior"]
+    found = group(tree, "posterior")
     omega = found["omega_B"].values[0]
     # u of the draws, in the order of the model that knows the scale's centre
     data, _, _ = readings(vehicle, telemetry)
@@ -147,7 +149,7 @@ def judge(
     every["log_likelihood"], true["log_likelihood"] = found["log_likelihood_sum"].values[0], np.array([log_true])
     density = every["log_likelihood"] + model_.log_prior(drawn)
     level = float(np.mean(density > log_true + model_.log_prior(exact)[0]))
-    modes = tree["modes"]
+    modes = group(tree, "modes")
     off = truth.omega[0] - modes["omega_B"].values
     spread = modes["omega_cov_B"].values + 1e-14 * np.eye(3)
     distance = [float(o @ np.linalg.solve(c, o)) ** 0.5 for o, c in zip(off, spread, strict=True)]
@@ -164,7 +166,7 @@ def judge(
     }  # fmt: skip
 
 
-def _value(found: Any, name: str) -> np.ndarray:
+def _value(found: xr.Dataset, name: str) -> np.ndarray:
     return found["wheel_speed_rad_s"].values[0][:, 0] if name.startswith("wheel_speed") else found[name].values[0]
 
 

@@ -162,11 +162,14 @@ def by_threshold(case: Case, volume: xr.DataArray, seed: int) -> list[dict[str, 
 
 def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool) -> xr.DataArray:
     """The paper's scan against one set of z values."""
+    axes = grid(case, coarser)
     return scan(
         case.vehicle,
         target_z,
         first_sun(case),
-        **grid(case, coarser),
+        omega_x=axes["omega_x"],
+        omega_y=axes["omega_y"],
+        omega_z=axes["omega_z"],
         wheel_speed_rad_s=nominal_speed(case.vehicle),
         duration_s=window_s(case),
         workers=workers,

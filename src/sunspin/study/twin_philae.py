@@ -103,9 +103,9 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
     case = load_case("philae")
     vehicle = case.vehicle
     sigma = vehicle.require_noise() if noise is None else noise
-    start = first_state(case)
+    timeline, start = case.require_timeline(), first_state(case)
     before_blow, after_blow, blow = collision(case, start, generator(seed, 3))
-    landed = _state_at(vehicle, after_blow, case.require_timeline().event("second_touchdown").t_s)
+    landed = _state_at(vehicle, after_blow, timeline.event("second_touchdown").t_s)
     parts = [
         *_descent(case, generator(seed, 1)),
         _rebound(case, "first_rebound", start, rebound_times(case, generator(seed, 2))),
@@ -134,15 +134,16 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
         **blow,
         "descent_rate_cubic": np.array(case.published["descent_rate_cubic"].value),
     }
-    return telemetry_dataset(vehicle, t, power, sun, case.require_timeline().epoch_utc, truth, phase)
+    return telemetry_dataset(vehicle, t, power, sun, timeline.epoch_utc, truth, phase)
 
 
 def first_state(case: Case) -> State:
     """The true state at the first sample after the first touchdown."""
-    t = case.require_timeline().event("first_sample_after_touchdown").t_s
+    timeline = case.require_timeline()
+    t = timeline.event("first_sample_after_touchdown").t_s
     sun = np.array(case.published["first_sun"].value)
     speed = np.array([case.published["wheel_speed"].value])
-    duration = case.require_timeline().event("collision").t_s - t
+    duration = timeline.event("collision").t_s - t
     point, along = np.array(case.published["line_L3"].value)
 
     def excess(step: float) -> float:
@@ -179,8 +180,7 @@ def _jittered(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
     """Samples 1 to 9 with folded legs, then 10 to the touchdown: rotation about z at the published cubic rate."""
-    begin = case.require_timeline().event("descent_fit_begins").t_s
-    end = case.require_timeline().event("first_touchdown").t_s
+    begin, end = (case.require_timeline().event(name).t_s for name in ("descent_fit_begins", "first_touchdown"))
     first, last = case.published["descent_samples"].value
     interval = case.published["descent_span"].value * 3600.0 / (last - first)
     folded = begin - DEPLOYMENT_INTERVAL_S * np.arange(SAMPLES_BEFORE_DESCENT, 0, -1)
@@ -217,7 +217,8 @@ def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
 
 def _sparse_times(case: Case, rng: np.random.Generator) -> np.ndarray:
     """The published number of samples, spread over the time between collision and second touchdown."""
-    begin, duration = case.require_timeline().event("collision").t_s, case.require_timeline().seconds("collision", "second_touchdown")
+    timeline = case.require_timeline()
+    begin, duration = timeline.event("collision").t_s, timeline.seconds("collision", "second_touchdown")
     n = case.published["samples_after_collision"].value
     return on_time_grid(_jittered(begin + duration * (np.arange(n) + 0.5) / n, rng))
 
@@ -240,8 +241,9 @@ def _settling(case: Case, sun_B: np.ndarray, rng: np.random.Generator) -> Part:
 
 
 def _rest(case: Case, rng: np.random.Generator) -> Part:
-    begin = case.require_timeline().event("rest").t_s
-    interval = case.require_timeline().seconds("collision", "second_touchdown") / case.published["samples_after_collision"].value
+    timeline = case.require_timeline()
+    begin = timeline.event("rest").t_s
+    interval = timeline.seconds("collision", "second_touchdown") / case.published["samples_after_collision"].value
     t = on_time_grid(_jittered(begin + interval * (np.arange(int(REST_DURATION_S / interval)) + 0.5), rng))
     angle = np.degrees(_rest_angle(t - begin))
     hidden = (angle > MASK_ANGLES_DEG[0]) & (angle < MASK_ANGLES_DEG[1])
