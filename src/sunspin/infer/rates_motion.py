@@ -168,7 +168,9 @@ def require_followed(body: Body, momentum: np.ndarray, longest_s: float) -> None
         )  # fmt: skip
 
 
-def step_with_answer(body: Body, omega, dt, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def step_with_answer(
+    body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """:func:`step`, and its answer (..., 6, 6): turn and rate at the end for a turn and rate at the start, body axes."""
     size = np.asarray(dt)[..., None]
     shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)]) * DIFFERENCE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +14,7 @@ import xarray as xr
 from sunspin.cases import Case
 from sunspin.errors import InputError, TelemetryError, sentence
 from sunspin.infer.end_rates import end_rates
-from sunspin.infer.lines import fit_lines, line_deviation, match_lines, point_at
+from sunspin.infer.lines import Line, fit_lines, line_deviation, match_lines, point_at
 from sunspin.infer.mask import allows, reconstructible_mask
 from sunspin.infer.metrics import emd
 from sunspin.infer.scan import near_minimum, scan
@@ -197,7 +198,7 @@ def speed_at_first_sample(case: Case) -> float:
     return float(run["wheel_speed_rad_s"].values[-1, 0])
 
 
-def smallest_on_lines(case: Case, lines: list[tuple], wheel_speed_rad_s: float) -> float:
+def smallest_on_lines(case: Case, lines: Sequence[Line], wheel_speed_rad_s: float) -> float:
     """Smallest angular speed (rad/s) at touchdown over the lines, omega_z at the first sample in the compared range."""
     omega_z = np.linspace(LINE_RANGE[0], LINE_RANGE[1], 101)
     starts = np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in lines])
