@@ -157,7 +157,9 @@ def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
     return relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
 
 
-def _window(telemetry: xr.Dataset, times: np.ndarray, begin_s, end_s, phase) -> tuple[np.ndarray, list[str]]:
+def _window(
+    telemetry: xr.Dataset, times: np.ndarray, begin_s: float | None, end_s: float | None, phase: str | None
+) -> tuple[np.ndarray, list[str]]:
     keep = np.ones(len(times), dtype=bool)
     remarks = []
     if "phase" in telemetry.coords:

@@ -63,7 +63,9 @@ def _log_sum(log: np.ndarray, axis: int | None = None) -> np.ndarray:
     return found
 
 
-def _step(rate, sigma, next_rate, next_sigma, walk: float, prior: float) -> np.ndarray:
+def _step(
+    rate: np.ndarray, sigma: np.ndarray, next_rate: np.ndarray, next_sigma: np.ndarray, walk: float, prior: float
+) -> np.ndarray:
     """Log density (K, L) of the modes of the next pass given those of this, over that of the prior alone."""
     variance = sigma[:, None] ** 2 + next_sigma[None] ** 2 + walk
     square = ((next_rate[None] - rate[:, None]) ** 2 / variance).sum(axis=-1)

@@ -188,7 +188,10 @@ class OutcomeRows:
         cosine = draw["orbiter_polar"] if wanted == "above_horizon" else 2 * draw["orbiter_polar"] - 1
         return sc.about(up, cosine, draw["orbiter_azimuth"])
 
-    def _after(self, start: k.Rows, momentum, fixed, draw, out, bad) -> np.ndarray:
+    def _after(
+        self, start: k.Rows, momentum: np.ndarray, fixed: np.ndarray, draw: dict[str, np.ndarray], out: dict[str, np.ndarray],
+        bad: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
         """From the collision to the landing: r_z, antenna, first contact, rest. `fixed` (2, n, 3): vertical and orbiter."""
         s, schedule = self.scenario, self.strategy.schedule
         out["rz_share"][:], outcome = sun_height_shares(self.vehicle, start, schedule, s.collision_s, s.landing_s, BINS)
@@ -221,7 +224,10 @@ class OutcomeRows:
             self._land_some(rows, t, (*again, track.omega_B), draw, out, np.arange(len(rows)))
         return bad
 
-    def _land_some(self, rows, t, pieces, draw, out, at=None) -> None:
+    def _land_some(
+        self, rows: np.ndarray, t: np.ndarray, pieces: tuple[np.ndarray, np.ndarray, np.ndarray], draw: dict[str, np.ndarray],
+        out: dict[str, np.ndarray], at: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         """First contact and rest of some runs; `pieces`: vertical, orbiter, rate (n, n_t, 3), of which these are at `at`."""
         if not len(rows):
             return
