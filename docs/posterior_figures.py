@@ -13,8 +13,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.cases import load_case
-from sunspin.infer.posterior_model import model
-from sunspin.infer.posterior_predict import predictions, run_to
+from sunspin.infer.posterior.model import model
+from sunspin.infer.posterior.predict import predictions, run_to
 from sunspin.motion.kernel import Rows
 from sunspin.study.afterwards import collision_s
 from sunspin.study.against_lines import against

@@ -21,10 +21,10 @@ from scipy.special import logsumexp
 
 import sunspin as ss
 from sunspin.cases import load_case
-from sunspin.infer.posterior import brightness
-from sunspin.infer.posterior_data import readings
-from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import State, model
+from sunspin.infer.posterior.brightness import brightness
+from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import State, model
 from sunspin.study.calibrate import make
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 

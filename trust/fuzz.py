@@ -16,7 +16,7 @@ from unittest import mock
 import click
 import numpy as np
 
-from sunspin.infer.rates_motion import _runge_kutta
+from sunspin.infer.rates.motion import _runge_kutta
 from trust import hostile
 from trust.border import Accepted, judge, sunspin
 from trust.pool import Verdict
@@ -45,7 +45,7 @@ class Fuzz(Suite):
         make_stock(self.stock)
         for change in cut_short():
             self.stack.enter_context(change)
-        self.stack.enter_context(mock.patch("sunspin.infer.rates_motion._runge_kutta", self._while_short(_runge_kutta)))
+        self.stack.enter_context(mock.patch("sunspin.infer.rates.motion._runge_kutta", self._while_short(_runge_kutta)))
         self.commands = command_table()
 
     def _while_short(self, function: Any) -> Any:
@@ -152,7 +152,7 @@ def cut_short() -> list[Any]:
     return [
         mock.patch("sunspin.infer.scan.ensemble", few),
         mock.patch("sunspin.study.outcomes.ensemble", few),
-        mock.patch("sunspin.infer.posterior_modes.ensemble", begins),
+        mock.patch("sunspin.infer.posterior.modes.ensemble", begins),
         mock.patch("sunspin.motion.kernel.run.ready_kernel", kept),
         mock.patch("sunspin.motion.kernel.ahead.compile_ahead", lambda structures: None),
         mock.patch("sunspin.motion.kernel.run.compile_ahead", lambda structures: None),

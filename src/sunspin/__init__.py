@@ -22,8 +22,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.infer.ensemble import ensemble as ensemble
     from sunspin.infer.lines import fit_lines as fit_lines
     from sunspin.infer.metrics import direction_error as direction_error, emd as emd
-    from sunspin.infer.posterior import posterior as posterior
-    from sunspin.infer.rates import rates as rates
+    from sunspin.infer.posterior.estimate import posterior as posterior
+    from sunspin.infer.rates.estimate import rates as rates
     from sunspin.infer.scan import near_minimum as near_minimum, scan as scan
     from sunspin.measure.health import panel_health as panel_health
     from sunspin.measure.panels import panel_power as panel_power
@@ -68,7 +68,7 @@ _HOME = {
     "SunStatus": "sunspin.measure.sun",
     "panel_health": "sunspin.measure.health",
     "panel_quality": "sunspin.measure.quality",
-    "rates": "sunspin.infer.rates",
+    "rates": "sunspin.infer.rates.estimate",
     "propagate": "sunspin.motion.propagate",
     "impact": "sunspin.motion.impact",
     "fit_spin_down": "sunspin.motion.friction",
@@ -78,7 +78,7 @@ _HOME = {
     "near_minimum": "sunspin.infer.scan",
     "ensemble": "sunspin.infer.ensemble",
     "fit_lines": "sunspin.infer.lines",
-    "posterior": "sunspin.infer.posterior",
+    "posterior": "sunspin.infer.posterior.estimate",
     "twin": "sunspin.study.twin",
     "outcomes": "sunspin.study.outcomes",
     "Scenario": "sunspin.study.scenario",

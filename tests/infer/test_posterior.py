@@ -10,11 +10,11 @@ import pytest
 
 import sunspin as ss
 from sunspin.errors import InputError
-from sunspin.infer.posterior_data import readings
-from sunspin.infer.posterior_likelihood import Likelihood, moved
-from sunspin.infer.posterior_model import State, model
-from sunspin.infer.posterior_verdict import Found, verdict
-from sunspin.infer.posterior_widths import pareto_tail
+from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.likelihood import Likelihood, moved
+from sunspin.infer.posterior.model import State, model
+from sunspin.infer.posterior.verdict import Found, verdict
+from sunspin.infer.posterior.widths import pareto_tail
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}

@@ -7,9 +7,9 @@ import pytest
 
 import sunspin as ss
 from sunspin.errors import InputError
-from sunspin.infer.posterior_data import readings
-from sunspin.infer.posterior_likelihood import Likelihood, moved
-from sunspin.infer.posterior_model import State, model
+from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.likelihood import Likelihood, moved
+from sunspin.infer.posterior.model import State, model
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}

@@ -12,8 +12,8 @@ import pytest
 import sunspin as ss
 from posteriors import philae_draws
 from sunspin.errors import InputError
-from sunspin.infer.posterior_model import model
-from sunspin.infer.posterior_predict import intervals, predict
+from sunspin.infer.posterior.model import model
+from sunspin.infer.posterior.predict import intervals, predict
 from sunspin.study.afterwards import predicted
 from sunspin.vehicle import Friction
 

@@ -8,10 +8,10 @@ from scipy.special import logsumexp
 
 import sunspin as ss
 from sunspin.errors import InputError
-from sunspin.infer.posterior_data import readings
-from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import State, model
-from sunspin.infer.posterior_tags import tagged, turned
+from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import State, model
+from sunspin.infer.posterior.tags import tagged, turned
 from sunspin.motion import kernel as k
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 

@@ -7,10 +7,10 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.infer.rates_motion import Body, Ends, step, step_with_answer, turn, turn_between
-from sunspin.infer.rates_observe import thinned
-from sunspin.infer.rates_smooth import SUN_N, solve
-from sunspin.infer.rates_start import facing, rates_between
+from sunspin.infer.rates.motion import Body, Ends, step, step_with_answer, turn, turn_between
+from sunspin.infer.rates.observe import thinned
+from sunspin.infer.rates.smooth import SUN_N, solve
+from sunspin.infer.rates.start import facing, rates_between
 from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])

@@ -5,10 +5,10 @@ import pytest
 
 import sunspin as ss
 from clock_twins import CUBE, craft, twin
-from sunspin.infer.rates_common import seen_later
-from sunspin.infer.rates_motion import Body
-from sunspin.infer.rates_observe import observations
-from sunspin.infer.rates_smooth import Motion, Track
+from sunspin.infer.rates.common import seen_later
+from sunspin.infer.rates.motion import Body
+from sunspin.infer.rates.observe import observations
+from sunspin.infer.rates.smooth import Motion, Track
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Clock
 

@@ -9,11 +9,11 @@ import pytest
 
 import sunspin as ss
 from sunspin.errors import InputError
-from sunspin.infer.rates_dense import Dense, bridge
-from sunspin.infer.rates_motion import Body
-from sunspin.infer.rates_observe import MAX_SAMPLES, observations, thinned
-from sunspin.infer.rates_smooth import Motion, Track, whitening
-from sunspin.infer.rates_wheels import wheel_momenta
+from sunspin.infer.rates.dense import Dense, bridge
+from sunspin.infer.rates.motion import Body
+from sunspin.infer.rates.observe import MAX_SAMPLES, observations, thinned
+from sunspin.infer.rates.smooth import Motion, Track, whitening
+from sunspin.infer.rates.wheels import wheel_momenta
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sunspin.infer.rates_link import linked
+from sunspin.infer.rates.link import linked
 
 TIMES = np.arange(6) * 5400.0
 SIGMA = np.full((2, 3), 1e-3)

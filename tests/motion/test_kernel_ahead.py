@@ -56,7 +56,7 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
     assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
 
 
-@pytest.mark.parametrize("first", ["sunspin.infer.rows", "sunspin.infer.posterior_cells", "sunspin.motion.kernel"])
+@pytest.mark.parametrize("first", ["sunspin.infer.rows", "sunspin.infer.posterior.cells", "sunspin.motion.kernel"])
 def test_the_compiler_is_the_same_whatever_is_imported_first(first):
     """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
     code = f"import {first}\nfrom numba.core.registry import cpu_target\nprint(cpu_target.target_context.codegen().magic_tuple())"

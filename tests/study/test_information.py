@@ -8,7 +8,7 @@ import pytest
 import sunspin as ss
 from posteriors import philae_draws
 from sunspin.errors import InputError
-from sunspin.infer.posterior_model import State, model
+from sunspin.infer.posterior.model import State, model
 from sunspin.study.contributions import contributions, philae_extras, text
 from sunspin.study.information import Information, exact_readings, rate_volume, speed_sigma
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle

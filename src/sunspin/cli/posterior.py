@@ -57,8 +57,8 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
       sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
     """
-    from sunspin.infer.posterior import posterior as run
-    from sunspin.infer.posterior_verdict import summary as told
+    from sunspin.infer.posterior.estimate import posterior as run
+    from sunspin.infer.posterior.verdict import summary as told
     from sunspin.measure.telemetry import read_telemetry
     from sunspin.vehicle import load_vehicle
 
@@ -148,7 +148,7 @@ def _predicted(vehicle: Any, tree: Any, times: dict[float, str], seed: int) -> t
     import numpy as np
     import xarray as xr
 
-    from sunspin.infer.posterior_predict import intervals
+    from sunspin.infer.posterior.predict import intervals
     from sunspin.study.afterwards import predicted
 
     found = predicted(vehicle, tree, list(times), seed)
@@ -174,7 +174,7 @@ def write(out: Path, vehicle: Any, tree: Any) -> Path:
     """Write the posterior as NetCDF, its modes as CSV, the best motion of each, and a corner plot."""
     import pandas as pd
 
-    from sunspin.infer.posterior_motion import best_motions
+    from sunspin.infer.posterior.motion import best_motions
     from sunspin.tell.figures import save
     from sunspin.tell.figures_posterior import corner_figure, search_figure
     from sunspin.tell.results import results_folder, write_netcdf, write_whole
@@ -195,7 +195,7 @@ def write(out: Path, vehicle: Any, tree: Any) -> Path:
     save(corner_figure(tree), folder, "corner")
     save(search_figure(tree), folder, "search")
     if "predictions" in tree.children:
-        from sunspin.infer.posterior_predict import intervals
+        from sunspin.infer.posterior.predict import intervals
         from sunspin.tell.figures_predicted import predicted_figure
 
         found = tree["predictions"].to_dataset()

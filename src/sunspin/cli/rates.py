@@ -36,7 +36,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     Example:
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
-    from sunspin.infer.rates import rates as run
+    from sunspin.infer.rates.estimate import rates as run
     from sunspin.measure.telemetry import read_telemetry
     from sunspin.vehicle import load_vehicle
 

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.cases import case_names, load_case
-from sunspin.infer.posterior_model import Model
-from sunspin.infer.posterior_predict import carried, checked_times, drawn_rows, predictions, run_to
+from sunspin.infer.posterior.model import Model
+from sunspin.infer.posterior.predict import carried, checked_times, drawn_rows, predictions, run_to
 from sunspin.motion import kernel as k
 from sunspin.motion.impact import impact
 from sunspin.study import scenario as sc
@@ -31,7 +31,7 @@ def collision_s(vehicle: Vehicle, epoch_utc: str | None) -> float | None:
 
 
 def predicted(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed: int = 0) -> xr.Dataset:
-    """As :func:`sunspin.infer.posterior_predict.predict`, through the collision where the built-in case has one.
+    """As :func:`sunspin.infer.posterior.predict.predict`, through the collision where the built-in case has one.
 
     At the instant of the collision it is the motion before. Coordinate `after_collision (predicted_s)` says which times
     are behind it, `attrs["collision"]` in words how it was drawn. `seed` is that of legs and directions.

@@ -26,11 +26,12 @@ from scipy.stats import binomtest, kstest
 from sunspin.cases import load_case
 from sunspin.errors import Interrupted, SunspinError
 from sunspin.infer.identity import code
-from sunspin.infer.posterior import DIRECTION_ERROR, brightness, posterior
-from sunspin.infer.posterior_data import group, readings
-from sunspin.infer.posterior_fit import FILES
-from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import Model, State, model, rate_and_direction
+from sunspin.infer.posterior.brightness import brightness
+from sunspin.infer.posterior.data import group, readings
+from sunspin.infer.posterior.estimate import DIRECTION_ERROR, posterior
+from sunspin.infer.posterior.fit import FILES
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import Model, State, model, rate_and_direction
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
 from sunspin.study.command import command, kept, rows_folder
@@ -50,7 +51,7 @@ JITTER_S = 6.0
 TAG_S = 0.1
 """Error of the time tags of the kind "jitter"."""
 
-DECIDING = (*FILES, "infer/posterior_modes.py", "infer/posterior_check.py", "infer/posterior_verdict.py", "infer/posterior.py")
+DECIDING = (*FILES, *(f"infer/posterior/{name}.py" for name in ("modes", "check", "verdict", "estimate")))
 """Files whose text decides what a twin gives; each row keeps their digest."""
 
 NEAR_SIGMAS = 4.5

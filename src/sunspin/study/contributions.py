@@ -20,9 +20,9 @@ import xarray as xr
 
 from sunspin.cases import load_case
 from sunspin.errors import InputError, sentence
-from sunspin.infer.posterior import brightness
-from sunspin.infer.posterior_data import Observation, readings
-from sunspin.infer.posterior_model import State, model
+from sunspin.infer.posterior.brightness import brightness
+from sunspin.infer.posterior.data import Observation, readings
+from sunspin.infer.posterior.model import State, model
 from sunspin.measure.netcdf import read_groups
 from sunspin.measure.telemetry import read_telemetry
 from sunspin.study.command import command

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from sunspin.infer.posterior_data import Readings
-from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import Model, State
+from sunspin.infer.posterior.data import Readings
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import Model, State
 
 LEVEL = 0.9
 """Part of the probability that the volumes hold."""

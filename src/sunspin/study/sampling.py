@@ -26,10 +26,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from sunspin.cases import load_case
-from sunspin.infer.posterior_data import Readings, readings
-from sunspin.infer.posterior_model import Model, State, model, rate_and_direction
-from sunspin.infer.posterior_modes import Plan, Search
-from sunspin.infer.posterior_predict import run_to
+from sunspin.infer.posterior.data import Readings, readings
+from sunspin.infer.posterior.model import Model, State, model, rate_and_direction
+from sunspin.infer.posterior.modes import Plan, Search
+from sunspin.infer.posterior.predict import run_to
 from sunspin.study.command import command, kept, rows_folder
 from sunspin.study.information import Information, exact_readings, rate_volume, speed_sigma
 from sunspin.study.twin import Truth, twin

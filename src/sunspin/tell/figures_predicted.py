@@ -14,7 +14,7 @@ from sunspin.tell.figures import COLOURS, _title
 def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | None = None) -> Figure:
     """A row for each time: angular speed, components of the rate, direction of the Sun, angles of z from the Sun and from H.
 
-    `found`: of :func:`sunspin.infer.posterior_predict.predict`; `labels`: the times in words; `truth`: the same of one motion.
+    `found`: of :func:`sunspin.infer.posterior.predict.predict`; `labels`: the times in words; `truth`: the same of one motion.
     """
     count = found.sizes["predicted_s"]
     figure = Figure(figsize=(13, 2.7 * count + 0.6), layout="constrained")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.infer.posterior_predict import intervals
+from sunspin.infer.posterior.predict import intervals
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, packed, thin, utc_text
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from sunspin.infer.identity import code, plain
-from sunspin.infer.posterior_likelihood import Likelihood, moved
-from sunspin.infer.posterior_model import State
+from sunspin.infer.posterior.likelihood import Likelihood, moved
+from sunspin.infer.posterior.model import State
 
 FILES = (
-    "infer/posterior_data.py", "infer/posterior_model.py", "infer/posterior_likelihood.py", "infer/posterior_fit.py",
-    "infer/posterior_cells.py", "infer/posterior_widths.py", "infer/posterior_tags.py", "infer/inertia.py",
+    "infer/posterior/data.py", "infer/posterior/model.py", "infer/posterior/likelihood.py", "infer/posterior/fit.py",
+    "infer/posterior/cells.py", "infer/posterior/widths.py", "infer/posterior/tags.py", "infer/inertia.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
@@ -82,7 +82,7 @@ class Fit:
         for factor, steps in others:
             search.go(factor, steps)
         if self.free is None:
-            search.fit_noise()
+            search.fit_noise(self.normal)
         if self.curved:
             for _ in range(2):
                 search.fit_noise()
@@ -184,25 +184,36 @@ class _Search:
         omega = omega * np.minimum(1.0, limit / np.maximum(np.linalg.norm(omega, axis=1, keepdims=True), 1e-12))
         return State(omega, moved(self.state.sun, move[:, 3:5]), np.clip(self.state.u + move[:, 5:], -8.0, 8.0))
 
-    def fit_noise(self) -> None:
-        """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm."""
+    def fit_noise(self, few: bool = False) -> None:
+        """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm.
+
+        `few`: as many readings as there are numbers fitted tell nothing of it, and a few samples not that it is less than stated.
+        Else a family of motions that fit the first samples seems to be one motion, known to a tenth of its width.
+        """
         model = self.likelihood.model
         places = model.where("noise")
         if not places:
             return
         at, lit = places[0], self.likelihood.kinds[1] & self.likelihood.kinds[0]
         width, u = model.unknowns[at].sigma, np.array(self.state.u)
+        taken, least = (self._taken_up(), 0.0 if self.still else -5.0) if few else (0.0, -5.0)
         for _ in range(8):
             s = self.likelihood.noise(u)
             _, each, w = self.likelihood.weigh(self._raw, self._extra, s)
             share = (s[:, None] / each) ** 2 * w  # time tags' errors do not scale with the noise
             spread = np.sum(np.where(lit, share * (self._raw / each) ** 2, 0.0), axis=1)
-            count = np.sum(np.where(lit, share, 0.0), axis=1)
+            count = np.maximum(np.sum(np.where(lit, share, 0.0), axis=1) - taken, 0.0)
             slope = width * (count - spread) + u[:, at]
-            u[:, at] = np.clip(u[:, at] - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1), -5, 5)
+            u[:, at] = np.clip(u[:, at] - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1), least, 5)
         self.state = State(self.state.omega, self.state.sun, u)
         self._damping[:] = FIRST_DAMPING
         self._judge()
+
+    def _taken_up(self) -> np.ndarray:
+        """How many readings (n) the unknowns of each row answer for, dark ones and priors apart."""
+        told = np.einsum("nri,nrj->nij", self._scaled, self._scaled)
+        whole = told + np.diag(self._prior + 1e-9)
+        return np.trace(np.linalg.solve(whole, told), axis1=1, axis2=2)
 
     def curvature(self) -> np.ndarray:
         """Second derivatives (n, D, D) of minus the log posterior, by Gauss and Newton."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from sunspin.infer.rates_motion import mean_moment
+from sunspin.infer.rates.motion import mean_moment
 from sunspin.motion.friction import spin_down_speed
 from sunspin.vehicle import Vehicle
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.infer.rates_motion import Ends, step_with_answer, turn, turn_between
-from sunspin.infer.rates_smooth import Motion, Observations, Track
+from sunspin.infer.rates.motion import Ends, step_with_answer, turn, turn_between
+from sunspin.infer.rates.smooth import Motion, Observations, Track
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunspin.infer.posterior_data import BEYOND_LARGEST, Readings
-from sunspin.infer.posterior_likelihood import DARK_OUTLIER, OUTLIERS, Likelihood
-from sunspin.infer.posterior_model import State
-from sunspin.infer.posterior_tags import tagged, tags_wanted, turned
+from sunspin.infer.posterior.data import BEYOND_LARGEST, Readings
+from sunspin.infer.posterior.likelihood import DARK_OUTLIER, OUTLIERS, Likelihood
+from sunspin.infer.posterior.model import State
+from sunspin.infer.posterior.tags import tagged, tags_wanted, turned
 
 DRAWS, COPIES = 100, 10
 """Draws of the posterior that are checked, and replicated sets of readings of each."""

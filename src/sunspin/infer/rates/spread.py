@@ -2,7 +2,7 @@
 
 The panels' gains are wrong by the same amount in every sample of a pass, and the Earth lights the same side of a turning body, so
 that more samples do not help. They are "considered" and not estimated here: the answer's shift for each, times its sigma, is added
-to the covariance. A gyro's zero and scale and the inertia are estimated (:mod:`sunspin.infer.rates_common`).
+to the covariance. A gyro's zero and scale and the inertia are estimated (:mod:`sunspin.infer.rates.common`).
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.infer.rates_common import Common
-from sunspin.infer.rates_smooth import Motion, Observations, Track, measured, normal_equations, solve
+from sunspin.infer.rates.common import Common
+from sunspin.infer.rates.smooth import Motion, Observations, Track, measured, normal_equations, solve
 
 
 def with_spread(

@@ -10,8 +10,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.posterior_data import group
-from sunspin.infer.posterior_model import Model, model
+from sunspin.infer.posterior.data import group
+from sunspin.infer.posterior.model import Model, model
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
 from sunspin.vehicle import Vehicle

@@ -14,16 +14,15 @@ import xarray as xr
 from scipy.special import logsumexp
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.posterior_check import Check, check
-from sunspin.infer.posterior_data import Readings, group, readings
-from sunspin.infer.posterior_fit import chunk_rows
-from sunspin.infer.posterior_likelihood import Likelihood
-from sunspin.infer.posterior_model import Model, State, model
-from sunspin.infer.posterior_modes import Modes, Search, at_reference, plan
-from sunspin.infer.posterior_verdict import Found, refused, spoilt_panels, verdict
-from sunspin.infer.posterior_widths import Sample, resampled, sample
-from sunspin.measure.panels import panel_power
-from sunspin.measure.sun import best_directions, is_reconstructed, sun_directions
+from sunspin.infer.posterior.brightness import brightness
+from sunspin.infer.posterior.check import Check, check
+from sunspin.infer.posterior.data import Readings, group, readings
+from sunspin.infer.posterior.fit import chunk_rows
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import Model, State, model
+from sunspin.infer.posterior.modes import Modes, Search, at_reference, plan
+from sunspin.infer.posterior.verdict import Found, refused, spoilt_panels, verdict
+from sunspin.infer.posterior.widths import Sample, resampled, sample
 from sunspin.motion import kernel as k
 from sunspin.vehicle import Vehicle
 
@@ -32,9 +31,6 @@ DIRECTION_ERROR = 1e-6
 
 EDGE = 0.97
 """Draws beyond this part of the largest rate searched say that the truth may be outside."""
-
-LEAST_SEEN, MOST_SEEN = 0.5, 1.2
-"""Range of the largest part of the direction that few panels see, in which gains with a unit may be right."""
 
 TAG_CHANCE = 0.05
 """Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
@@ -73,7 +69,7 @@ def posterior(
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
         instant; `max_rate_rad_s`, the
         ball in which rates are uniform. Default: what the vehicle's file states, else the values in
-        `sunspin.infer.posterior_model`; the result's attributes say which.
+        `sunspin.infer.posterior.model`; the result's attributes say which.
     seed : int
         The same seed gives the same bits, for any number of workers and however often the run was stopped.
     observations : list of mappings
@@ -140,23 +136,6 @@ def _whole(seed: Any, draws: Any) -> None:
     for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InputError(sentence(f"{name} must be a whole number of at least {least}", got=value))
-
-
-def brightness(vehicle: Vehicle, data: Readings) -> float:
-    """A first guess of the scale: the median over samples that give a direction, else what no sample exceeds.
-
-    In a sample with few panels lit the part of the direction that these do not see is missing, so the largest of all is nearest.
-    Gains in a unit are then believed instead where they can be, as their prior is narrow.
-    """
-    value = np.where(data.used, data.value, 0.0)
-    told = is_reconstructed(sun_directions(vehicle, value, noise=data.sigma)["status"].values) & data.used.all(axis=1)
-    if told.any():
-        shape = panel_power(vehicle, best_directions(vehicle, value[told])[0])
-        return float(np.median(np.sum(shape * value[told], axis=1) / np.sum(shape**2, axis=1)))
-    seen = [np.linalg.pinv(vehicle.panel_normals_B[lit]) @ (v / vehicle.panel_gains)[lit]
-            for v, lit in zip(value, data.lit, strict=True) if lit.any()]  # fmt: skip
-    least = float(max(np.linalg.norm(s) for s in seen))
-    return 1.0 if vehicle.gain_unit is not None and LEAST_SEEN < least < MOST_SEEN else least
 
 
 def at_first_sample(likelihood: Likelihood, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

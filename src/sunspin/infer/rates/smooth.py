@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sunspin.infer.rates_motion import Body, Ends, step_with_answer, turn, turn_between
+from sunspin.infer.rates.motion import Body, Ends, step_with_answer, turn, turn_between
 
 STUDENT = 4.0
 """Degrees of freedom of the Student law of measurements: tails that let one bad sample in ten be outvoted."""

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.infer.rates_motion import Body, turn
-from sunspin.infer.rates_smooth import (
+from sunspin.infer.rates.motion import Body, turn
+from sunspin.infer.rates.smooth import (
     RATE_LIMIT,
     Motion,
     Observations,

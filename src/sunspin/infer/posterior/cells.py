@@ -20,10 +20,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunspin.infer.identity import code, plain
-from sunspin.infer.posterior_data import Readings
-from sunspin.infer.posterior_fit import FILES
-from sunspin.infer.posterior_likelihood import moved, tangents
-from sunspin.infer.posterior_model import Model, State
+from sunspin.infer.posterior.data import Readings
+from sunspin.infer.posterior.fit import FILES
+from sunspin.infer.posterior.likelihood import moved, tangents
+from sunspin.infer.posterior.model import Model, State
 from sunspin.measure.panels import panel_power, sphere
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k

@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.rates_smooth import Observations
+from sunspin.infer.rates.smooth import Observations
 from sunspin.measure.quality import panel_quality
 from sunspin.measure.sun import signals
 from sunspin.vehicle import Vehicle

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.infer.rates_common import Clock, has_common, with_common
-from sunspin.infer.rates_smooth import Motion, Observations, Track, smooth
+from sunspin.infer.rates.common import Clock, has_common, with_common
+from sunspin.infer.rates.smooth import Motion, Observations, Track, smooth
 
 UNTOLD_SIGMA_S = 30.0
 """How late sensors may be where the vehicle file says nothing and it is only asked whether they are."""

@@ -1,6 +1,6 @@
 """How :mod:`sunspin.infer.rates` searches: starts of a pair of neighbours are tried on the samples around, and grow from there.
 
-Starts (:mod:`sunspin.infer.rates_start`) are coarse, and a Student law lets a start that misses most samples rest where it is. So
+Starts (:mod:`sunspin.infer.rates.start`) are coarse, and a Student law lets a start that misses most samples rest where it is. So
 they are tried, and first smoothed, with errors as wide as the starts are apart; the best are smoothed as measured, and the window
 grows by a sixth at either end while hypotheses that have become alike or improbable are dropped.
 """
@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.rates_motion import step
-from sunspin.infer.rates_shoot import carried, shot
-from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit, measured, smooth
-from sunspin.infer.rates_start import gyro_decides, starts, steady
+from sunspin.infer.rates.motion import step
+from sunspin.infer.rates.shoot import carried, shot
+from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit, measured, smooth
+from sunspin.infer.rates.start import gyro_decides, starts, steady
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""

@@ -1,4 +1,4 @@
-"""Where a search of :mod:`sunspin.infer.rates_seed` starts: rates that take the Sun from one sample to the next.
+"""Where a search of :mod:`sunspin.infer.rates.seed` starts: rates that take the Sun from one sample to the next.
 
 Two directions a known time apart leave a family of constant rates: one angle, the sign of the axis, and whole turns. Where the
 body's own motion or its wheels turn the rate between the two, no constant rate is a start, and a grid of rates takes its place.
@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.infer.rates_motion import Body, nutation
-from sunspin.infer.rates_smooth import Motion, Observations, Track, measured
+from sunspin.infer.rates.motion import Body, nutation
+from sunspin.infer.rates.smooth import Motion, Observations, Track, measured
 from sunspin.measure.panels import sphere
 
 ANGLES = 36

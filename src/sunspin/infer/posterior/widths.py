@@ -16,10 +16,10 @@ from scipy.special import gammaln, logsumexp
 from scipy.stats import genpareto
 
 from sunspin.infer.identity import code, plain
-from sunspin.infer.posterior_fit import FILES, Fit
-from sunspin.infer.posterior_likelihood import Likelihood, moved
-from sunspin.infer.posterior_model import State
-from sunspin.infer.posterior_modes import Modes, coordinates
+from sunspin.infer.posterior.fit import FILES, Fit
+from sunspin.infer.posterior.likelihood import Likelihood, moved
+from sunspin.infer.posterior.model import State
+from sunspin.infer.posterior.modes import Modes, coordinates
 
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student components."""

@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sunspin.infer import posterior_cells as c
 from sunspin.infer.ensemble import ensemble, worker_count
 from sunspin.infer.identity import code, plain
-from sunspin.infer.posterior_data import Readings
-from sunspin.infer.posterior_fit import FILES, Fit, chunk_rows
-from sunspin.infer.posterior_likelihood import Likelihood, moved, tangents
-from sunspin.infer.posterior_model import Model, State
+from sunspin.infer.posterior import cells as c
+from sunspin.infer.posterior.data import Readings
+from sunspin.infer.posterior.fit import FILES, Fit, chunk_rows
+from sunspin.infer.posterior.likelihood import Likelihood, moved, tangents
+from sunspin.infer.posterior.model import Model, State
 
 GROWTH = 1.5
 """Factor by which the window grows: what is known of the phase then still carries."""
@@ -51,8 +51,8 @@ LOOSE, BESIDE = 0.35, 0.45
 JOINED = 2.0
 """Squared distance, in sigmas, below which hypotheses are one while the window grows."""
 
-GRID_SAMPLES = 3
-"""Samples for which the grid of starts is dense enough: neighbours are set from the next window on."""
+GRID_SAMPLES, FEW_STARTS = 3, 2000
+"""Samples for which the grid of starts is dense enough: neighbours are set from the next window on, or where they cost little."""
 
 FREE = 3
 """Directions of a family along which neighbours are set, the loosest."""
@@ -243,7 +243,7 @@ class Search:
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
                 return self._last(likelihood, state, hits, trace, notes)
-            if len(used) > GRID_SAMPLES:
+            if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits = denser(state, normal, hits, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():

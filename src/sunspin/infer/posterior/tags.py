@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 if TYPE_CHECKING:
-    from sunspin.infer.posterior_likelihood import Likelihood, Prediction
+    from sunspin.infer.posterior.likelihood import Likelihood, Prediction
 
 STEPS = 3
 """Newton's steps to the error that explains a sample best."""

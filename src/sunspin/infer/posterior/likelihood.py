@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from scipy.special import log_ndtr
 
-from sunspin.infer.posterior_data import Readings
-from sunspin.infer.posterior_model import Model, State
-from sunspin.infer.posterior_tags import LOG_2PI, power_slope, tagged
+from sunspin.infer.posterior.data import Readings
+from sunspin.infer.posterior.model import Model, State
+from sunspin.infer.posterior.tags import LOG_2PI, power_slope, tagged
 from sunspin.motion import kernel as k
 
 OUTLIERS = 0.02

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.infer.posterior_data import group
-from sunspin.infer.posterior_predict import drawn_rows
+from sunspin.infer.posterior.data import group
+from sunspin.infer.posterior.predict import drawn_rows
 from sunspin.measure.panels import panel_power
 from sunspin.motion.propagate import propagate
 from sunspin.vehicle import Vehicle

@@ -11,17 +11,17 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.rates_clock import lateness, suspected
-from sunspin.infer.rates_common import LOOSER, Clock, Common, has_common, with_common
-from sunspin.infer.rates_dense import Dense
-from sunspin.infer.rates_link import linked
-from sunspin.infer.rates_motion import Body, require_followed
-from sunspin.infer.rates_observe import observations, passes, usable
-from sunspin.infer.rates_seed import SEED_NOISE, cooled, forgiving, search, seeds
-from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit
-from sunspin.infer.rates_spread import with_spread
-from sunspin.infer.rates_start import coarse
-from sunspin.infer.rates_wheels import wheel_momenta
+from sunspin.infer.rates.clock import lateness, suspected
+from sunspin.infer.rates.common import LOOSER, Clock, Common, has_common, with_common
+from sunspin.infer.rates.dense import Dense
+from sunspin.infer.rates.link import linked
+from sunspin.infer.rates.motion import Body, require_followed
+from sunspin.infer.rates.observe import observations, passes, usable
+from sunspin.infer.rates.seed import SEED_NOISE, cooled, forgiving, search, seeds
+from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit
+from sunspin.infer.rates.spread import with_spread
+from sunspin.infer.rates.start import coarse
+from sunspin.infer.rates.wheels import wheel_momenta
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -78,7 +78,7 @@ def rates(
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
     Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start;
-    starts grow over the pass by smoothing (:mod:`sunspin.infer.rates_smooth`): rigid-body motion with the vehicle's inertia
+    starts grow over the pass by smoothing (:mod:`sunspin.infer.rates.smooth`): rigid-body motion with the vehicle's inertia
     and wheels (a sphere where no inertia is known) and white angular acceleration for what it leaves out, measurements with
     Student tails.
 
