@@ -150,3 +150,10 @@ def test_a_published_figure_without_place_is_refused():
         parse_published("[x]\nvalue = 1\nunit = '1'\nwhat = 'w'", "here.toml")
     with pytest.raises(ss.InputError, match="must not be empty"):
         parse_published("[x]\nvalue = 1\nunit = '1'\nwhat = 'w'\nplace = ' '", "here.toml")
+
+
+def test_a_case_without_a_timeline_says_so():
+    """A study of it ended in a traceback."""
+    assert case.require_timeline() is case.timeline
+    with pytest.raises(ss.InputError, match="'skcube' has no timeline"):
+        ss.load_case("skcube").require_timeline()

@@ -6,7 +6,7 @@ Public names are loaded on first use, so that ``import sunspin`` and ``sunspin -
 from __future__ import annotations
 
 from importlib import import_module, metadata
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py compares it with the names below
     from sunspin.cases import Case as Case, load_case as load_case
@@ -96,7 +96,7 @@ _HOME = {
 __all__ = ["__version__", *_HOME]
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     if name == "__version__":
         return metadata.version("sunspin")
     if name not in _HOME:

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
 from scipy.stats import wasserstein_distance
 
 import sunspin as ss
 from sunspin.motion import kernel as k
 from sunspin.motion.gyrostat import total_momentum
+from sunspin.motion.kernel import codegen
 from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 
@@ -187,3 +189,10 @@ def test_an_edit_to_the_physics_is_another_kernel(monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(gyrostat, "cross", lambda a, b: (a[1] * b[2], a[2] * b[0], a[0] * b[1]))
             assert compiled.source(structure) != before
+
+
+def test_any_power_can_be_printed_into_a_kernel():
+    """Up to the fourth as products; another once ended in an error of the printer."""
+    x = sp.Symbol("x")
+    lines = codegen.assignments(["a", "b", "c", "d"], [x**3, (x + 1) ** 2, x**5, 1 / x], "t")
+    assert lines == ["a = x*x*x", "b = (x + 1)*(x + 1)", "c = x**5", "d = 1/x"]

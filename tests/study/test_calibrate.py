@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from sunspin import VehicleError
 from sunspin.study.calibrate import QUANTITIES, calibrate, make, tally
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -31,3 +35,10 @@ def test_a_swapped_twin_is_the_same_but_for_the_swap():
     telemetry, truth, _, _ = make(craft, "swapped", 0.2, 12, 20.0, 0, 0)
     again, same, _, _ = make(craft, "swapped", 0.2, 12, 20.0, 0, 0)
     assert np.array_equal(telemetry["current_A"], again["current_A"]) and np.array_equal(truth.omega, same.omega)
+
+
+def test_a_vehicle_without_a_noise_is_refused_with_a_sentence():
+    """Its twins have no noise to be made with; once this was a division of None."""
+    craft = replace(cube(), telemetry=TelemetryForm(quantity="current_A"))
+    with pytest.raises(VehicleError, match=r"noise under \[telemetry\]"):
+        make(craft, "unknown", 0.2, 12, 20.0, 0, 0)

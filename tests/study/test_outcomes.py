@@ -283,6 +283,7 @@ def test_bad_arguments_are_named(case, change, text):
     ("change", "text"),
     [
         ({"after_s": 0.0}, "after_s must be positive"),
+        ({"after_s": None}, "after_s must be positive"),
         ({"lead_s": -1.0}, "lead_s must be zero or a positive time"),
         ({"sun_B": (1.0, 1.0, 0.0)}, "sun_B must be a unit vector"),
         ({"vertical": "sideways"}, "vertical must be"),

@@ -58,6 +58,14 @@ class Case:
             )
         return read_telemetry(path, self.vehicle)
 
+    def require_timeline(self) -> Timeline:
+        """The timeline, or an `InputError` that says where to add it."""
+        if self.timeline is None:
+            raise InputError(
+                sentence(f"case {self.name!r} has no timeline", do="add a timeline.toml with its events to the case's folder")
+            )
+        return self.timeline
+
     def _repr_html_(self) -> str:
         return case_html(self)
 

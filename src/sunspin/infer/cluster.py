@@ -45,7 +45,7 @@ class Cluster:
         self._scheduler, self._n_workers = scheduler, n_workers
         self._pending: dict[Any, Piece] = {}
         self._stack = ExitStack()
-        self.slots = 0
+        self.slots: int = 0
 
     def __enter__(self) -> Cluster:
         with ExitStack() as stack:

@@ -275,7 +275,7 @@ class Threads:
         self._function, self._rows = function, rows
         self._pool = ThreadPoolExecutor(n_workers, thread_name_prefix="sunspin")
         self._pending: dict[Future, Piece] = {}
-        self.slots = 2 * n_workers
+        self.slots: int = 2 * n_workers
 
     def __enter__(self) -> Threads:
         return self

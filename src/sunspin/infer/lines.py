@@ -7,6 +7,7 @@ of them from many starts, then alternating assignment and refinement of each lin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ import xarray as xr
 from scipy.optimize import linear_sum_assignment
 
 from sunspin.errors import InputError, sentence
+
+Line = tuple[np.ndarray, np.ndarray]
+"""A point of it and its direction, (3) each."""
 
 N_CANDIDATES = 400
 N_SEARCH_POINTS = 800
@@ -218,7 +222,7 @@ def point_at(origin: np.ndarray, direction: np.ndarray, axis: int, value: npt.Ar
     return origin + step[..., None] * direction
 
 
-def line_deviation(line_a: tuple, line_b: tuple, axis: int = 2, low: float = -0.2, high: float = 0.3) -> dict[str, float]:
+def line_deviation(line_a: Line, line_b: Line, axis: int = 2, low: float = -0.2, high: float = 0.3) -> dict[str, float]:
     """How far two lines (point, direction) are apart: angle in rad, mean and largest distance over a range of one component.
 
     Distances are from the points of `line_b` in the range to line `line_a`.
@@ -238,7 +242,7 @@ def line_deviation(line_a: tuple, line_b: tuple, axis: int = 2, low: float = -0.
     return {"angle_rad": float(angle), "mean": float(apart.mean()), "max": float(apart.max())}
 
 
-def match_lines(fitted: xr.Dataset, reference: list[tuple], **options: Any) -> list[int]:
+def match_lines(fitted: xr.Dataset, reference: Sequence[Line], **options: Any) -> list[int]:
     """For each reference line (point, direction) the index of the fitted line that is its partner: smallest total distance.
 
     `options` are those of :func:`line_deviation`, whose mean distance is the cost of a pair.

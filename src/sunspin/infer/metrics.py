@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,11 @@ Z_TOLERANCE = 1e-3
 """A z component may exceed 1 by this much: directions are printed with few digits."""
 
 
-def direction_error(sun_sim: Any, sun_meas: Any) -> Any:
+@overload
+def direction_error(sun_sim: xr.Dataset, sun_meas: xr.Dataset) -> float: ...
+@overload
+def direction_error(sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike | xr.Dataset) -> Any: ...
+def direction_error(sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike | xr.Dataset) -> Any:
     """E, the mean of (1 - r.n) / 2 over the samples: 0 for a perfect fit, 1 for opposite directions (paper, eq. 12).
 
     Parameters

@@ -13,6 +13,7 @@ a drift of the rate as a second dimension, and each deep minimum is refined.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -92,7 +93,8 @@ class SpinFit:
 
 def phase(coefficients: npt.ArrayLike, t_s: npt.ArrayLike) -> np.ndarray:
     """Angle (rad) turned since t = 0 at a rate of these polynomial coefficients, lowest first."""
-    return np.polynomial.polynomial.polyval(np.asarray(t_s, dtype=np.float64), np.polynomial.polynomial.polyint(coefficients))
+    integral = np.polynomial.polynomial.polyint(np.asarray(coefficients, dtype=np.float64))
+    return np.polynomial.polynomial.polyval(np.asarray(t_s, dtype=np.float64), integral)
 
 
 def turned(sun_B: npt.ArrayLike, axis_B: npt.ArrayLike, angle: np.ndarray) -> np.ndarray:
@@ -136,7 +138,7 @@ def fit_spin(
         raise InputError(sentence("rate_range must be (low, high) in rad/s", got=(low, high)))
     scan_rate, scan_E, drift = _scan(t, along, across, low, high)
     middle, half = (t[0] + t[-1]) / 2, (t[-1] - t[0]) / 2
-    fits = [_refine(t, along, across, degree, scan_rate[i], drift[i]) for i in _deepest(scan_E)]
+    fits = [_refine(t, along, across, degree, float(scan_rate[i]), float(drift[i])) for i in _deepest(scan_E)]
     kept = _distinct(fits, DISTINCT / (2 * half))
     error, legendre = kept[0]
     variance = 4 * t.size * error / max(2 * t.size - degree - 3, 1)  # of one tangent component, rad2
@@ -152,7 +154,9 @@ def fit_spin(
     )  # fmt: skip
 
 
-def _checked(t_s, sun_B, axis_B, degree) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _checked(
+    t_s: npt.ArrayLike, sun_B: npt.ArrayLike, axis_B: npt.ArrayLike, degree: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     t, n, axis = (np.asarray(x, dtype=np.float64) for x in (t_s, sun_B, axis_B))
     if t.ndim != 1 or n.shape != (t.size, 3) or not np.all(np.diff(t) > 0):
         shapes = f"{t.shape}, {n.shape}"
@@ -216,7 +220,9 @@ def _legendre_phases(t: np.ndarray, degree: int) -> np.ndarray:
     return half * np.stack([np.polynomial.legendre.legval(x, s) for s in series], axis=1)
 
 
-def _refine(t, along, across, degree, rate, drift) -> tuple[float, np.ndarray]:
+def _refine(
+    t: np.ndarray, along: np.ndarray, across: np.ndarray, degree: int, rate: float, drift: float
+) -> tuple[float, np.ndarray]:
     """E and Legendre coefficients of the nearest minimum: least squares of chords, whose squares add up to 4 E n."""
     design = _legendre_phases(t, degree)
     scale = np.abs(design).max(axis=0)
@@ -239,7 +245,8 @@ def _refine(t, along, across, degree, rate, drift) -> tuple[float, np.ndarray]:
         off = turn - shift / length + mean * (mean.real * shift.real + mean.imag * shift.imag) / length**3
         return np.concatenate([off.real, off.imag])
 
-    found = least_squares(chords, start * scale, slopes, xtol=1e-12, ftol=1e-12, gtol=1e-12).x / scale
+    jacobian: Any = slopes  # SciPy declares nothing, and the default of this argument is a word
+    found = least_squares(chords, start * scale, jacobian, xtol=1e-12, ftol=1e-12, gtol=1e-12).x / scale
     return float(_error(along, np.mean(across * np.exp(1j * design @ found)))), found
 
 

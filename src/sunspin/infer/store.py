@@ -78,9 +78,10 @@ class RowStore:
     """An open store of `n_rows` rows in chunks of `chunk_rows`."""
 
     def __init__(self, path: Path, group: zarr.Group, wanted: Mapping[str, Any], chunk_rows: int) -> None:
-        self.path, self.chunk_rows = path, chunk_rows
+        self.path: Path = path
+        self.chunk_rows: int = chunk_rows
         self.n_rows: int = wanted["rows"]
-        self.n_chunks = -(-self.n_rows // chunk_rows)
+        self.n_chunks: int = -(-self.n_rows // chunk_rows)
         # zeros are results too: a chunk of them must be on disk like any other (minus zero would else lose its sign)
         with zarr.config.set({"array.write_empty_chunks": True}):
             self._arrays = {
@@ -90,7 +91,7 @@ class RowStore:
             self._done = self._array(group, DONE, (self.n_chunks * RECORD,), (RECORD,), "uint8")
         self._left = np.full(self.n_chunks, chunk_rows)
         self._left[-1] = self.n_rows - (self.n_chunks - 1) * chunk_rows
-        self.rows_kept = 0
+        self.rows_kept: int = 0
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="sunspin-store")
 
     def close(self) -> None:

@@ -2,6 +2,7 @@
 
 import io
 import sys
+from typing import Any
 
 LARGEST = 1_500_000_000
 """Bytes of one variable that are read; what is larger is left to the reader's own limit."""
@@ -15,7 +16,7 @@ def main() -> None:
         read(file)
 
 
-def read(group) -> None:
+def read(group: Any) -> None:
     """Attributes, dimensions and values, as a reader would ask for them."""
     dict(group.attrs)
     list(group.dimensions.items())

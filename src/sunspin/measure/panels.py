@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sunspin.vehicle import Vehicle
 
-Pattern = frozenset  # of panel names: the lit ones
+Pattern = frozenset[str]  # of panel names: the lit ones
 
 ON_PLANE = 1e-9
 """A direction this close to a panel's plane counts as lying in it (cosine of the angle to the normal)."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from functools import lru_cache
+from typing import Any
 
 import heyoka as hk
 import numpy as np
@@ -63,7 +64,7 @@ def _compiled(n_wheels: int, tol: float):
     return hk.taylor_adaptive(system, [0.0] * len(names), pars=pars, t_events=events, tol=tol)
 
 
-def integrator(n_wheels: int, tol: float):
+def integrator(n_wheels: int, tol: float) -> Any:
     """This thread's copy of the compiled integrator (an integrator holds state and must not be shared)."""
     import copy
 

@@ -46,7 +46,7 @@ def predicted(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed:
         run = run_to(vehicle, rows, times[~behind] - first, unknown.wheel_mode)
         parts.append(predictions(unknown, rows, run, times[~behind]))
     said = "none: free motion throughout" if blow is None else "later than all times"
-    if behind.any():
+    if blow is not None and behind.any():
         parts.append(_after(unknown, rows, first, times[behind], blow, seed))
         speed = _scenario(vehicle).collision_speed_m_s
         said = "a leg drawn at random sticks for an instant, the centre of mass at "
@@ -64,7 +64,7 @@ def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, bl
     vehicle = unknown.vehicle
     reached = run_to(vehicle, rows, [blow_s - first_s], unknown.wheel_mode)
     omega, sun, speeds = (reached[name][:, 0] for name in ("omega_B", "sun_B", "wheel_speed_rad_s"))
-    fine = np.isfinite(omega).all(axis=1)
+    fine = np.all(np.isfinite(omega), axis=1)
     scenario, draw = _scenario(vehicle), sc.draws(seed, np.arange(len(rows)))
     axis = np.tile(scenario.collision_axis_B, (len(rows), 1))
     velocity = scenario.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"])

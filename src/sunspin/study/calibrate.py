@@ -27,7 +27,7 @@ from sunspin.cases import load_case
 from sunspin.errors import Interrupted, SunspinError
 from sunspin.infer.identity import code
 from sunspin.infer.posterior.brightness import brightness
-from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.data import group, readings
 from sunspin.infer.posterior.estimate import DIRECTION_ERROR, posterior
 from sunspin.infer.posterior.fit import FILES
 from sunspin.infer.posterior.likelihood import Likelihood
@@ -66,15 +66,17 @@ def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
     return State(omega, sun, u)
 
 
-def make(vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int):
+def make(
+    vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int
+) -> tuple[xr.Dataset, State, Model, dict[str, Any]]:
     """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate} | (KNOWN if kind == "known" else {})
-    scale = vehicle.telemetry.noise / (0.02 * float(vehicle.panel_gains.max()))
+    scale = vehicle.require_noise() / (0.02 * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, priors, scale)
     truth = prior_truth(unknown, rng)
     t = interval_s * np.arange(samples) + np.concatenate([[0.0], rng.uniform(-1, 1, samples - 1)]) * min(JITTER_S, interval_s / 4)
-    noise = vehicle.telemetry.noise * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
+    noise = vehicle.require_noise() * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
     speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
     told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise)
     telemetry = twin(unknown.bodies(truth.u).vehicle(vehicle, 0), told, seed=int(rng.integers(2**31)))
@@ -130,7 +132,7 @@ def judge(
     began = time.process_time()
     tree = posterior(vehicle, telemetry, priors, seed, **options)
     took = time.process_time() - began
-    found = tree["posterior"]
+    found = group(tree, "posterior")
     omega = found["omega_B"].values[0]
     # u of the draws, in the order of the model that knows the scale's centre
     data, _, _ = readings(vehicle, telemetry)
@@ -148,7 +150,7 @@ def judge(
     every["log_likelihood"], true["log_likelihood"] = found["log_likelihood_sum"].values[0], np.array([log_true])
     density = every["log_likelihood"] + model_.log_prior(drawn)
     level = float(np.mean(density > log_true + model_.log_prior(exact)[0]))
-    modes = tree["modes"]
+    modes = group(tree, "modes")
     off = truth.omega[0] - modes["omega_B"].values
     spread = modes["omega_cov_B"].values + 1e-14 * np.eye(3)
     distance = [float(o @ np.linalg.solve(c, o)) ** 0.5 for o, c in zip(off, spread, strict=True)]
@@ -165,7 +167,7 @@ def judge(
     }  # fmt: skip
 
 
-def _value(found: Any, name: str) -> np.ndarray:
+def _value(found: xr.Dataset, name: str) -> np.ndarray:
     return found["wheel_speed_rad_s"].values[0][:, 0] if name.startswith("wheel_speed") else found[name].values[0]
 
 

@@ -87,7 +87,7 @@ def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
 
 def _tdb(case: Case, event: str) -> float:
     """TDB seconds past J2000 of an event."""
-    moment = case.timeline.event(event)
+    moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, J2000_UTC) + TDB_MINUS_UTC_S
 
 

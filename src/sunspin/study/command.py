@@ -7,13 +7,19 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from sunspin import whole
 from sunspin.errors import OutputError, SunspinError, sentence
 
 
-def command(work: Callable[[list[str] | None], None]) -> Callable[[list[str] | None], int]:
+class Main(Protocol):
+    """A program: from its arguments, those of the process unless given, to its exit code."""
+
+    def __call__(self, arguments: list[str] | None = None) -> int: ...
+
+
+def command(work: Callable[[list[str] | None], None]) -> Main:
     """A `main` whose errors become one sentence on stderr and exit code 2, an interruption 130."""
 
     @wraps(work)

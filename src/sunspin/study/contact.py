@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from sunspin.errors import InputError, sentence
 from sunspin.vehicle import Vehicle
 
 KINDS = ("leg", "panel", "body")
@@ -75,7 +76,7 @@ def shape_of(vehicle: Vehicle) -> Shape | None:
     return Shape(points, kind, legs, panels, *_facets(points, kind), bool(vehicle.hull))
 
 
-def _facets(points: np.ndarray, kind: np.ndarray) -> tuple[np.ndarray | None, ...]:
+def _facets(points: np.ndarray, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | tuple[None, None, None]:
     """Normals, distances and kinds of the hull's facets; None where it has no volume or leaves the centre of mass out."""
     if len(points) < 4:
         return None, None, None
@@ -123,13 +124,16 @@ def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
     facet's distance, and so on until the foot of the perpendicular lies inside the facet. Each step lowers the centre of
     mass: (plumb meets g when resting on f) d_g <= d_f n_g.n_f < d_f, so it ends.
     """
+    normals, distances = shape.normals_B, shape.distances_m
+    if normals is None or distances is None:
+        raise InputError(sentence("this shape has no facet to rest on", do="give a hull with a volume around the centre of mass"))
     down = -up_B
     facet = np.full(len(up_B), -1)
-    for _ in range(len(shape.distances_m) + 1):
-        beyond = np.argmax(down @ shape.normals_B.T / shape.distances_m, axis=1)
+    for _ in range(len(distances) + 1):
+        beyond = np.argmax(down @ normals.T / distances, axis=1)
         if np.array_equal(beyond, facet):
             break
-        facet, down = beyond, shape.normals_B[beyond]
+        facet, down = beyond, normals[beyond]
     return facet
 
 

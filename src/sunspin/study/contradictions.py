@@ -84,14 +84,15 @@ def _direction_rows(case: Case) -> list[Row]:
 
 
 def _time_rows(case: Case) -> list[Row]:
-    published, between = {key: figure.value for key, figure in case.published.items()}, case.timeline.seconds
+    timeline = case.require_timeline()
+    published, between = {key: figure.value for key, figure in case.published.items()}, timeline.seconds
     first, last = published["descent_samples"]
     descent_s = 3600.0 * published["descent_span"] / (last - first)
     after_s = 60.0 * published["duration_after_collision"] / published["samples_after_collision"]
     usual, flight = published["sampling_interval"], between("first_touchdown", "collision") / 60
     left = between("descent_fit_begins", "first_touchdown") - 3600.0 * published["descent_span"]
-    events = [event for event in case.timeline.events if event.refined_utc]
-    off = {event.name: utc_seconds(event.utc, event.refined_utc) for event in events}
+    refined = {event.name: (event.utc, event.refined_utc) for event in timeline.events if event.refined_utc}
+    off = [abs(utc_seconds(utc, better)) for utc, better in refined.values()]
     return [
         statement(
             "sampling_descent", f"time between samples {first} and {last} of the descent, on average", usual, descent_s / 60, "min",
@@ -118,8 +119,8 @@ def _time_rows(case: Case) -> list[Row]:
         ),
         statement(
             "kernel_times", "largest difference of the events in Table 1 from the trajectory kernel", 0.0,
-            max(abs(x) for x in off.values()), "s", 0.5,
-            "; ".join(f"{event.name} {event.refined_utc[11:]}" for event in events) + " UTC", "Table 1",
+            max(off), "s", 0.5,
+            "; ".join(f"{name} {better[11:]}" for name, (_, better) in refined.items()) + " UTC", "Table 1",
         ),
     ]  # fmt: skip
 
@@ -129,7 +130,7 @@ def _descent_rows(case: Case) -> list[Row]:
     cubic, duration = np.array(published["descent_rate_cubic"]), 3600.0 * published["descent_span"]
     rate = np.polynomial.polynomial.polyval(np.linspace(0.0, duration, 100_001), cubic)
     peak = float(np.linspace(0.0, duration, 100_001)[np.argmax(rate)])
-    early = case.timeline.seconds("descent_fit_begins", "unfolding_ends")
+    early = case.require_timeline().seconds("descent_fit_begins", "unfolding_ends")
     interval = 60.0 * published["sampling_interval"]
     tied = cubic[0] + 2 * np.pi / interval * np.array([-1, 0, 1])
     t = interval * np.arange(ALIASES)

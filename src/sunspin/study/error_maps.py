@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -77,7 +77,7 @@ class ParameterRows:
     measured: np.ndarray
     times: np.ndarray
 
-    outputs: ClassVar[Mapping[str, Any]] = {"E": ("float64", ()), "outcome": ("int8", ())}
+    outputs = {"E": ("float64", ()), "outcome": ("int8", ())}
 
     @property
     def n_rows(self) -> int:
@@ -138,14 +138,13 @@ def parameter_map(
         raise InputError(sentence("a map needs exactly two parameters", got=", ".join(parameters)))
     measured, times = _known(track)
     start = Start.on_grid(vehicle, [np.array([float(rate)]) for rate in omega_B], sun_B, wheel_speed_rad_s)
-    values = tuple(np.asarray(axis, dtype=np.float64) for axis in parameters.values())
-    for name, axis in zip(parameters, values, strict=True):
+    (one, first), (other, second) = ((name, np.asarray(axis, dtype=np.float64)) for name, axis in parameters.items())
+    for name, axis in ((one, first), (other, second)):
         varied(vehicle, name, float(axis[0]))  # a name or value that will not do is refused before the work
-    rows = ParameterRows(vehicle, tuple(parameters), values, start, measured, times)
+    rows = ParameterRows(vehicle, (one, other), (first, second), start, measured, times)
     out = ensemble(rows, workers=workers, chunk=1024)
     return xr.DataArray(
-        out["E"].reshape(tuple(map(len, values))), dims=tuple(parameters), coords=dict(zip(parameters, values, strict=True)),
-        name="E", attrs={"units": "1"},
+        out["E"].reshape(rows.shape), dims=(one, other), coords={one: first, other: second}, name="E", attrs={"units": "1"},
     )  # fmt: skip
 
 

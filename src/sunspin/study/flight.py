@@ -100,4 +100,4 @@ def carry(direction_B: np.ndarray, start: tuple[np.ndarray, np.ndarray], end: tu
     fixed = np.einsum("nij,...nj->...ni", triad(*start), direction_B)
     frames = triad(*end)
     fixed = fixed.reshape(*fixed.shape[:-1], *(1,) * (frames.ndim - 3), 3)
-    return sum(fixed[..., i, None] * frames[..., i, :] for i in range(3))
+    return sum((fixed[..., i, None] * frames[..., i, :] for i in range(3)), np.zeros(3))

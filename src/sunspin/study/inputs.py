@@ -88,7 +88,7 @@ def _taken(key: str, figure: Any) -> Row:
 
 def _stated_rows(result: Taken) -> list[Row]:
     """Sentences that need no part of their own: lengths of flights, distances, ranges of metrics, the rule on lit panels."""
-    case, between = result.case, result.case.timeline.seconds
+    case, between = result.case, result.case.require_timeline().seconds
     mask, everywhere = rb.reconstructible_mask(case.vehicle), spiral()
     share = float(np.mean(allows(mask, everywhere)))
     below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
@@ -133,7 +133,7 @@ def _table_rows(case: Case) -> list[Row]:
     moments = np.linalg.eigvalsh(inertia)
     legs = np.array([leg.tip_B_m for leg in vehicle.legs])
     middle = legs.mean(axis=0)
-    events = {event.name: event.utc for event in case.timeline.events if event.source.startswith("paper, Table 1")}
+    events = {event.name: event.utc for event in case.require_timeline().events if event.source.startswith("paper, Table 1")}
     return [
         _table("table_1", "Table 1: schedule of events", events, "UTC", "times of the case's timeline", "Table 1"),
         _table(

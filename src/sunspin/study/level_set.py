@@ -97,8 +97,8 @@ def rows(result: LevelSet) -> list[Row]:
             "paper, section 2.3, implied by the lines",
         ),
     ]  # fmt: skip
-    for k, deviation in enumerate(clean.deviation):
-        line = clean.lines.isel(line=clean.partner[k])
+    fitted = [] if clean.lines is None else [clean.lines.isel(line=i) for i in clean.partner]
+    for k, (line, deviation) in enumerate(zip(fitted, clean.deviation, strict=True)):
         found.append(
             published_row(
                 case, f"line_L{k + 1}",

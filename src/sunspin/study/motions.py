@@ -100,7 +100,8 @@ def _run(case: Case, start: np.ndarray, t: Any) -> xr.Dataset:
 
 def landing(case: Case, start: np.ndarray, about: str, seed: int) -> xr.Dataset:
     """One motion from the first touchdown over the collision to the second, time in s from the case's epoch."""
-    seconds = {name: case.timeline.event(name).t_s for name in ("first_sample_after_touchdown", "collision", "second_touchdown")}
+    timeline = case.require_timeline()
+    seconds = {name: timeline.event(name).t_s for name in ("first_sample_after_touchdown", "collision", "second_touchdown")}
     first, blow_s, end = seconds.values()
     back = np.arange(0.0, -rb.after_touchdown_s(case) - 1e-6, -STEP_S)
     forth = np.arange(0.0, blow_s - first + 1e-6, STEP_S)
@@ -156,7 +157,7 @@ def _spread(case: Case, points: np.ndarray, seed: int) -> np.ndarray:
 
 def descent_span(case: Case, descent: Descent) -> tuple[float, float]:
     """Begin of the fit and first touchdown, s from the case's epoch."""
-    end = case.timeline.event("first_touchdown").t_s
+    end = case.require_timeline().event("first_touchdown").t_s
     to_case = end - rb.case_seconds(case, descent.sun, "first_touchdown")
     return float(case.telemetry["time"].values[descent.number[0] - 1]) + to_case, end
 
@@ -167,7 +168,7 @@ def _with_panels(case: Case, run: xr.Dataset, about: str, event_s: list[float], 
     run["event_time_s"] = ("event", np.array(event_s, dtype=np.float64), {"units": "s"})
     run["event_what"] = ("event", np.array(events, dtype=np.str_))
     run = run.assign_coords(panel=np.array(case.vehicle.panel_names, dtype=np.str_))
-    run.attrs = {"vehicle": case.vehicle.name, "about": about, "epoch_utc": case.timeline.epoch_utc}
+    run.attrs = {"vehicle": case.vehicle.name, "about": about, "epoch_utc": case.require_timeline().epoch_utc}
     return run
 
 
@@ -186,7 +187,8 @@ def speeds(
         factor = worth.twins["lines"].threshold(CONFIDENCE, True)[0]
         points = below(scan.twin.emd, factor * float(scan.twin.emd.min()))
         sets["region"] = _spread(case, points, seed)
-    first, blow = (case.timeline.event(name).t_s for name in ("first_sample_after_touchdown", "collision"))
+    timeline = case.require_timeline()
+    first, blow = (timeline.event(name).t_s for name in ("first_sample_after_touchdown", "collision"))
     t = np.append(np.arange(0.0, blow - first, SPREAD_STEP_S), blow - first)
     scenario = case_scenario(case)
     before, after = [], []
@@ -203,7 +205,7 @@ def speeds(
             "motions": ("set", [len(s) for s in sets.values()], {"units": "1"}),
         },
         coords={"set": names, "level": ["low", "middle", "high"], "time": ("time", t + first, {"units": "s"})},
-        attrs={"epoch_utc": case.timeline.epoch_utc, "confidence": CONFIDENCE, "seed": seed, "collisions": COLLISIONS},
+        attrs={"epoch_utc": timeline.epoch_utc, "confidence": CONFIDENCE, "seed": seed, "collisions": COLLISIONS},
     )
     if descent is None:
         return data

@@ -6,10 +6,10 @@ the orbiter is), see :mod:`sunspin.study.scenario`; the runs go through the ense
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -27,7 +27,7 @@ from sunspin.study import scenario as sc
 from sunspin.study.contact import Shape, first_contact, rest_facet, shape_of, support
 from sunspin.study.flight import carry, fly, sun_height_shares
 from sunspin.study.outcome_data import dataset
-from sunspin.vehicle import Vehicle
+from sunspin.vehicle import Antenna, Vehicle
 
 BINS = 80
 """Bins of r_z over [-1, 1]; the paper's bounds -0.5 and -0.2 lie between bins."""
@@ -104,7 +104,7 @@ class OutcomeRows:
     shape: Shape | None = field(init=False, repr=False)
     verticals: np.ndarray = field(init=False, repr=False)
 
-    outputs: ClassVar[Mapping[str, Any]] = {
+    outputs = {
         "outcome": ("int8", ()), "candidate": ("int32", ()), "leg": ("int8", ()), "rz_share": ("float32", (BINS,)),
         "omega_before_B": ("float64", (3,)), "omega_after_B": ("float64", (3,)),
         "momentum_before": ("float64", ()), "momentum_after": ("float64", ()),
@@ -188,7 +188,10 @@ class OutcomeRows:
         cosine = draw["orbiter_polar"] if wanted == "above_horizon" else 2 * draw["orbiter_polar"] - 1
         return sc.about(up, cosine, draw["orbiter_azimuth"])
 
-    def _after(self, start: k.Rows, momentum, fixed, draw, out, bad) -> np.ndarray:
+    def _after(
+        self, start: k.Rows, momentum: np.ndarray, fixed: np.ndarray, draw: dict[str, np.ndarray], out: dict[str, np.ndarray],
+        bad: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
         """From the collision to the landing: r_z, antenna, first contact, rest. `fixed` (2, n, 3): vertical and orbiter."""
         s, schedule = self.scenario, self.strategy.schedule
         out["rz_share"][:], outcome = sun_height_shares(self.vehicle, start, schedule, s.collision_s, s.landing_s, BINS)
@@ -202,7 +205,7 @@ class OutcomeRows:
         up, orbiter = carry(fixed, *ends)
         known = (bad == 0) & np.isfinite(up).all(axis=(1, 2)) & np.isfinite(orbiter).all(axis=(1, 2))
         if self.vehicle.antenna is not None:
-            served = self._served(orbiter[:, np.isin(times, flight)])
+            served = _served(self.vehicle.antenna, orbiter[:, np.isin(times, flight)])
             out["antenna_share"][:] = np.where(known, served.mean(axis=1), np.nan)
         if not self.lands:
             return bad
@@ -214,20 +217,23 @@ class OutcomeRows:
         self._land_some(np.flatnonzero(known & (finer == 0)), approach, pieces, draw, out)
         for rows, level in _slices(finer):
             t = self._approach_times(level)
-            some = k.Rows(*(getattr(start, f)[rows] for f in ("omega_B", "sun_B", "wheel_speed_rad_s")))
+            some = k.Rows(start.omega_B[rows], start.sun_B[rows], start.wheel_speed_rad_s[rows])
             track = fly(self.vehicle, some, schedule, s.collision_s, t)
             again = carry(fixed[:, rows], (momentum[rows], some.sun_B), (track.momentum_B, track.sun_B))
             bad[rows] = np.where(bad[rows] == 0, track.outcome, bad[rows])
             self._land_some(rows, t, (*again, track.omega_B), draw, out, np.arange(len(rows)))
         return bad
 
-    def _land_some(self, rows, t, pieces, draw, out, at=None) -> None:
+    def _land_some(
+        self, rows: np.ndarray, t: np.ndarray, pieces: tuple[np.ndarray, np.ndarray, np.ndarray], draw: dict[str, np.ndarray],
+        out: dict[str, np.ndarray], at: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         """First contact and rest of some runs; `pieces`: vertical, orbiter, rate (n, n_t, 3), of which these are at `at`."""
         if not len(rows):
             return
         part = {name: values[rows] for name, values in out.items()}
-        pieces = [x[rows if at is None else at] for x in pieces]
-        self._land(t, *pieces, {name: value[rows] for name, value in draw.items()}, part)
+        up, orbiter, omega = (x[rows if at is None else at] for x in pieces)
+        self._land(t, up, orbiter, omega, {name: value[rows] for name, value in draw.items()}, part)
         for name, values in part.items():
             out[name][rows] = values
 
@@ -236,19 +242,19 @@ class OutcomeRows:
         count = min(int(np.ceil(self.approach_s / APPROACH_STEP_S)), MAX_APPROACH_SAMPLES) * 2**finer
         return self.scenario.landing_s - self.approach_s * np.arange(count, -1, -1) / count
 
-    def _served(self, orbiter_B: np.ndarray) -> np.ndarray:
-        antenna = self.vehicle.antenna
-        return orbiter_B @ antenna.axis_B >= np.cos(antenna.opening_rad / 2)
-
-    def _land(self, t, up, orbiter, omega, draw, out) -> None:
-        sine = sc.STEEPEST_SINE
+    def _land(
+        self, t: np.ndarray, up: np.ndarray, orbiter: np.ndarray, omega: np.ndarray, draw: dict[str, np.ndarray],
+        out: dict[str, np.ndarray],
+    ) -> None:  # fmt: skip
+        sine, shape, antenna = sc.STEEPEST_SINE, self.shape, self.vehicle.antenna
+        assert shape is not None  # `lands`
         normal = np.sqrt(sine**2 + (1 - sine**2) * draw["incidence"])  # cosine law: what a plane of any direction shows
         speed = self.scenario.landing_speed_m_s
-        contact = first_contact(self.shape, t, up, omega, speed * normal)
+        contact = first_contact(shape, t, up, omega, speed * normal)
         velocity = speed * sc.about(-contact.up_B, normal, draw["heading"])
         out["contact_point"][:] = contact.point
-        out["lowest_point"][:] = support(self.shape.points_B_m, -up[:, -1])[1]
-        point = self.shape.points_B_m[contact.point]
+        out["lowest_point"][:] = support(shape.points_B_m, -up[:, -1])[1]
+        point = shape.points_B_m[contact.point]
         out["contact_speed"][:] = np.linalg.norm(velocity + np.cross(contact.omega_B, point), axis=1)
         out["up_z"][:] = contact.up_B[:, 2]
         if self.vehicle.legs:
@@ -258,16 +264,21 @@ class OutcomeRows:
             rate, length = np.linalg.norm(contact.omega_B, axis=1), np.linalg.norm(tips, axis=1).max()
             out["leg_tip_bound"][:] = speed + rate * length
         seen = _at(t, orbiter, contact.t_s)
-        if self.vehicle.antenna is not None:
-            out["antenna_at_contact"][:] = self._served(seen)
-        if self.shape.normals_B is not None and self.shape.complete:
-            facet = rest_facet(self.shape, contact.up_B)
+        if antenna is not None:
+            out["antenna_at_contact"][:] = _served(antenna, seen)
+        if shape.normals_B is not None and shape.complete:
+            facet = rest_facet(shape, contact.up_B)
             out["rest_facet"][:] = facet
-            if self.vehicle.antenna is not None:
-                out["antenna_at_rest"][:] = self._served(_turn(contact.up_B, -self.shape.normals_B[facet], seen))
+            if antenna is not None:
+                out["antenna_at_rest"][:] = _served(antenna, _turn(contact.up_B, -shape.normals_B[facet], seen))
 
 
-def _slices(finer: np.ndarray):
+def _served(antenna: Antenna, orbiter_B: np.ndarray) -> np.ndarray:
+    """Whether the antenna serves directions (..., 3)."""
+    return orbiter_B @ antenna.axis_B >= np.cos(antenna.opening_rad / 2)
+
+
+def _slices(finer: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
     """Runs that need closer samples, and how much closer, in pieces that take no more memory than a chunk of usual ones."""
     for level in np.unique(finer[finer > 0]):
         rows = np.flatnonzero(finer == level)
@@ -283,7 +294,8 @@ def _nothing(dtype: str) -> float:
 def _healthy(rows: k.Rows, instead: k.Rows, bad: np.ndarray) -> k.Rows:
     """Rows to go on with: failed ones restart from a finite state, and are blanked at the end."""
     use = (bad != 0)[:, None]
-    return k.Rows(*(np.where(use, getattr(instead, f), getattr(rows, f)) for f in ("omega_B", "sun_B", "wheel_speed_rad_s")))
+    omega, sun = np.where(use, instead.omega_B, rows.omega_B), np.where(use, instead.sun_B, rows.sun_B)
+    return k.Rows(omega, sun, np.where(use, instead.wheel_speed_rad_s, rows.wheel_speed_rad_s))
 
 
 def _without(out: dict[str, np.ndarray], bad: np.ndarray) -> dict[str, np.ndarray]:

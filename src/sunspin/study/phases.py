@@ -81,10 +81,11 @@ def compute(case: Case, telemetry: xr.Dataset | None = None, workers: int | None
         power = np.asarray(data[case.vehicle.telemetry.quantity].transpose("time", "panel"))[forbidden]
         made = noise_alone(case.vehicle, power, sun.attrs["noise"], sun.attrs["lit_threshold"])
         log10[forbidden] = made.log_probability / np.log(10)
-    shift = utc_seconds(case.timeline.epoch_utc, sun.attrs["epoch_utc"])
+    timeline = case.require_timeline()
+    shift = utc_seconds(timeline.epoch_utc, sun.attrs["epoch_utc"])
     found = [
         _statistics(phase.name, sun, (sun["time"].values >= phase.begin_s + shift) & (sun["time"].values < phase.end_s + shift))
-        for phase in case.timeline.phases
+        for phase in timeline.phases
     ]
     return Phases(case, [phase for phase in found if phase.samples], health, sun, log10)
 
@@ -132,7 +133,7 @@ def _delta_rows(r: Phases) -> list[Row]:
 
 
 def _pattern_rows(r: Phases) -> list[Row]:
-    end = utc_seconds(r.case.timeline.event("second_touchdown").utc, r.sun.attrs["epoch_utc"])
+    end = utc_seconds(r.case.require_timeline().event("second_touchdown").utc, r.sun.attrs["epoch_utc"])
     early = r.sun["time"].values < end
     wrong = int(np.count_nonzero((r.sun["status"].values == SunStatus.IMPOSSIBLE) & early))
     impossible = list(r.health["impossible"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +14,7 @@ import xarray as xr
 from sunspin.cases import Case
 from sunspin.errors import InputError, TelemetryError, sentence
 from sunspin.infer.end_rates import end_rates
-from sunspin.infer.lines import fit_lines, line_deviation, match_lines, point_at
+from sunspin.infer.lines import Line, fit_lines, line_deviation, match_lines, point_at
 from sunspin.infer.mask import allows, reconstructible_mask
 from sunspin.infer.metrics import emd
 from sunspin.infer.scan import near_minimum, scan
@@ -118,7 +119,7 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
 
 def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
     """An event's time in s from the epoch of a Dataset."""
-    moment = case.timeline.event(event)
+    moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, data.attrs["epoch_utc"])
 
 
@@ -162,11 +163,14 @@ def by_threshold(case: Case, volume: xr.DataArray, seed: int) -> list[dict[str, 
 
 def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool) -> xr.DataArray:
     """The paper's scan against one set of z values."""
+    axes = grid(case, coarser)
     return scan(
         case.vehicle,
         target_z,
         first_sun(case),
-        **grid(case, coarser),
+        omega_x=axes["omega_x"],
+        omega_y=axes["omega_y"],
+        omega_z=axes["omega_z"],
         wheel_speed_rad_s=nominal_speed(case.vehicle),
         duration_s=window_s(case),
         workers=workers,
@@ -176,7 +180,7 @@ def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | 
 
 def after_touchdown_s(case: Case) -> float:
     """Time in s from the first touchdown to the first sample after it."""
-    return case.timeline.seconds("first_touchdown", "first_sample_after_touchdown")
+    return case.require_timeline().seconds("first_touchdown", "first_sample_after_touchdown")
 
 
 def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float) -> np.ndarray:
@@ -194,7 +198,7 @@ def speed_at_first_sample(case: Case) -> float:
     return float(run["wheel_speed_rad_s"].values[-1, 0])
 
 
-def smallest_on_lines(case: Case, lines: list[tuple], wheel_speed_rad_s: float) -> float:
+def smallest_on_lines(case: Case, lines: Sequence[Line], wheel_speed_rad_s: float) -> float:
     """Smallest angular speed (rad/s) at touchdown over the lines, omega_z at the first sample in the compared range."""
     omega_z = np.linspace(LINE_RANGE[0], LINE_RANGE[1], 101)
     starts = np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in lines])

@@ -145,7 +145,7 @@ def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, 
     their own widths, are one motion.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, i)))
-    scale = vehicle.telemetry.noise / (USUAL_NOISE * float(vehicle.panel_gains.max()))
+    scale = vehicle.require_noise() / (USUAL_NOISE * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, {"max_rate_rad_s": 2.0}, scale)
     state = motions(unknown, 1, ALIAS_RATE, int(rng.integers(2**31)))[0]
     t = np.arange(0.0, WINDOW_S + 1.0, period_s)

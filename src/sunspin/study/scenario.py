@@ -82,8 +82,10 @@ class Scenario:
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(sentence(f"{name} must be zero or a positive time in s", got=getattr(self, name)))
         for name in ("after_s", "landing_speed_m_s", "collision_speed_m_s"):
-            value = getattr(self, name)
-            if not (value is None and name == "collision_speed_m_s") and not (np.isfinite(value) and value > 0):
+            value: float | None = getattr(self, name)
+            if value is None and name == "collision_speed_m_s":
+                continue
+            if value is None or not (np.isfinite(value) and value > 0):
                 raise InputError(sentence(f"{name} must be positive", got=value))
 
     @property

@@ -74,11 +74,11 @@ def compute(case: Case, sun: xr.Dataset, workers: int | None = None, coarser: in
     speed, window = rb.nominal_speed(vehicle), rb.window_s(case)
     box, omega = published["E_study_box"], np.array(published["E_study_omega"])
     counts = [max(n // coarser, 2) for n in (*MAP_POINTS, *PARAMETER_POINTS)]
-    axes = [np.linspace(*box[0], counts[0]), np.linspace(*box[1], counts[1]), np.array(box[2][:1])]
+    axes = [_even(box[0], counts[0]), _even(box[1], counts[1]), np.array(box[2][:1])]
     rates = rate_map(vehicle, samples, quoted / length, axes, speed, workers).isel(omega_z=0)
     ranges = {
-        "mu_0": np.linspace(*published["E_study_coulomb"], counts[2]),
-        "theta_xx": np.linspace(*published["E_study_inertia"], counts[3]),
+        "mu_0": _even(published["E_study_coulomb"], counts[2]),
+        "theta_xx": _even(published["E_study_inertia"], counts[3]),
     }
     parameters = parameter_map(vehicle, samples, quoted / length, omega, speed, ranges, workers)
     motions = {"Fig. 8 B": gr.Motion.of(vehicle, omega, quoted, speed, window)}
@@ -93,6 +93,11 @@ def compute(case: Case, sun: xr.Dataset, workers: int | None = None, coarser: in
         [gr.growth(motion) for motion in motions.values()], [gr.one_percent(motion, interval) for motion in motions.values()],
         list(motions), gr.valleys(motions["Fig. 8 B"], change, 60.0 * np.array(VALLEY_WINDOWS_MIN), interval, workers),
     )  # fmt: skip
+
+
+def _even(span: tuple[float, float], count: int) -> np.ndarray:
+    low, high = span
+    return np.linspace(low, high, count)
 
 
 def valleys_crossed(values: np.ndarray) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -125,7 +126,7 @@ def told(numbers: np.ndarray) -> np.ndarray:
     return np.where(numbers < 0, np.nan, numbers.astype(np.float64))
 
 
-def _low_sun(runs: xr.Dataset):
+def _low_sun(runs: xr.Dataset) -> Iterator[tuple[str, np.ndarray]]:
     share = runs["rz_share"].values.astype(np.float64)
     edges = runs["rz"].values + 1.0 / share.shape[1]
     for bound in LOW_RZ:

@@ -133,8 +133,9 @@ def _truth(truth: Truth | Mapping[str, Any]) -> Truth:
 def _scale(truth: Truth, vehicle: Vehicle) -> float:
     if truth.scale is None:
         noise = vehicle.telemetry.noise
-        relative = vehicle.gain_unit is None and noise is not None
-        return noise / (NOISE_OF_LARGEST * float(vehicle.panel_gains.max())) if relative else 1.0
+        if vehicle.gain_unit is not None or noise is None:
+            return 1.0
+        return noise / (NOISE_OF_LARGEST * float(vehicle.panel_gains.max()))
     if not (np.isfinite(truth.scale) and truth.scale > 0):
         raise InputError(sentence("the scale of a twin must be positive", got=truth.scale))
     return float(truth.scale)

@@ -36,6 +36,7 @@ from sunspin.measure.panels import panel_power
 from sunspin.motion.impact import impact
 from sunspin.motion.propagate import propagate
 from sunspin.study.twin_data import generator, noisy_power, on_time_grid, telemetry_dataset
+from sunspin.vehicle import Vehicle
 
 CELL_W = 0.02
 """Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
@@ -101,10 +102,10 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
     """
     case = load_case("philae")
     vehicle = case.vehicle
-    sigma = vehicle.telemetry.noise if noise is None else noise
-    start = first_state(case)
+    sigma = vehicle.require_noise() if noise is None else noise
+    timeline, start = case.require_timeline(), first_state(case)
     before_blow, after_blow, blow = collision(case, start, generator(seed, 3))
-    landed = _state_at(vehicle, after_blow, case.timeline.event("second_touchdown").t_s)
+    landed = _state_at(vehicle, after_blow, timeline.event("second_touchdown").t_s)
     parts = [
         *_descent(case, generator(seed, 1)),
         _rebound(case, "first_rebound", start, rebound_times(case, generator(seed, 2))),
@@ -133,15 +134,16 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
         **blow,
         "descent_rate_cubic": np.array(case.published["descent_rate_cubic"].value),
     }
-    return telemetry_dataset(vehicle, t, power, sun, case.timeline.epoch_utc, truth, phase)
+    return telemetry_dataset(vehicle, t, power, sun, timeline.epoch_utc, truth, phase)
 
 
 def first_state(case: Case) -> State:
     """The true state at the first sample after the first touchdown."""
-    t = case.timeline.event("first_sample_after_touchdown").t_s
+    timeline = case.require_timeline()
+    t = timeline.event("first_sample_after_touchdown").t_s
     sun = np.array(case.published["first_sun"].value)
     speed = np.array([case.published["wheel_speed"].value])
-    duration = case.timeline.event("collision").t_s - t
+    duration = timeline.event("collision").t_s - t
     point, along = np.array(case.published["line_L3"].value)
 
     def excess(step: float) -> float:
@@ -154,7 +156,7 @@ def first_state(case: Case) -> State:
 
 def collision(case: Case, start: State, rng: np.random.Generator) -> tuple[State, State, dict[str, Any]]:
     """The states just before and after the collision, and what hit: leg and velocity."""
-    before = _state_at(case.vehicle, start, case.timeline.event("collision").t_s)
+    before = _state_at(case.vehicle, start, case.require_timeline().event("collision").t_s)
     legs = case.vehicle.legs
     leg = legs[int(rng.integers(len(legs)))].name
     direction = rng.standard_normal(3)
@@ -167,7 +169,7 @@ def collision(case: Case, start: State, rng: np.random.Generator) -> tuple[State
     return before, state, told
 
 
-def _state_at(vehicle, state: State, t_s: float) -> State:
+def _state_at(vehicle: Vehicle, state: State, t_s: float) -> State:
     run = propagate(vehicle, state.omega_B, state.sun_B, state.wheel_speed_rad_s, [state.t_s, t_s])
     return State(t_s, *(run[key].values[-1] for key in ("omega_B", "sun_B", "wheel_speed_rad_s")))
 
@@ -178,8 +180,7 @@ def _jittered(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
     """Samples 1 to 9 with folded legs, then 10 to the touchdown: rotation about z at the published cubic rate."""
-    begin = case.timeline.event("descent_fit_begins").t_s
-    end = case.timeline.event("first_touchdown").t_s
+    begin, end = (case.require_timeline().event(name).t_s for name in ("descent_fit_begins", "first_touchdown"))
     first, last = case.published["descent_samples"].value
     interval = case.published["descent_span"].value * 3600.0 / (last - first)
     folded = begin - DEPLOYMENT_INTERVAL_S * np.arange(SAMPLES_BEFORE_DESCENT, 0, -1)
@@ -209,14 +210,15 @@ def _descent_sun(case: Case, t: np.ndarray, azimuth: float) -> np.ndarray:
 
 def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
     """Times (n) in s of the samples of the first rebound: even but for `JITTER_S`, the first where it is known to be."""
-    begin = case.timeline.event("first_sample_after_touchdown").t_s
+    begin = case.require_timeline().event("first_sample_after_touchdown").t_s
     later = begin + REBOUND_INTERVAL_S * np.arange(1, SAMPLES_OF_REBOUND)
     return on_time_grid(np.concatenate([[begin], _jittered(later, rng)]))
 
 
 def _sparse_times(case: Case, rng: np.random.Generator) -> np.ndarray:
     """The published number of samples, spread over the time between collision and second touchdown."""
-    begin, duration = case.timeline.event("collision").t_s, case.timeline.seconds("collision", "second_touchdown")
+    timeline = case.require_timeline()
+    begin, duration = timeline.event("collision").t_s, timeline.seconds("collision", "second_touchdown")
     n = case.published["samples_after_collision"].value
     return on_time_grid(_jittered(begin + duration * (np.arange(n) + 0.5) / n, rng))
 
@@ -228,7 +230,7 @@ def _rebound(case: Case, phase: str, state: State, t: np.ndarray) -> Part:
 
 
 def _settling(case: Case, sun_B: np.ndarray, rng: np.random.Generator) -> Part:
-    begin, end = (case.timeline.event(name).t_s for name in ("second_touchdown", "rest"))
+    begin, end = (case.require_timeline().event(name).t_s for name in ("second_touchdown", "rest"))
     t = np.arange(begin + SETTLING_INTERVAL_S / 2, end - JITTER_S, SETTLING_INTERVAL_S)
     t = on_time_grid(_jittered(t, rng))
     start, goal = sun_B / np.linalg.norm(sun_B), _rest_sun(np.zeros(1))[0]
@@ -239,8 +241,9 @@ def _settling(case: Case, sun_B: np.ndarray, rng: np.random.Generator) -> Part:
 
 
 def _rest(case: Case, rng: np.random.Generator) -> Part:
-    begin = case.timeline.event("rest").t_s
-    interval = case.timeline.seconds("collision", "second_touchdown") / case.published["samples_after_collision"].value
+    timeline = case.require_timeline()
+    begin = timeline.event("rest").t_s
+    interval = timeline.seconds("collision", "second_touchdown") / case.published["samples_after_collision"].value
     t = on_time_grid(_jittered(begin + interval * (np.arange(int(REST_DURATION_S / interval)) + 0.5), rng))
     angle = np.degrees(_rest_angle(t - begin))
     hidden = (angle > MASK_ANGLES_DEG[0]) & (angle < MASK_ANGLES_DEG[1])
@@ -266,14 +269,11 @@ def _constant(transmission: tuple[float, ...], t: np.ndarray) -> np.ndarray:
 
 
 def _joined(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    phase = np.concatenate([np.full(part.t_s.size, part.phase) for part in parts])
-    return (
-        *(np.concatenate([getattr(part, key) for part in parts]) for key in ("t_s", "sun_B", "transmission")),
-        phase,
-    )
+    t, sun, transmission = (np.concatenate([getattr(part, key) for part in parts]) for key in ("t_s", "sun_B", "transmission"))
+    return t, sun, transmission, np.concatenate([np.full(part.t_s.size, part.phase) for part in parts])
 
 
-def keep_direction(vehicle, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
+def keep_direction(vehicle: Vehicle, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
     """Confine the noise of one sample to what its redundancy shows, so that the measured direction is the true one.
 
     The first direction after the touchdown is published as measured, and is the truth here: so this sample's noise may

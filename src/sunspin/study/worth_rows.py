@@ -9,9 +9,8 @@ all twins (:mod:`sunspin.infer.table`).
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +82,7 @@ class TwinRows:
     coarser: int = 1
     factor: float = 1.1
 
-    outputs: ClassVar[Mapping[str, Any]] = {
+    outputs = {
         "truth_omega_B": ("float64", (3,)),
         "truth_touchdown_speed": ("float64", ()),
         "n_told": ("int16", ()),
@@ -232,7 +231,7 @@ def _lines(case: Case, points: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
         return none
     lines = fit_lines(points, len(reference), seed=0)
     fitted = list(zip(lines["point"].values, lines["direction"].values, strict=True))
-    options = {"low": rb.LINE_RANGE[0], "high": rb.LINE_RANGE[1]}
+    options: dict[str, Any] = {"low": rb.LINE_RANGE[0], "high": rb.LINE_RANGE[1]}
     apart = [line_deviation(fitted[i], other, **options) for i, other in zip(match_lines(lines, reference, **options), reference,
                                                                              strict=True)]  # fmt: skip
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])

@@ -30,13 +30,15 @@ class Applied:
 
 def apply(case: Case, worth: Worth, volume: xr.DataArray, whose: str, confidence: float = CONFIDENCE) -> Applied:
     """Level sets of a scan (`scan`) at the calibrated thresholds, run back to the touchdown."""
-    lines, found = worth.twins["lines"], []
-    for relative in (False, True):
+    lines = worth.twins["lines"]
+
+    def at(relative: bool) -> tuple[float, int, float]:
         level = lines.threshold(confidence, relative)[0] * (float(volume.min()) if relative else 1.0)
         points = below(volume, level)
         speeds = np.linalg.norm(rb.at_touchdown(case, points, rb.nominal_speed(case.vehicle)[0]), axis=1)
-        found.append((level, len(points), float(speeds.min()) if len(points) else float("nan")))
-    return Applied(*found, whose)
+        return level, len(points), float(speeds.min()) if len(points) else float("nan")
+
+    return Applied(at(False), at(True), whose)
 
 
 def _middle(values: np.ndarray) -> list[float]:

@@ -5,7 +5,7 @@ Synthetic telemetry is called so in the title of every figure that shows it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from sunspin.infer.lines import Line
 from sunspin.measure.sun import STATUS_TEXT, SunStatus
 from sunspin.tell.results import write_whole
 
@@ -174,7 +175,7 @@ def histograms_figure(runs: list[xr.Dataset]) -> Figure:
 
 
 def level_set_figure(
-    points: np.ndarray, lines: Any, published: list[tuple], title: str, truth: np.ndarray | None = None
+    points: np.ndarray, lines: Any, published: Sequence[Line], title: str, truth: np.ndarray | None = None
 ) -> Figure:
     """Near-minimum points in rate space with fitted (solid) and published (dashed) lines (paper, Fig. 9)."""
     figure = Figure(figsize=(11, 5.2), layout="constrained")

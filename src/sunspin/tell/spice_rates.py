@@ -5,6 +5,7 @@ axes of the frame, NaN where no kernel covers.
 """
 
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ def main() -> None:
     sys.stdout.buffer.write(np.array([rate(sp, frame, base, float(t)) for t in times], dtype=np.float64).reshape(-1, 3).tobytes())
 
 
-def rate(sp, frame: str, base: str, et: float) -> np.ndarray:
+def rate(sp: Any, frame: str, base: str, et: float) -> np.ndarray:
     try:
         transform = sp.sxform(base, frame, et)
     except sp.exceptions.SpiceNOFRAMECONNECT:

@@ -159,6 +159,13 @@ class Vehicle(Portable):
             )
         return self.mass_kg
 
+    def require_noise(self) -> float:
+        """One sigma of a panel reading, in the unit of the readings, or a `VehicleError` that says where to add it."""
+        if self.telemetry.noise is None:
+            what = f"vehicle {self.name!r} does not say how noisy its panel readings are"
+            raise VehicleError(sentence(what, do="add noise under [telemetry] of its file"))
+        return self.telemetry.noise
+
     def require_panels(self) -> tuple[Panel, ...]:
         """The panels, or a `VehicleError` that says where to add them."""
         if not self.panels:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -49,8 +50,8 @@ def direction(value: npt.ArrayLike, key: str) -> FloatArray:
 class Fact:
     """A number's birth certificate: its value, one-sigma uncertainty (same unit as the value) and source."""
 
-    value: float | tuple
-    sigma: float | tuple | None = None
+    value: float | tuple[Any, ...]
+    sigma: float | tuple[Any, ...] | None = None
     source: str | None = None
 
 

@@ -33,6 +33,11 @@ KINDS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
 """Kinds of other observations and how many numbers each is given with."""
 
 
+def group(tree: xr.DataTree, name: str) -> xr.Dataset:
+    """The variables of one group of a posterior."""
+    return tree.children[name].dataset
+
+
 @dataclass(frozen=True)
 class Observation:
     """Something else that was seen at `t_s` (s from the epoch of the telemetry), with one sigma of each number.
@@ -152,7 +157,9 @@ def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
     return relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
 
 
-def _window(telemetry: xr.Dataset, times: np.ndarray, begin_s, end_s, phase) -> tuple[np.ndarray, list[str]]:
+def _window(
+    telemetry: xr.Dataset, times: np.ndarray, begin_s: float | None, end_s: float | None, phase: str | None
+) -> tuple[np.ndarray, list[str]]:
     keep = np.ones(len(times), dtype=bool)
     remarks = []
     if "phase" in telemetry.coords:

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from sunspin.errors import InputError, sentence
 from sunspin.infer.posterior.brightness import brightness
 from sunspin.infer.posterior.check import Check, check
-from sunspin.infer.posterior.data import Readings, readings
+from sunspin.infer.posterior.data import Readings, group, readings
 from sunspin.infer.posterior.fit import chunk_rows
 from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import Model, State, model
@@ -236,7 +236,7 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
 def _judge(
     tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
 ) -> None:
-    table = tree["modes"]
+    table = group(tree, "modes")
     doubts = list(modes.notes)
     told = table["weight"].values >= 0.01
     if np.any(table["starts"].values[told] == 1):

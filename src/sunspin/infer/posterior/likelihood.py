@@ -75,7 +75,8 @@ class Prediction:
     def slope(self, base: Prediction, step: float) -> Prediction:
         """The derivative from a run whose unknown was moved by `step`."""
         pairs = ((self.sun, base.sun), (self.rate, base.rate), (self.omega, base.omega), (self.at, base.at))
-        return Prediction(*((a - b) / step for a, b in pairs), self.fine & base.fine)
+        sun, rate, omega, at = ((a - b) / step for a, b in pairs)
+        return Prediction(sun, rate, omega, at, self.fine & base.fine)
 
 
 @dataclass(frozen=True)

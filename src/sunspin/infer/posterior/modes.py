@@ -109,14 +109,13 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
     choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
     suns = {i: c.sun_candidates(model, data, scale, i) for a in choices for i in (a, *_neighbours(data, a))}
-    best, least = None, np.inf
+    tried = []
     for a in choices:
         around = _neighbours(data, a)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
         work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
-        if work < least:
-            best, least = (int(a), around, edge, suns[a]), work
-    anchor, around, edge, found = best
+        tried.append((work, int(a), around, edge, suns[a]))
+    _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
     limit = model.max_rate
     if c.cell_count(limit, edge) * len(found) > c.MAX_CELLS:
         limit = edge * ((c.MAX_CELLS / len(found) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
@@ -185,8 +184,10 @@ class Search:
     """One enumeration: keeps store, workers and bar for its stages."""
 
     def __init__(self, workers: int | None, store: Path | None, progress: bool) -> None:
-        self.workers, self.store, self.progress = workers, store, progress
-        self.stage = 0
+        self.workers: int | None = workers
+        self.store: Path | None = store
+        self.progress: bool = progress
+        self.stage: int = 0
 
     def run(self, function: Any, label: str, chunk: int) -> dict[str, np.ndarray]:
         """All rows of a function, kept in a folder of its own."""
@@ -203,7 +204,9 @@ class Search:
         cells = c.Starts(grid, turn, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
         return cells.found(worker_count(self.workers))
 
-    def fit(self, likelihood: Likelihood, state: State, levels, label: str, **options: Any) -> dict[str, np.ndarray]:
+    def fit(
+        self, likelihood: Likelihood, state: State, levels: tuple[tuple[float, int], ...], label: str, **options: Any
+    ) -> dict[str, np.ndarray]:
         return self.run(Fit(likelihood, state, levels, **options), label, chunk_rows(likelihood))
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.infer.posterior.data import group
 from sunspin.infer.posterior.predict import drawn_rows
 from sunspin.measure.panels import panel_power
 from sunspin.motion.propagate import propagate
@@ -46,7 +47,7 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
         A posterior of another vehicle.
     """
     unknown, rows = drawn_rows(vehicle, tree)
-    draws, weight = tree["posterior"], tree["modes"]["weight"].values
+    draws, weight = group(tree, "posterior"), group(tree, "modes")["weight"].values
     region, height = draws["mode_id"].values.ravel(), draws["log_likelihood_sum"].values.ravel()
     bodies, found = rows.bodies_of(vehicle), []
     for number in np.argsort(-weight, kind="stable")[:MOST_REGIONS]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.errors import InputError, sentence
+from sunspin.infer.posterior.data import group
 from sunspin.infer.posterior.model import Model, model
 from sunspin.motion import gyrostat as g
 from sunspin.motion import kernel as k
@@ -25,9 +26,9 @@ LEVELS = (0.5, 0.9)
 """Intervals told, as shares of the draws, both tails alike."""
 
 
-def drawn_rows(vehicle: Vehicle, tree: Any) -> tuple[Model, k.Rows]:
+def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     """The model behind a posterior and its draws (n) at the first sample as rows for the kernel."""
-    posterior, mode = tree["posterior"], json.loads(tree.attrs.get("wheel_mode", '"coast"'))
+    posterior, mode = group(tree, "posterior"), json.loads(tree.attrs.get("wheel_mode", '"coast"'))
     unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), 1.0, mode)
     omega, sun, speeds = (
         np.asarray(posterior[name].values).reshape(-1, size)

@@ -196,9 +196,10 @@ def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int
 def _pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
     """The mixtures of all rounds, by what their draws were worth: none of them may be trusted to cover the posterior alone."""
     parts, total = [mixture for _, mixture in tried], sum(share for share, _ in tried)
-    numbers = (np.concatenate([getattr(m, name) for m in parts]) for name in ("basis", "bend", "mean", "covariance"))
+    basis, bend = (np.concatenate([getattr(m, name) for m in parts]) for name in ("basis", "bend"))
+    mean, covariance = (np.concatenate([getattr(m, name) for m in parts]) for name in ("mean", "covariance"))
     weight = np.concatenate([share / total * m.weight / m.weight.sum() for share, m in tried])
-    return Mixture(State.joined([m.centre for m in parts]), *numbers, weight, parts[0].moving)
+    return Mixture(State.joined([m.centre for m in parts]), basis, bend, mean, covariance, weight, parts[0].moving)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ are blended. Unknown torques in between are those of white angular acceleration 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,8 @@ class Dense:
         made = np.zeros((len(self.on.omega), len(self.there), 3, 6))
         made[..., 3:] = np.eye(3)
         for way in (self.on, self.back):
-            np.add.at(made, (slice(None), way.number), way.weight[:, None, None] * way.answer[..., 3:, :])
+            place: Any = (slice(None), way.number)  # NumPy declares lists of numbers only
+            np.add.at(made, place, way.weight[:, None, None] * way.answer[..., 3:, :])
         return made / self.count
 
     def filled(self, track: Track, motion: Motion) -> Track:
@@ -82,10 +84,10 @@ def _carried(
     """From the kept samples `number` (m), which are `start` of `o`, to its samples `end`."""
     shape = (len(track.omega), len(number))
     if not len(number):
-        return Way(number, *(np.empty((*shape, *size)) for size in ((3, 3), (3,), (6, 6))), weight)
+        return Way(number, np.empty((*shape, 3, 3)), np.empty((*shape, 3)), np.empty((*shape, 6, 6)), weight)
     ends = Ends(momentum=o.momentum[start], momentum_end=o.momentum[end])
     if np.any(motion.body.dipole):
-        known = np.isfinite(o.field[start]).all(axis=1) & np.isfinite(o.field[end]).all(axis=1)
+        known = np.all(np.isfinite(o.field[start]), axis=1) & np.all(np.isfinite(o.field[end]), axis=1)
         first, second = (np.where(known[:, None], np.nan_to_num(o.field[index]), 0.0) for index in (start, end))
         ends = ends._replace(field=first, field_end=second)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*shape, 3)) for part in ends))

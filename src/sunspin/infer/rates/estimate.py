@@ -7,7 +7,6 @@ from importlib import metadata
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
@@ -232,9 +231,9 @@ def choose(
             each = [_evidence(replace(o, momentum=momentum).take(part), body, rungs, rate_max) for part in longest]
             evidence |= {(rung, what): float(total) for rung, total in zip(rungs, np.sum(each, axis=0), strict=True)}
             own = {rung: value for (rung, other), value in evidence.items() if other == what}
-            if noise is not None or max(own, key=own.get) != NOISE_LADDER[-1]:
+            if noise is not None or max(own, key=lambda rung: own[rung]) != NOISE_LADDER[-1]:
                 break
-    level, name = max(evidence, key=evidence.get)
+    level, name = max(evidence, key=lambda one: evidence[one])
     others = [value for (_, other), value in evidence.items() if other != name]
     told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name
     return level, replace(o, momentum=wheels[name]), told
@@ -276,9 +275,8 @@ def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarr
 def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
     count = max(len(p.weight) for p in found)
 
-    def padded(values: list[npt.ArrayLike]) -> np.ndarray:
-        first = np.asarray(values[0])
-        out = np.full((len(values), count, *first.shape[1:]), np.nan)
+    def padded(values: list[np.ndarray]) -> np.ndarray:
+        out = np.full((len(values), count, *values[0].shape[1:]), np.nan)
         for row, value in zip(out, values, strict=True):
             row[: len(value)] = value
         return out

@@ -8,6 +8,7 @@ evidence); where rates change wildly it comes out fast, and the passes are left 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
@@ -36,28 +37,35 @@ def linked(
         Sigma (rad/s) of the rate before anything was measured, with which the weights were made.
     """
     alone = [np.log(np.maximum(weight, 1e-300)) for weight in weights]
-    best, chosen = None, None
+    best: tuple[list[np.ndarray], list[np.ndarray], float] | None = None
     evidence = 0.0  # of passes that do not know of each other
     for walk in WALKS:
         steps = [_step(rates[k], sigmas[k], rates[k + 1], sigmas[k + 1], walk**2 * abs(times_s[k + 1] - times_s[k]), prior)
                  for k in range(len(rates) - 1)]  # fmt: skip
         forward = [alone[0]]
         for step, own in zip(steps, alone[1:], strict=True):
-            forward.append(own + logsumexp(forward[-1][:, None] + step, axis=0))
-        total = float(logsumexp(forward[-1]))
+            forward.append(own + _log_sum(forward[-1][:, None] + step, axis=0))
+        total = float(_log_sum(forward[-1]))
         if total > evidence:
-            evidence, best, chosen = total, (forward, steps), walk
+            evidence, best = total, (forward, steps, float(walk))
     if best is None:
         return [np.asarray(weight) for weight in weights], None
-    forward, steps = best
+    forward, steps, chosen = best
     backward = [np.zeros(len(alone[-1]))]
     for step, own in zip(reversed(steps), reversed(alone[1:]), strict=True):
-        backward.insert(0, logsumexp(step + (own + backward[0])[None], axis=1))
+        backward.insert(0, _log_sum(step + (own + backward[0])[None], axis=1))
     both = [f + b for f, b in zip(forward, backward, strict=True)]
-    return [np.exp(log - logsumexp(log)) for log in both], float(chosen)
+    return [np.exp(log - _log_sum(log)) for log in both], chosen
 
 
-def _step(rate, sigma, next_rate, next_sigma, walk: float, prior: float) -> np.ndarray:
+def _log_sum(log: np.ndarray, axis: int | None = None) -> np.ndarray:
+    found: Any = logsumexp(log, axis=axis)  # SciPy declares the sign, which it gives on request, as well
+    return found
+
+
+def _step(
+    rate: np.ndarray, sigma: np.ndarray, next_rate: np.ndarray, next_sigma: np.ndarray, walk: float, prior: float
+) -> np.ndarray:
     """Log density (K, L) of the modes of the next pass given those of this, over that of the prior alone."""
     variance = sigma[:, None] ** 2 + next_sigma[None] ** 2 + walk
     square = ((next_rate[None] - rate[:, None]) ** 2 / variance).sum(axis=-1)

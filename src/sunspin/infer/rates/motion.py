@@ -96,15 +96,17 @@ def step(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE) -> tu
     return _runge_kutta(body, omega, np.asarray(dt), ends)
 
 
-def _sphere(body, omega, dt, field, field_end):
+def _sphere(
+    body: Body, omega: np.ndarray, dt: np.ndarray, field: np.ndarray | None, field_end: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """A sphere's rate is its integrated torque; its turn is Magnus' series to fourth order on two halves of the interval."""
     still = np.broadcast_to(np.eye(3), (*omega.shape, 3))
     size = dt[..., None]
-    if field is None or not np.any(body.dipole):
+    if field is None or field_end is None or not np.any(body.dipole):
         return turn(still, omega * size), omega.copy()
     first, change = np.cross(body.dipole, field), np.cross(body.dipole, field_end - field)
 
-    def rate(s):
+    def rate(s: float) -> np.ndarray:
         return omega + size * (s * first + s**2 / 2 * change)
 
     matrix = still
@@ -115,11 +117,11 @@ def _sphere(body, omega, dt, field, field_end):
     return matrix, rate(1.0)
 
 
-def _runge_kutta(body, omega, dt, ends):
-    field, field_end, held, held_end = ends
-    unit = g.inverse_elements(body.inertia)
-    if held is None:
-        held = held_end = np.zeros(3)
+def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
+    field, field_end = ends.field, ends.field_end
+    nothing = np.zeros(3)
+    held, held_end = (nothing if part is None else part for part in (ends.momentum, ends.momentum_end))
+    unit = tuple(g.inverse_elements(body.inertia))
     momentum = omega @ body.inertia + held
     speed = np.linalg.norm(omega, axis=-1) + nutation(body, held)
     rate = float(np.max(speed * np.abs(dt), initial=0.0))
@@ -127,14 +129,14 @@ def _runge_kutta(body, omega, dt, ends):
     h = dt / count
     y = np.stack([*np.moveaxis(momentum, -1, 0), *(np.zeros(omega.shape[:-1]) for _ in range(3)), np.ones(omega.shape[:-1])])
 
-    def wheels(s):
+    def wheels(s: float) -> g.Parameters:
         return g.Parameters(unit, tuple(np.moveaxis((1 - s) * held + s * held_end, -1, 0)), ())
 
-    def slope(s, y):
+    def slope(s: float, y: np.ndarray) -> np.ndarray:
         H, q = y[:3], y[3:]
         w = g.body_rate(H, (), wheels(s))
         change = list(g.cross(H, w))
-        if field is not None:
+        if field is not None and field_end is not None:
             torque = g.cross(body.dipole, np.moveaxis((1 - s) * field + s * field_end, -1, 0))
             change = [c + sum(body.inertia[k, j] * torque[j] for j in range(3)) for k, c in enumerate(change)]
         return np.stack([*change, *g.quaternion_rate(q, w)])
@@ -168,7 +170,9 @@ def require_followed(body: Body, momentum: np.ndarray, longest_s: float) -> None
         )  # fmt: skip
 
 
-def step_with_answer(body: Body, omega, dt, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def step_with_answer(
+    body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """:func:`step`, and its answer (..., 6, 6): turn and rate at the end for a turn and rate at the start, body axes."""
     size = np.asarray(dt)[..., None]
     shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)]) * DIFFERENCE

@@ -56,7 +56,9 @@ def _ways(index: int, n: int) -> list[tuple[int, int]]:
     return [(i, i + 1) for i in range(index, n - 1)] + [(i, i - 1) for i in range(index, 0, -1)]
 
 
-def _equations(o, index, attitude, omega, motion) -> tuple[Track, np.ndarray, np.ndarray, np.ndarray]:
+def _equations(
+    o: Observations, index: int, attitude: np.ndarray, omega: np.ndarray, motion: Motion
+) -> tuple[Track, np.ndarray, np.ndarray, np.ndarray]:
     """Track, normal matrix (K, 6, 6), gradient (K, 6), cost (K) of states at sample `index`."""
     k, n = len(omega), len(o)
     track = Track(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))

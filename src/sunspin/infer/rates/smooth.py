@@ -8,7 +8,7 @@ wild. Only the Sun is known in N, as its z axis: the turn about it is held by a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -97,6 +97,10 @@ class Observations:
         return Ends(momentum=self.momentum[start], momentum_end=self.momentum[end])
 
 
+UNTOLD = np.zeros(0)
+"""What stands in a `Track` for what no fit has told yet."""
+
+
 @dataclass(frozen=True)
 class Track:
     """K hypotheses: attitudes B_from_N (K, n, 3, 3), rates (K, n, 3), and once smoothed their `cost` (K) (minus the log of
@@ -104,13 +108,13 @@ class Track:
 
     attitude: np.ndarray
     omega: np.ndarray
-    cost: np.ndarray | None = None
-    log_weight: np.ndarray | None = None
-    covariance: np.ndarray | None = None
+    cost: np.ndarray = field(default_factory=lambda: UNTOLD)
+    log_weight: np.ndarray = field(default_factory=lambda: UNTOLD)
+    covariance: np.ndarray = field(default_factory=lambda: UNTOLD)
 
     def take(self, index: np.ndarray) -> Track:
-        parts = (None if x is None else x[index] for x in (self.attitude, self.omega, self.cost, self.log_weight, self.covariance))
-        return Track(*parts)
+        told = (x if x is UNTOLD else x[index] for x in (self.cost, self.log_weight, self.covariance))
+        return Track(self.attitude[index], self.omega[index], *told)
 
     @property
     def sun_B(self) -> np.ndarray:
@@ -144,7 +148,7 @@ def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.n
         matrix[..., :3, :3] += np.einsum("kn,knmi,knmj->knij", weight, jacobian, jacobian)
         slope[..., :3] += np.einsum("kn,knmi,knm->kni", weight, jacobian, value)
         cost += part
-    known = np.isfinite(observations.gyro).all(axis=1)
+    known = np.all(np.isfinite(observations.gyro), axis=1)
     if known.any():
         value = np.where(known[:, None], (track.omega - np.nan_to_num(observations.gyro)) / observations.gyro_sigma, 0.0)
         weight, part = student(value)
@@ -189,13 +193,13 @@ def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (STUDENT + 2) / (STUDENT + square), (STUDENT + 2) / 2 * np.log1p(square / STUDENT)
 
 
-def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the motion and the field say of neighbours: residuals (K, n-1, m), Jacobians to the first and second of them."""
     dt = np.diff(o.t_s)
     start, end = track.attitude[:, :-1], track.attitude[:, 1:]
     relative = end @ np.swapaxes(start, -1, -2)
-    field = np.isfinite(o.field).all(axis=1)
-    pair = field[:-1] & field[1:]
+    met = np.all(np.isfinite(o.field), axis=1)
+    pair = met[:-1] & met[1:]
     b0, b1 = np.nan_to_num(o.field[:-1]) * pair[:, None], np.nan_to_num(o.field[1:]) * pair[:, None]
     ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
     if pair.any() and np.any(motion.body.dipole):
@@ -252,8 +256,9 @@ def _field_residuals(o, relative, b0, b1, pair, dt):
 def cost_limit(o: Observations) -> float:
     """The cost beyond which even the best motion does not fit: so much for each sample's Sun, and what sound readings of the
     other sensors cost in the mean."""
-    more = [np.isfinite(o.gyro).all(axis=1)]
-    for known, used in ((np.isfinite(o.field).all(axis=1), np.isfinite(o.field_sigma)), (np.isfinite(o.attitude[:, 0, 0]), True)):
+    more = [np.all(np.isfinite(o.gyro), axis=1)]
+    field_known = np.all(np.isfinite(o.field), axis=1)
+    for known, used in ((field_known, np.isfinite(o.field_sigma)), (np.isfinite(o.attitude[:, 0, 0]), True)):
         more.append(known[:-1] & known[1:] & used)
     return BAD_COST * len(o) + THREE_READINGS * sum(int(part.sum()) for part in more)
 

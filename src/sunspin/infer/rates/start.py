@@ -79,7 +79,8 @@ def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: fl
     turns = np.arange(int(rate_max * dt / (2 * np.pi)) + 1)
     total = np.concatenate([angle, angle])[:, None] + 2 * np.pi * turns
     # the body's turn is the opposite of the Sun's; a turn by the rest of a circle goes the other way about the axis
-    found = [-axis[:, None] * total[..., None] / dt, axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None] / dt]
+    found: list[np.ndarray] = []
+    found += [-axis[:, None] * total[..., None] / dt, axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None] / dt]
     if apart < 0.5 and len(turns) > 1:  # nearly whole turns: about any axis
         found.append(sphere(80)[:, None] * (2 * np.pi * turns[1:])[:, None] / dt)
     rates = np.concatenate([np.reshape(rate, (-1, 3)) for rate in found])

@@ -35,7 +35,7 @@ def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarr
     if np.any(nominal):
         names = dict.fromkeys(name for wheel in vehicle.wheels for name in wheel.alternative_frictions)
         for name in (None, *names):
-            frictions = [wheel.alternative_frictions.get(name, wheel.friction) for wheel in vehicle.wheels]
+            frictions = [w.friction if name is None else w.alternative_frictions.get(name, w.friction) for w in vehicle.wheels]
             if any(friction.coulomb_N_m or friction.viscous_N_m_s for friction in frictions):
                 speed = [
                     spin_down_speed(f.coulomb_N_m, f.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, t - t[0])

@@ -9,7 +9,6 @@ loaded, and give the same bits in the first run as in the next.
 from __future__ import annotations
 
 import atexit
-import importlib.util
 import os
 import subprocess
 import sys
@@ -22,7 +21,7 @@ from types import ModuleType
 import numpy as np
 
 from sunspin.motion.kernel import codegen as c
-from sunspin.motion.kernel.compiled import kernel
+from sunspin.motion.kernel.compiled import kernel, loaded
 
 _lock = threading.Lock()
 _under_way: dict[Path, subprocess.Popen] = {}
@@ -43,9 +42,9 @@ def _begin(paths: list[Path]) -> None:
         todo = [path for path in paths if path not in _under_way and not is_kept(path)]
         if not todo or not sys.executable:
             return
-        quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        nothing = subprocess.DEVNULL
         try:
-            process = subprocess.Popen(_command(todo), **quiet)
+            process = subprocess.Popen(_command(todo), stdin=nothing, stdout=nothing, stderr=nothing)
         except OSError:
             return  # then they are compiled here, when they are needed
         _under_way.update(dict.fromkeys(todo, process))
@@ -89,12 +88,7 @@ def main() -> None:
     What is compiled may hang, in its last bits, on what the process has compiled before.
     """
     path, *rest = sys.argv[1:]
-    name = Path(path).stem
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    compile_run(module)
+    compile_run(loaded(Path(path).stem, path))
     if rest:
         os.execv(sys.executable, _command(rest))
 

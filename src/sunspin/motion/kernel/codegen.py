@@ -8,8 +8,9 @@ structure); exact zeros and ones among axis and normal components are structure 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
@@ -19,14 +20,15 @@ from sunspin.motion.kernel.series import Recurrence
 
 Literals = tuple[tuple[int, bool], ...]  # a conjunction: (panel index, lit?) ...
 Component = int | None
+Components = tuple[Component, Component, Component]
 
 
 @dataclass(frozen=True)
 class Structure:
     """All that the source depends on. Components are 0, 1, -1, or None for a run-time number."""
 
-    axes: tuple[tuple[Component, Component, Component], ...]
-    normals: tuple[tuple[Component, Component, Component], ...] = ()
+    axes: tuple[Components, ...]
+    normals: tuple[Components, ...] = ()
     mask: tuple[Literals, ...] = ()  # disjunction; empty means every direction counts
     bins: int = 0  # 0: no histogram
     method: str = "series"  # or "split"
@@ -122,18 +124,24 @@ def component(value: float) -> Component:
     return int(value) if value in (0.0, 1.0, -1.0) else None
 
 
+def components(vector: Iterable[float]) -> Components:
+    """The structural parts of three components."""
+    x, y, z = (component(value) for value in vector)
+    return x, y, z
+
+
 class _Printer(PythonCodePrinter):
     """Powers as products: exact, and vectorised everywhere."""
 
-    def _print_Pow(self, expr, rational=False, sqrt="math.sqrt"):
-        if expr.exp.is_Integer and 1 < expr.exp <= 4:
+    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
+        if isinstance(expr.exp, sp.Integer) and 1 < int(expr.exp) <= 4:
             base = self._print(expr.base)
             base = base if expr.base.is_Symbol else f"({base})"
             return "*".join([base] * int(expr.exp))
-        return super()._print_Pow(expr, rational, sqrt)
+        return super()._print_Pow(expr, rational)
 
 
-def assignments(names: list[str], expressions: list, prefix: str) -> list[str]:
+def assignments(names: list[str], expressions: list[Any], prefix: str) -> list[str]:
     """Straight-line assignments of the expressions to the names, common subexpressions first."""
     shared, final = sp.cse(expressions, symbols=sp.numbered_symbols(prefix))
     printer = _Printer()
@@ -141,10 +149,11 @@ def assignments(names: list[str], expressions: list, prefix: str) -> list[str]:
     return lines + [f"{name} = {printer.doprint(sp.sympify(e))}" for name, e in zip(names, final, strict=True)]
 
 
-def wheel_symbols(i: int, axis: tuple[Component, ...]) -> g.WheelParameters:
+def wheel_symbols(i: int, axis: Components) -> g.WheelParameters:
     """Wheel i: parameters u<i>_<k>, iJ<i>, free<i>, coul<i>, visc<i>."""
     parts = [sp.Integer(c) if c is not None else sp.Symbol(f"u{i}_{k}") for k, c in enumerate(axis)]
-    return g.WheelParameters(tuple(parts), *(sp.Symbol(f"{name}{i}") for name in ("iJ", "free", "coul", "visc")))
+    inverse_inertia, free, coulomb, viscous = (sp.Symbol(f"{name}{i}") for name in ("iJ", "free", "coul", "visc"))
+    return g.WheelParameters(tuple(parts), inverse_inertia, free, coulomb, viscous)
 
 
 def parameter_symbols(structure: Structure) -> g.Parameters:
@@ -160,7 +169,7 @@ def state_names(n_wheels: int) -> list[str]:
     return ["H0", "H1", "H2", *(f"h{i}" for i in range(n_wheels)), "r0", "r1", "r2"]
 
 
-def state_symbols(n_wheels: int) -> tuple[tuple, tuple, tuple]:
+def state_symbols(n_wheels: int) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Symbol, ...], tuple[sp.Symbol, ...]]:
     """H, h, r."""
     symbols = tuple(sp.Symbol(name) for name in state_names(n_wheels))
     return symbols[:3], symbols[3 : 3 + n_wheels], symbols[3 + n_wheels :]

@@ -170,8 +170,15 @@ def module_of(text: str, compiler: str) -> ModuleType:
         path = cache_folder() / f"{name}.py"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
-        spec = importlib.util.spec_from_file_location(name, path)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        spec.loader.exec_module(module)
-        return module
+        return loaded(name, path)
+
+
+def loaded(name: str, path: Path | str) -> ModuleType:
+    """The module in a Python file, run and entered among the modules of this process."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module

@@ -7,10 +7,12 @@ the array w in the kernel's precision, nodes of the Sun's path are in v in float
 
 from __future__ import annotations
 
+from typing import Any
+
 import sympy as sp
 
 from sunspin.motion import gyrostat as g
-from sunspin.motion.kernel.codegen import Structure, assignments, state_names, state_symbols
+from sunspin.motion.kernel.codegen import Component, Structure, assignments, state_names, state_symbols
 
 NODE_ROWS = 7
 """Of a node: the Sun's direction and its slope in body axes, and the squared rate of turning."""
@@ -29,17 +31,17 @@ LANE_WHEEL_ROWS = (
 class Lanes:
     """Collects lines of one lane's code, and knows where everything is; each method of integration is a subclass."""
 
-    lanes = 32
+    lanes: int = 32
     """Trajectories of a block on a processor with vectors, unless told."""
 
     def __init__(self, structure: Structure, lanes: int | None = None):
         self.structure = structure
         self.lanes = type(self).lanes if lanes is None else lanes
-        self.n = len(structure.axes)
+        self.n: int = len(structure.axes)
         self.constants: dict[tuple[str, float], str] = {}
         self.lines: list[str] = []
         n_state = 6 + self.n
-        self.at = _places({
+        self.at: dict[str, int] = _places({
             "S_STATE": n_state, "S_OLD": n_state, "S_DT": 1, "S_MARGIN": 1, "S_LEAST": 1, "S_TURN": 3 * self.nodes,
             "S_WHEEL": len(LANE_WHEEL_ROWS) * self.n, **self.more_rows(), "S_ROWS": 0,
         }) | _places({"V_NODE": NODE_ROWS * (self.nodes + 1), "V_DT": 1, "V_SIGNED": 1, "V_ROWS": 0})  # fmt: skip
@@ -84,7 +86,7 @@ class Lanes:
     def wheel(self, i: int, name: str) -> str:
         return self.row("S_WHEEL", i * len(LANE_WHEEL_ROWS) + LANE_WHEEL_ROWS.index(name))
 
-    def put(self, places: list[str], expressions: list) -> None:
+    def put(self, places: list[str], expressions: list[Any]) -> None:
         """Assign SymPy expressions."""
         self.add(*assignments(places, expressions, "a"))
 
@@ -100,7 +102,7 @@ class Lanes:
             named = (("iJ", "inverse_inertia"), ("free", "free"), ("coul", "coulomb"), ("visc", "viscous"))
             self.add(*(f"{symbol}{i} = {self.wheel(i, name)}" for symbol, name in named))
 
-    def axes(self) -> tuple:
+    def axes(self) -> tuple[tuple[Component, ...], ...]:
         """Components of the wheels' axes, None for run-time numbers."""
         return self.structure.axes
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from sunspin.errors import InputError, sentence
 from sunspin.motion import modes as m
@@ -38,11 +39,11 @@ def structure_of(
     vehicle: Vehicle, mask: Mask | None, bins: int, method: str = "series", own_bodies: bool = False
 ) -> c.Structure:
     """What the source of the kernel depends on, for rows with the vehicle's own numbers or with theirs."""
-    axes = tuple(tuple(c.component(x) for x in wheel.axis_B) for wheel in vehicle.wheels)
+    axes = tuple(c.components(wheel.axis_B) for wheel in vehicle.wheels)
     oblique = method == "split" and (own_bodies or principal.is_oblique(vehicle))
     if mask is None or not bins:
         return c.Structure(axes, bins=bins, method=method, oblique=oblique)
-    normals = tuple(tuple(c.component(x) for x in normal) for normal in mask.normals_B)
+    normals = tuple(c.components(normal) for normal in mask.normals_B)
     return c.Structure(axes, normals, mask.clauses, bins, method, oblique)
 
 
@@ -121,7 +122,7 @@ def _launch(
 def run_rows(
     vehicle: Vehicle,
     rows: Rows,
-    duration_s: np.ndarray | float,
+    duration_s: npt.ArrayLike,
     *,
     wheel_mode: str | Sequence[str] = "coast",
     direction_error: float | None = None,

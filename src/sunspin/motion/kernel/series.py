@@ -8,22 +8,32 @@ by the step, so that the value at the fraction x of it is ``sum c_k x^k``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any, cast
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
+
+Sums = dict[tuple[sp.Expr, sp.Expr], str]
+"""Products of two series and the names of their sums."""
+
+
+def _parts(expression: sp.Expr) -> tuple[sp.Expr, ...]:
+    """The terms of a sum or the factors of a product, which SymPy declares more widely."""
+    return cast("tuple[sp.Expr, ...]", expression.args)
 
 
 class Recurrence:
     """Code for the Taylor coefficients of dy/dt = f(y), f polynomial in the states and in parameters."""
 
     def __init__(self, states: Sequence[str], derivatives: Sequence[sp.Expr]):
-        self.states = list(states)
+        self.states: list[str] = list(states)
         self._series = {sp.Symbol(name) for name in states}
         self._print = PythonCodePrinter({"fully_qualified_modules": False}).doprint
         self.constants: list[str] = []
         self._named_so_far = 0
         self._definitions: list[tuple[sp.Symbol, sp.Expr]] = []
-        shared, final = sp.cse([sp.sympify(d) for d in derivatives], symbols=sp.numbered_symbols("q"))
+        found: Any = sp.cse([sp.sympify(d) for d in derivatives], symbols=sp.numbered_symbols("q"))
+        shared, final = found
         for symbol, expression in shared:
             self._define(symbol, expression)
         self._derivatives = [self._prepared(expression) for expression in final]
@@ -38,12 +48,12 @@ class Recurrence:
 
     def _prepared(self, expression: sp.Expr) -> sp.Expr:
         """The same with every factor that is a series in a product of series given a name."""
-        if expression.is_Add:
-            return sp.Add(*(self._prepared(part) for part in expression.args), evaluate=False)
-        if expression.is_Pow:
+        if isinstance(expression, sp.Add):
+            return sp.Add(*(self._prepared(part) for part in _parts(expression)), evaluate=False)
+        if isinstance(expression, sp.Pow):
             base = self._named(expression.base)
             return sp.Mul(*([base] * int(expression.exp)), evaluate=False)
-        if not expression.is_Mul:
+        if not isinstance(expression, sp.Mul):
             return expression
         constants, series = self._split(expression)
         named = [self._named(factor) for factor in series]
@@ -52,7 +62,7 @@ class Recurrence:
         return sp.Mul(*constants, *named, evaluate=False)
 
     def _named(self, factor: sp.Expr, product: bool = False) -> sp.Symbol:
-        if factor.is_Symbol and not product:
+        if isinstance(factor, sp.Symbol) and not product:
             return factor
         self._named_so_far += 1
         symbol = sp.Symbol(f"m{self._named_so_far}")
@@ -60,8 +70,8 @@ class Recurrence:
         return symbol
 
     def _split(self, product: sp.Expr) -> tuple[list[sp.Expr], list[sp.Expr]]:
-        constants = [f for f in product.args if self._series.isdisjoint(f.free_symbols)]
-        return constants, [f for f in product.args if f not in constants]
+        constants = [f for f in _parts(product) if self._series.isdisjoint(f.free_symbols)]
+        return constants, [f for f in _parts(product) if f not in constants]
 
     def lines(self, order: int) -> Iterator[str]:
         """Assignments of ``<state>_<k>`` for k = 1 .. order, given ``<state>_0`` and the step dt."""
@@ -74,7 +84,7 @@ class Recurrence:
 
     def _derivative_lines(self, k: int) -> Iterator[str]:
         """The states' coefficients of order k + 1; all products grow together, so that a coefficient is read for several."""
-        sums: dict[tuple[sp.Symbol, sp.Symbol], str] = {}
+        sums: Sums = {}
         values = [self._with_sums(expression, k, sums) for expression in self._derivatives]
         # the newest coefficients last: the rest of a sum does not wait for them
         for n, i in enumerate(sorted(range(k + 1), key=lambda i: abs(2 * i - k))):
@@ -83,10 +93,10 @@ class Recurrence:
         for name, value in zip(self.states, values, strict=True):
             yield f"{name}_{k + 1} = {f'part * ({value})' if value else 'dt * 0.0'}"
 
-    def _with_sums(self, expression: sp.Expr, k: int, sums: dict[tuple[sp.Symbol, sp.Symbol], str]) -> str:
+    def _with_sums(self, expression: sp.Expr, k: int, sums: Sums) -> str:
         """As `_coefficient`, with products of two series by the names of their sums."""
         if expression.is_Add:
-            return " + ".join(filter(None, (self._with_sums(part, k, sums) for part in expression.args)))
+            return " + ".join(filter(None, (self._with_sums(part, k, sums) for part in _parts(expression))))
         constants, series = self._split(expression) if expression.is_Mul else ([], [])
         if len(series) != 2:
             return self._coefficient(expression, k)
@@ -96,7 +106,7 @@ class Recurrence:
     def _coefficient(self, expression: sp.Expr, k: int) -> str:
         """Code for the coefficient of order k; empty where it is zero."""
         if expression.is_Add:
-            return " + ".join(filter(None, (self._coefficient(part, k) for part in expression.args)))
+            return " + ".join(filter(None, (self._coefficient(part, k) for part in _parts(expression))))
         if self._series.isdisjoint(expression.free_symbols):
             return f"({self._print(expression)})" if k == 0 else ""
         if expression.is_Symbol:
@@ -116,7 +126,7 @@ class Recurrence:
         yield from self.constants
         yield f"for k in range({order}):"
         yield "    first = 1.0 if k == 0 else 0.0"
-        places = {sp.Symbol(name): i for i, name in enumerate(self.states)}
+        places: dict[sp.Expr, int] = {sp.Symbol(name): i for i, name in enumerate(self.states)}
         for symbol, expression in self._definitions:
             places[symbol] = len(places)
             yield from self._loop([(f"series[{places[symbol]}, k]", expression)], places)
@@ -128,8 +138,8 @@ class Recurrence:
         """Rows of `series`."""
         return len(self.states) + len(self._definitions)
 
-    def _loop(self, targets: list[tuple[str, sp.Expr]], places: dict[sp.Symbol, int], scale: str = "") -> Iterator[str]:
-        sums: dict[tuple[sp.Symbol, sp.Symbol], str] = {}
+    def _loop(self, targets: list[tuple[str, sp.Expr]], places: dict[sp.Expr, int], scale: str = "") -> Iterator[str]:
+        sums: Sums = {}
         lines = [f"    {target} = {scale}({self._looped(expression, places, sums)})" for target, expression in targets]
         if sums:
             yield from (f"    {name} = 0.0" for name in sums.values())
@@ -137,9 +147,9 @@ class Recurrence:
             yield from (f"        {n} += series[{places[a]}, i] * series[{places[b]}, k - i]" for (a, b), n in sums.items())
         yield from lines
 
-    def _looped(self, expression: sp.Expr, places: dict[sp.Symbol, int], sums: dict) -> str:
+    def _looped(self, expression: sp.Expr, places: dict[sp.Expr, int], sums: Sums) -> str:
         if expression.is_Add:
-            return " + ".join(self._looped(part, places, sums) for part in expression.args)
+            return " + ".join(self._looped(part, places, sums) for part in _parts(expression))
         if self._series.isdisjoint(expression.free_symbols):
             return f"first * ({self._print(expression)})"
         if expression.is_Symbol:

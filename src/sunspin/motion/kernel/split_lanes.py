@@ -7,7 +7,7 @@ import math
 import sympy as sp
 
 from sunspin.motion import gyrostat as g
-from sunspin.motion.kernel.codegen import wheel_symbols
+from sunspin.motion.kernel.codegen import Component, wheel_symbols
 from sunspin.motion.kernel.lanes import NODE_ROWS, Lanes
 
 MAIN = (0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072)
@@ -52,7 +52,7 @@ class SplitLanes(Lanes):
             "S_SPEEDS": 2, "S_SIZE": 1,
         }  # fmt: skip
 
-    def axes(self) -> tuple:
+    def axes(self) -> tuple[tuple[Component, ...], ...]:
         return ((None, None, None),) * self.n
 
     def parameters(self) -> g.Parameters:
