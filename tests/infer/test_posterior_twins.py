@@ -84,6 +84,14 @@ def test_brightness_is_guessed_where_no_sample_gives_a_direction():
     assert brightness(vehicle, data) == pytest.approx(0.5, abs=0.06)  # the truth; the largest reading alone is 0.45
 
 
+def test_brightness_is_guessed_though_most_samples_are_dark():
+    vehicle = craft(4)
+    telemetry = samples(vehicle, 20)
+    telemetry["current_A"].values[7:] = 0.0
+    data, _, _ = readings(vehicle, telemetry)
+    assert 0.4 < brightness(vehicle, data) < 0.56
+
+
 def test_noise_on_dark_panels_does_not_brighten_the_sun():
     """Four panels that look all ways: three that read nothing but noise are no direction of a Sun six times as bright."""
     twin = strange_twins.make(0, 149, TURNS)

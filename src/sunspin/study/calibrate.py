@@ -51,7 +51,7 @@ JITTER_S = 6.0
 TAG_S = 0.1
 """Error of the time tags of the kind "jitter"."""
 
-DECIDING = (*FILES, *(f"infer/posterior/{name}.py" for name in ("modes", "check", "verdict", "estimate")))
+DECIDING = (*FILES, *(f"infer/posterior/{name}.py" for name in ("brightness", "modes", "check", "verdict", "estimate")))
 """Files whose text decides what a twin gives; each row keeps their digest."""
 
 NEAR_SIGMAS = 4.5

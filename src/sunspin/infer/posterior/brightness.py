@@ -18,8 +18,8 @@ MOST_SAMPLES = 40
 DIRECTIONS, BETWEEN_RAD = 3000, 0.03
 """Directions tried, and how far any other is from the nearest of them."""
 
-STEP, WIDEST = 0.02, 3.0
-"""Scales tried: steps of their logarithm, and how far beyond the brightest reading they go."""
+STEP, LEAST, WIDEST = 0.02, 0.03, 3.0
+"""Scales tried: steps of their logarithm, and between which parts of the brightest reading they lie at most."""
 
 CAP, WORSE = 16.0, 4.0
 """A reading counts against a scale by the square of its sigmas, CAP at most; two sigmas from the best is near enough."""
@@ -47,8 +47,9 @@ def _smallest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
     """
     light = value / vehicle.panel_gains
     brightest = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:MOST_SAMPLES]
+    brightest = brightest[light[brightest].max(axis=1) > 0]  # the dark samples of an eclipse bound nothing
     largest = light[brightest].max(axis=1)
-    scales = np.exp(np.arange(np.log(np.median(largest)), np.log(WIDEST * largest.max()), STEP))
+    scales = np.exp(np.arange(np.log(max(np.median(largest), LEAST * largest.max())), np.log(WIDEST * largest.max()), STEP))
     seen = panel_power(vehicle, sphere(DIRECTIONS))
     misfit = np.zeros(len(scales))
     for i, scale in enumerate(scales):
