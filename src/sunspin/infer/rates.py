@@ -18,7 +18,7 @@ from sunspin.infer.rates_dense import Dense
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body, require_followed
 from sunspin.infer.rates_observe import observations, passes, usable
-from sunspin.infer.rates_seed import SEED_NOISE, cooled, forgiving, search, seeds
+from sunspin.infer.rates_seed import SEED_NOISE, cooled, distinct_index, forgiving, search, seeds
 from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit
 from sunspin.infer.rates_spread import with_spread
 from sunspin.infer.rates_start import coarse
@@ -194,8 +194,10 @@ def finished(
     if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
         other = loosened(o, motion, clock, rate_max)
         common = other if other.track.cost.min() < common.track.cost.min() else common
+    if common is not None:  # with their common errors two hypotheses may have become one
+        common = common.take(distinct_index(common.track, o.t_s))
     between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
-    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common)
+    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
     if common is not None:
         track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
     order, weight = _ranked(track)

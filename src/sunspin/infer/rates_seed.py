@@ -120,9 +120,14 @@ def _thinned(o, index, suns, rates, motion, apart) -> tuple[np.ndarray, np.ndarr
 
 def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> Track:
     """Without the improbable and without copies, best first."""
+    return track.take(distinct_index(track, times, keep, drop))
+
+
+def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> np.ndarray:
+    """Which hypotheses those are."""
     order = np.argsort(track.cost, kind="stable")
     if not len(order):
-        return track
+        return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
     turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
     angle = (track.omega[:, : len(turns)] * turns).astype(np.float32)
@@ -133,7 +138,7 @@ def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DR
             chosen = np.append(chosen, i)
         if len(chosen) == keep:
             break
-    return track.take(chosen)
+    return chosen
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
