@@ -56,7 +56,8 @@ DROP = 18.0
 """Hypotheses less probable than the best by exp(-18) are dropped."""
 
 ALIKE_RAD = 0.25
-"""Two hypotheses whose turns between neighbours differ by less everywhere are one."""
+"""Two hypotheses whose turns between neighbours and whose directions of the Sun differ by less everywhere are one: panels on the
+sides alone leave two mirror images, which turn nearly alike where the body spins about the axis that nothing looks along."""
 
 
 def wider(o: Observations, noise: float, index: int, apart_rad: float) -> Observations:
@@ -130,7 +131,7 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
         return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
     turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    angle = (track.omega[:, : len(turns)] * turns).astype(np.float32)
+    angle = np.concatenate([track.omega[:, : len(turns)] * turns, track.sun_B], axis=1).astype(np.float32)
     chosen = np.zeros(0, dtype=int)
     for i in order:
         apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
