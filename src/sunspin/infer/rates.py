@@ -44,6 +44,9 @@ HIGHER_NOISES = (1e-3, 3e-3)
 LADDER_PASSES = 2
 """Passes whose evidence chooses among them."""
 
+EVIDENCE_MODES = 4
+"""Hypotheses that are fitted with gains that are unknown where the evidence of a noise is asked for."""
+
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
 
@@ -245,18 +248,21 @@ def choose(
 def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
     """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
 
-    From the loosest to the stiffest, each from where the one before ended.
+    From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
+    vehicle file's, what they do to the Sun's direction would pass for strong torques.
     """
     found = np.full(len(noises), -np.inf)
-    o = forgiving(o)
+    loose = forgiving(o)
     motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
     try:
-        track, last = seeds(o, motion, rate_max, pairs=1), motion.noise
+        track, last = seeds(loose, motion, rate_max, pairs=1), motion.noise
     except InputError:
         return found
     for k in np.argsort(noises)[::-1]:
-        track, last = cooled(o, track, last, replace(motion, noise=noises[k])), noises[k]
-        found[k] = np.logaddexp.reduce(track.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
+        motion = replace(motion, noise=noises[k])
+        track, last = cooled(loose, track, last, motion), noises[k]
+        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), motion, None).track if len(o.row_unknowns) else track
+        found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
     return found
 
 

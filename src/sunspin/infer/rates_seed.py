@@ -188,9 +188,12 @@ def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None =
 
 
 def forgiving(o: Observations) -> Observations:
-    """The same with a gyro trusted no further than its zero and scale: the search holds it at what the vehicle file says."""
+    """The same with a gyro trusted no further than its zero and scale, and panels no further than gains that are unknown: the search
+    holds them at what the vehicle file says."""
     common = np.sqrt((o.gyro_common**2).sum(axis=1).mean()) if o.gyro_common.size else 0.0
-    return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)))
+    unknown = np.linalg.norm(o.row_unknowns, axis=(0, 2)) / np.maximum(np.linalg.norm(o.rows, axis=-1), 1e-300)
+    sigma = np.hypot(o.power_sigma, np.nan_to_num(o.power) * unknown) if len(o.row_unknowns) else o.power_sigma
+    return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)), power_sigma=sigma)
 
 
 def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:

@@ -109,7 +109,7 @@ class Track:
     log_weight: np.ndarray | None = None
     covariance: np.ndarray | None = None
 
-    def take(self, index: np.ndarray) -> Track:
+    def take(self, index: np.ndarray | slice) -> Track:
         parts = (None if x is None else x[index] for x in (self.attitude, self.omega, self.cost, self.log_weight, self.covariance))
         return Track(*parts)
 
