@@ -15,7 +15,7 @@ from sunspin.errors import InputError, sentence
 from sunspin.infer.rates_motion import step
 from sunspin.infer.rates_shoot import carried, shot
 from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit, measured, smooth
-from sunspin.infer.rates_start import gyro_decides, starts, steady
+from sunspin.infer.rates_start import blind_axis, gyro_decides, mirrored, starts, steady
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -208,13 +208,15 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     """Modes under a loose motion: from the `pairs` shortest intervals, grown over the whole pass and joined.
 
     Default: three, or one where the samples begin so close together that no rate hides between them, where a grid holds all
-    rates anyway, or a gyro tells. Where nothing found fits, more are tried before that is said.
+    rates anyway, or a gyro tells. Where nothing found fits, more are tried before that is said. Panels in one plane bound the Sun
+    so little that three pairs are tried in any case, and each motion found is tried mirrored.
     """
     quality = np.where(o.told, 1.0, 2.0)
     order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable")
     dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
     trust = gyro_decides(o, int(order[0]))
-    pairs = pairs or (1 if dense or trust or not steady(o, int(order[0]), motion, rate_max) else PAIRS)
+    blind = blind_axis(o)
+    pairs = PAIRS if blind is not None else pairs or (1 if dense or trust or not steady(o, int(order[0]), motion, rate_max) else PAIRS)
     tracks: list[Track] = []
     for i in order[: pairs + MORE_PAIRS]:
         best = min((float(track.cost[0]) for track in tracks), default=np.inf)
@@ -229,4 +231,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
                 got=f"largest rate {rate_max:.4g} rad/s", do="raise --max-rate, or check the times and the directions",
             )
         )  # fmt: skip
-    return distinct(_joined(tracks), o.t_s)
+    track = distinct(_joined(tracks), o.t_s)
+    if blind is None:
+        return track
+    return distinct(_joined([track, smooth(o, mirrored(track, blind), motion)]), o.t_s)
