@@ -249,7 +249,7 @@ def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: 
     """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
 
     From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
-    vehicle file's, what they do to the Sun's direction would pass for strong torques.
+    vehicle file's, what they do to the Sun's direction would pass for strong torques. The inertia is the file's.
     """
     found = np.full(len(noises), -np.inf)
     loose = forgiving(o)
@@ -261,7 +261,8 @@ def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: 
     for k in np.argsort(noises)[::-1]:
         motion = replace(motion, noise=noises[k])
         track, last = cooled(loose, track, last, motion), noises[k]
-        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), motion, None).track if len(o.row_unknowns) else track
+        known = replace(motion, body=replace(body, errors=body.errors[:0]))
+        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
         found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
     return found
 

@@ -198,7 +198,8 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
     n, places = len(o), _places(o, motion.body, clock)
     blind = np.full((n, 3, 3), np.nan)
     nothing = replace(o, sun_cov=blind, power=np.zeros((n, 0)), power_sigma=np.zeros((n, 0)), gyro=np.full((n, 3), np.nan))
-    moved = [moving(nothing, track.take(np.array([k])), motion, error[k, places.inertia]) for k in range(len(error))]
+    each = [np.array([k]) for k in range(len(error))] if len(motion.body.errors) else [slice(None)]  # one body serves all at once
+    moved = [moving(nothing, track.take(k), motion, error[k, places.inertia][0]) for k in each]
     diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
     border = np.zeros((*slope.shape, places.count))
     corner = np.repeat(np.eye(places.count)[None], len(error), axis=0)
@@ -215,13 +216,13 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
 
 
 def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the motion of one hypothesis says, with the inertia off by `error` (r) sigmas: blocks (1, n, 6, 6) and (1, n-1, 6, 6),
-    gradient (1, n, 6), cost (1), and of the inertia's errors border (1, n, 6, r), corner (1, r, r) and gradient (1, r)."""
+    """What the motion of K hypotheses says, with the inertia off by `error` (r) sigmas: blocks (K, n, 6, 6) and (K, n-1, 6, 6),
+    gradient (K, n, 6), cost (K), and of the inertia's errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
     inertia = motion.body.inertia + np.tensordot(error, motion.body.errors, axes=1)
     motion = replace(motion, body=replace(motion.body, inertia=inertia))
     diagonal, upper, slope, cost, _ = normal_equations(o, track, motion)
     r = len(error)
-    border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((1, r, r)), np.zeros((1, r))
+    border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
     value, first, second = between(o, track, motion)

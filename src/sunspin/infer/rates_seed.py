@@ -46,6 +46,12 @@ than the second number."""
 PAIRS, MORE_PAIRS, BADLY = 3, 2, 0.8
 """Pairs to start from; how many more where even the best hypothesis costs more than this share of what is called bad."""
 
+BLIND_PAIRS = 4
+"""Pairs to start from where panels lie in one plane, so that a sample limited by the battery looks like a Sun that stands aside."""
+
+DIM_PENALTY = 3.0
+"""So much longer is a pair of samples reckoned where both are dark."""
+
 MAX_TURNS = 100
 """Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
 
@@ -204,19 +210,34 @@ def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track
     return distinct(smooth(o, track, motion, steps=25), o.t_s)
 
 
+def bright_pairs(o: Observations) -> np.ndarray:
+    """Pairs of neighbours, those first whose whole windows are bright: there the Sun stands in the plane of the panels and the
+    battery limits nothing. Windows that overlap come later, since what spoils one spoils the other."""
+    seen = np.where(np.isfinite(o.power_sigma), o.power / np.linalg.norm(o.rows, axis=1), 0.0) / o.scale[:, None]
+    dim = 1 - np.minimum(np.linalg.norm(seen, axis=1), 1.0)
+    ends = np.arange(len(o) - 1)
+    window = [dim[max(0, i - 1) : i + 3].mean() for i in ends]
+    order = np.argsort(np.diff(o.t_s) * (1 + DIM_PENALTY * np.array(window)), kind="stable")
+    first: list[int] = []
+    for i in order:
+        if all(abs(i - j) > WINDOW for j in first):
+            first.append(i)
+    return np.array(first + [i for i in order if i not in first])
+
+
 def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
     """Modes under a loose motion: from the `pairs` shortest intervals, grown over the whole pass and joined.
 
     Default: three, or one where the samples begin so close together that no rate hides between them, where a grid holds all
     rates anyway, or a gyro tells. Where nothing found fits, more are tried before that is said. Panels in one plane bound the Sun
-    so little that three pairs are tried in any case, and each motion found is tried mirrored.
+    so little that four pairs are tried in any case, and each motion found is tried mirrored.
     """
+    blind = blind_axis(o)
     quality = np.where(o.told, 1.0, 2.0)
-    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable")
+    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable") if blind is None else bright_pairs(o)
     dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
     trust = gyro_decides(o, int(order[0]))
-    blind = blind_axis(o)
-    pairs = PAIRS if blind is not None else pairs or (1 if dense or trust or not steady(o, int(order[0]), motion, rate_max) else PAIRS)
+    pairs = BLIND_PAIRS if blind is not None else pairs or (1 if dense or trust or not steady(o, int(order[0]), motion, rate_max) else PAIRS)
     tracks: list[Track] = []
     for i in order[: pairs + MORE_PAIRS]:
         best = min((float(track.cost[0]) for track in tracks), default=np.inf)
