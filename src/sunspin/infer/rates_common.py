@@ -87,7 +87,8 @@ class _Equations(NamedTuple):
 
 def has_common(o: Observations, clock: Clock | None, body: Body) -> bool:
     """Whether a pass has such errors at all."""
-    return clock is not None or len(body.errors) > 0 or len(o.row_unknowns) > 0 or bool(np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common))
+    gyro = np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common)
+    return clock is not None or len(body.errors) > 0 or len(o.row_unknowns) > 0 or bool(gyro)
 
 
 def acceleration(body: Body, omega: np.ndarray, momentum: np.ndarray) -> np.ndarray:

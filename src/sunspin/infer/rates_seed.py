@@ -52,6 +52,9 @@ BLIND_PAIRS = 4
 DIM_PENALTY = 3.0
 """So much longer is a pair of samples reckoned where both are dark."""
 
+BRIGHTEST, OTHER_SCALE = 0.95, 0.1
+"""Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
+
 MAX_TURNS = 100
 """Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
 
@@ -194,12 +197,28 @@ def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None =
 
 
 def forgiving(o: Observations) -> Observations:
-    """The same with a gyro trusted no further than its zero and scale, and panels no further than gains that are unknown: the search
-    holds them at what the vehicle file says."""
+    """The same with a gyro trusted no further than its zero and scale, and panels no further than gains that are unknown: the
+    search holds them at what the vehicle file says."""
     common = np.sqrt((o.gyro_common**2).sum(axis=1).mean()) if o.gyro_common.size else 0.0
     unknown = np.linalg.norm(o.row_unknowns, axis=(0, 2)) / np.maximum(np.linalg.norm(o.rows, axis=-1), 1e-300)
     sigma = np.hypot(o.power_sigma, np.nan_to_num(o.power) * unknown) if len(o.row_unknowns) else o.power_sigma
     return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)), power_sigma=sigma)
+
+
+def guesses(o: Observations) -> list[Observations]:
+    """What is searched: the forgiving measurements, and where panels lie in one plane and their brightest samples do not look
+    like full Sun, also those with all gains as these samples have them: either the Sun never came near the plane, or the full
+    scale is wrong."""
+    loose = forgiving(o)
+    if blind_axis(o) is None or not len(o.row_unknowns):
+        return [loose]
+    full = float(np.quantile(np.linalg.norm(relative(o), axis=1), BRIGHTEST))
+    return [loose] if abs(full - 1) < OTHER_SCALE else [loose, replace(loose, rows=o.rows * full)]
+
+
+def relative(o: Observations) -> np.ndarray:
+    """Readings (n, n_panel) as shares of full Sun, zero where they say nothing."""
+    return np.where(np.isfinite(o.power_sigma), np.nan_to_num(o.power) / np.linalg.norm(o.rows, axis=1), 0.0) / o.scale[:, None]
 
 
 def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:
@@ -213,8 +232,7 @@ def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track
 def bright_pairs(o: Observations) -> np.ndarray:
     """Pairs of neighbours, those first whose whole windows are bright: there the Sun stands in the plane of the panels and the
     battery limits nothing. Windows that overlap come later, since what spoils one spoils the other."""
-    seen = np.where(np.isfinite(o.power_sigma), o.power / np.linalg.norm(o.rows, axis=1), 0.0) / o.scale[:, None]
-    dim = 1 - np.minimum(np.linalg.norm(seen, axis=1), 1.0)
+    dim = 1 - np.minimum(np.linalg.norm(relative(o), axis=1), 1.0)
     ends = np.arange(len(o) - 1)
     window = [dim[max(0, i - 1) : i + 3].mean() for i in ends]
     order = np.argsort(np.diff(o.t_s) * (1 + DIM_PENALTY * np.array(window)), kind="stable")
@@ -237,7 +255,8 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable") if blind is None else bright_pairs(o)
     dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
     trust = gyro_decides(o, int(order[0]))
-    pairs = BLIND_PAIRS if blind is not None else pairs or (1 if dense or trust or not steady(o, int(order[0]), motion, rate_max) else PAIRS)
+    one = dense or trust or not steady(o, int(order[0]), motion, rate_max)
+    pairs = BLIND_PAIRS if blind is not None else pairs or (1 if one else PAIRS)
     tracks: list[Track] = []
     for i in order[: pairs + MORE_PAIRS]:
         best = min((float(track.cost[0]) for track in tracks), default=np.inf)

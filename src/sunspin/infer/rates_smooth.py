@@ -47,13 +47,14 @@ PER_SAMPLE = (
 class Observations:
     """What a pass measured, at n samples. NaN or infinite sigma: nothing measured there.
 
-    `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel) or for each hypothesis
-    (K, n, n_panel), `power_sigma` (n, n_panel), `rows` (n_panel, 3) or for each hypothesis (K, n_panel, 3) gain times normal with `row_errors`
-    (m, n_panel, 3), one sigma of errors that all samples share, and `row_unknowns` (m, n_panel, 3), one sigma of those that are to be
-    estimated; `scale` (n) and `scale_sigma` (n): the factor of all powers of a sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one
-    sigma of errors that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in
-    the body's mean moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma`
-    (rad), of which only the turn from sample to sample is used; `earth_light`: how much of full Sun a panel gets that looks at
+    `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel) or for
+    each hypothesis (K, n, n_panel), `power_sigma` (n, n_panel), `rows` (n_panel, 3) or for each hypothesis (K, n_panel, 3) gain
+    times normal with `row_errors` (m, n_panel, 3), one sigma of errors that all samples share, and `row_unknowns`
+    (m, n_panel, 3), one sigma of those that are to be estimated; `scale` (n) and `scale_sigma` (n): the factor of all powers of a
+    sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one sigma of errors
+    that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in the body's mean
+    moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma` (rad), of which only
+    the turn from sample to sample is used; `earth_light`: how much of full Sun a panel gets that looks at
     the Earth.
     """
 
@@ -116,6 +117,12 @@ class Track:
     @property
     def sun_B(self) -> np.ndarray:
         return self.attitude @ SUN_N
+
+
+def joined(tracks: list[Track]) -> Track:
+    """All hypotheses of smoothed tracks."""
+    each = [(t.attitude, t.omega, t.cost, t.log_weight, t.covariance) for t in tracks]
+    return Track(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,9 @@ Shift = Callable[[Observations, np.ndarray], np.ndarray]
 def with_spread(
     o: Observations, track: Track, motion: Motion, mean: np.ndarray, common: Common | None = None, clock: Clock | None = None
 ) -> tuple[Track, np.ndarray]:
-    """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates over
-    the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors in common, fitted with this `clock`."""
+    """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates
+    over the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors in common, fitted with
+    this `clock`."""
     if common is None:
         diagonal, upper, *_ = normal_equations(o, track, motion)
 
