@@ -52,6 +52,9 @@ BLIND_PAIRS = 4
 DIM_PENALTY = 3.0
 """So much longer is a pair of samples reckoned where both are dark."""
 
+SUN_SHARE = 0.35
+"""Directions of the Sun count so much less than turns there: they part mirror images, not what is still on its way to one place."""
+
 BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 """Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
 
@@ -140,7 +143,7 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
         return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
     turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    angle = np.concatenate([track.omega[:, : len(turns)] * turns, track.sun_B], axis=1).astype(np.float32)
+    angle = np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
     chosen = np.zeros(0, dtype=int)
     for i in order:
         apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
