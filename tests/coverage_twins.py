@@ -7,6 +7,7 @@ acts on the readings, the gains or the clock; "everything" is all of them at onc
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,19 +26,22 @@ CUBE = Vehicle(
 )  # fmt: skip
 SAMPLES = 40
 
+FOUR = replace(CUBE, name="four", panels=tuple(panel for panel in CUBE.panels if not panel.normal_B[2]))
+"""The same body with panels on its sides only: their common brightness tells the Sun's height above them, but for its sign."""
+
 Fault = Callable[..., np.ndarray]
 
 
-def albedo(power: np.ndarray, rng: np.random.Generator, attitude: Rotation) -> np.ndarray:
+def albedo(power: np.ndarray, rng: np.random.Generator, attitude: Rotation, normals: np.ndarray) -> np.ndarray:
     """The Earth, which stays where it is while the body turns: up to a tenth of full Sun on what looks there, lit or not."""
     earth = rng.normal(size=3)
-    return power + rng.uniform(0.02, 0.1) * np.maximum(attitude.apply(earth / np.linalg.norm(earth)) @ NORMALS.T, 0)
+    return power + rng.uniform(0.02, 0.1) * np.maximum(attitude.apply(earth / np.linalg.norm(earth)) @ normals.T, 0)
 
 
-def offset(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def offset(power: np.ndarray, rng: np.random.Generator, normals: np.ndarray) -> np.ndarray:
     """Up to a tenth of full Sun too much on one side of the body, all the time: zeros of the converters that nobody subtracts."""
     side = rng.normal(size=3)
-    return power + rng.uniform(0.02, 0.1) * np.maximum(NORMALS @ side / np.linalg.norm(side), 0)
+    return power + rng.uniform(0.02, 0.1) * np.maximum(normals @ side / np.linalg.norm(side), 0)
 
 
 def battery(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -46,15 +50,15 @@ def battery(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def dead_string(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return power * np.where(np.arange(6) == rng.integers(6), 0.8, 1.0)
+    return power * np.where(np.arange(power.shape[1]) == rng.integers(power.shape[1]), 0.8, 1.0)
 
 
 def dead_panel(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return power * (np.arange(6) != rng.integers(6))
+    return power * (np.arange(power.shape[1]) != rng.integers(power.shape[1]))
 
 
 def gains(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return power * np.exp(0.08 * rng.normal(size=6))
+    return power * np.exp(0.08 * rng.normal(size=power.shape[1]))
 
 
 def quantised(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -79,24 +83,26 @@ def warm(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 SINGLE = (albedo, offset, battery, dead_string, dead_panel, gains, quantised, spikes, stale, warm)
 FAULTS: dict[str, tuple[Fault, ...]] = {"none": (), **{fault.__name__: (fault,) for fault in SINGLE}}
+FAULTS["sides"] = (dead_string, albedo, battery, quantised)
 FAULTS["everything"] = (gains, dead_string, warm, albedo, battery, quantised, spikes, stale)
 
 
-def twin(faults: tuple[Fault, ...], rng: np.random.Generator) -> tuple[xr.Dataset, xr.Dataset]:
+def twin(faults: tuple[Fault, ...], rng: np.random.Generator, craft: Vehicle = CUBE) -> tuple[xr.Dataset, xr.Dataset]:
     """Telemetry and truth."""
     t = np.concatenate([[0.0], np.cumsum(10.0 * rng.uniform(0.8, 1.2, SAMPLES - 1))])
     sun = rng.normal(size=3)
-    run = ss.propagate(CUBE, 0.025 * rng.normal(size=3), sun / np.linalg.norm(sun), None, t)
-    power = ss.panel_power(CUBE, run["sun_B"].values)
+    run = ss.propagate(craft, 0.025 * rng.normal(size=3), sun / np.linalg.norm(sun), None, t)
+    power = ss.panel_power(craft, run["sun_B"].values)
     attitude = Rotation.from_quat(run["B_from_N"].values)
     for fault in faults:
-        power = fault(power, rng, attitude) if fault is albedo else fault(power, rng)
+        seen = {albedo: (attitude, craft.panel_normals_B), offset: (craft.panel_normals_B,)}
+        power = fault(power, rng, *seen.get(fault, ()))
     power = np.maximum(power + (0.01 * rng.normal(size=power.shape) if quantised not in faults else 0.0), 0.0)
     if stale in faults:
         power = stale(power, rng)
     variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(SAMPLES, dtype=np.uint8))}
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    return xr.Dataset(variables, {"time": t, "panel": list(CUBE.panel_names)}, attrs), run
+    return xr.Dataset(variables, {"time": t, "panel": list(craft.panel_names)}, attrs), run
 
 
 def place(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:
@@ -121,12 +127,12 @@ class Coverage(NamedTuple):
     too_narrow: float
 
 
-def coverage(faults: tuple[Fault, ...], count: int, seed: int) -> Coverage:
+def coverage(faults: tuple[Fault, ...], count: int, seed: int, craft: Vehicle = CUBE) -> Coverage:
     """Over `count` twins with these faults."""
     places, narrow, errors = [], [], []
     for i in range(count):
-        data, run = twin(faults, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))))
-        result = ss.rates(CUBE, data, max_rate_rad_s=0.15)
+        data, run = twin(faults, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))), craft)
+        result = ss.rates(craft, data, max_rate_rad_s=0.15)
         places.append(place(result, run))
         narrow.append(place(result.assign(omega_sigma_B=result["omega_sigma_B"] / 5), run))
         truth = run["omega_B"].sel(time=result["time"].values).values

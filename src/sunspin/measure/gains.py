@@ -16,9 +16,14 @@ from sunspin.measure.panels import arrangement, panel_power
 from sunspin.measure.sun import best_directions
 from sunspin.vehicle import Vehicle
 
-PRIOR_SIGMA, UNTOLD_SIGMA = 0.1, 0.05
-"""Relative uncertainty of a gain whose sigma the vehicle file does not state: as a prior, wide enough for a string of cells that
-is dead (with half of it twins with all faults missed by half as much again); and that of sound cells where nothing is told."""
+PRIOR_SIGMA, UNTOLD_SIGMA = 0.1, 0.02
+"""Relative uncertainty of a gain whose sigma the vehicle file does not state, as a prior: wide enough for a string of cells that
+is dead (with half of it twins with all faults missed by half as much again). And by how much one reading errs beside that where the
+scatter of brightness tells nothing: faces of other temperatures, shadows of edges."""
+
+UNKNOWN_SIGMA = 0.2
+"""The same of a gain that is left to the motion to tell (:mod:`sunspin.infer.rates.common`): no brightness refutes a vehicle file
+whose full scale is wrong by a third, and a wide prior costs little where 40 samples of a motion tell it to a few percent."""
 
 FEWEST, MOST = 15, 1500
 """Samples needed; and used, evenly chosen."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.measure.gains import brightness, estimate_gains, prior_sigmas
+from sunspin.measure.gains import UNKNOWN_SIGMA, brightness, estimate_gains, prior_sigmas
 from sunspin.measure.panels import panel_power, sphere
 from sunspin.measure.sun import LIT_SIGMAS, signals
 from sunspin.vehicle import Vehicle
@@ -117,8 +117,8 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
     earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
     # what the Earth adds to a lit panel on average is taken for its gain
-    # where they are not told, a string of cells may be dead: every sample has that error in common
-    own = told.covariance if told.spread is not None else np.diag(prior_sigmas(vehicle) ** 2)
+    # where they are not told, a string of cells may be dead or a full scale wrong: every sample has that error in common
+    own = told.covariance if told.spread is not None else np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
     gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
     untold = np.hypot(albedo, told.sigma * use_value / (full * gains))  # whose gains may be off by their prior
     share = np.where(use_value > SURELY_LIT * albedo * full * gains, untold if told.spread is None else told.spread, albedo)

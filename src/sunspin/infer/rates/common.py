@@ -1,5 +1,5 @@
 """Errors that all samples of a pass share, as unknowns of :mod:`sunspin.infer.rates`: a gyro's zero and scale, the body's
-inertia, and a clock.
+inertia, gains of panels that brightness alone does not tell, and a clock; in this order.
 
 Gyro, magnetometer and attitude of a row may be older than the row's Sun. The states of a fit are then those of the sensors'
 instants, and the Sun is seen so much later, after a turn by the rate: which says how late they are wherever the rate changes. A few
@@ -21,11 +21,11 @@ from sunspin.infer.rates.smooth import (
     Track,
     between,
     damping_scale,
-    measured,
     normal_equations,
     shortened,
     solve,
     student,
+    sun_measured,
 )  # fmt: skip
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
@@ -39,7 +39,7 @@ INERTIA_STEP = 0.02
 """Step, in sigmas, of the differences that give the answer of the motion to the inertia."""
 
 MOST_SIGMAS = 4.0
-"""No trial inertia is further from that of the vehicle's file than this, in its sigmas."""
+"""No trial inertia or gain is further from that of the vehicle's file than this, in its sigmas."""
 
 
 class Clock(NamedTuple):
@@ -62,10 +62,16 @@ class Common(NamedTuple):
     border: np.ndarray
     seen: Track
 
-    def shift(self, slope: np.ndarray) -> np.ndarray:
-        """Change (K, n, 6) of the states for a gradient (K, n, 6) that is added."""
+    def take(self, index: np.ndarray) -> Common:
+        """The hypotheses `index`."""
+        arrays = {name: part[index] for name, part in self._asdict().items() if not isinstance(part, Track)}
+        return self._replace(track=self.track.take(index), seen=self.seen.take(index), **arrays)
+
+    def shift(self, slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
+        """Change (K, n, 6) of the states for gradients of states (K, n, 6) and errors (K, m) that are added."""
         change = solve(self.diagonal, self.upper, slope)[0]
-        error = -np.einsum("kab,knib,kni->ka", self.covariance, self.border, change)
+        downhill = error_slope + np.einsum("knib,kni->kb", self.border, change)
+        error = -np.einsum("kab,kb->ka", self.covariance, downhill)
         return change + np.einsum("knia,ka->kni", self.answer, error)
 
 
@@ -82,7 +88,8 @@ class _Equations(NamedTuple):
 
 def has_common(o: Observations, clock: Clock | None, body: Body) -> bool:
     """Whether a pass has such errors at all."""
-    return clock is not None or len(body.errors) > 0 or bool(np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common))
+    gyro = np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common)
+    return clock is not None or len(body.errors) > 0 or len(o.row_unknowns) > 0 or bool(gyro)
 
 
 def acceleration(body: Body, omega: np.ndarray, momentum: np.ndarray) -> np.ndarray:
@@ -105,7 +112,7 @@ def with_common(
     A lateness moves the states of all samples along the motion: where that is stiff it is loosened, and cooled again. `begin`: the
     acceleration noise (rad/s^1.5) under which the hypotheses were found, if they have to be cooled from there.
     """
-    error = np.zeros((len(track.omega), _shared(o) + len(motion.body.errors) + (clock is not None)))
+    error = np.zeros((len(track.omega), _places(o, motion.body, clock).count))
     if clock is not None:
         error[:, -1] = first
         begin = max(begin, LOOSE[0])
@@ -119,15 +126,15 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
     """Damped Gauss-Newton on K hypotheses and their common errors at once."""
     parts = _equations(o, track, error, motion, clock)
     damping = np.full(len(error), 1e-3)
-    each = np.arange(6)
+    each, places = np.arange(6), _places(o, motion.body, clock)
     for _ in range(steps):
         diagonal = parts.diagonal.copy()
         diagonal[..., each, each] += (damping[:, None] * parts.damping)[:, None]
         change, step, *_ = _solved(parts._replace(diagonal=diagonal))
         omega = shortened(track.omega + change[..., 3:], RATE_LIMIT * motion.rate_prior)
         trial, trial_error = Track(turn(track.attitude, change[..., :3]), omega), error + step
-        inertia = slice(_shared(o), _shared(o) + len(motion.body.errors))
-        trial_error[:, inertia] = np.clip(trial_error[:, inertia], -MOST_SIGMAS, MOST_SIGMAS)
+        for place in (places.inertia, places.gains):
+            trial_error[:, place] = np.clip(trial_error[:, place], -MOST_SIGMAS, MOST_SIGMAS)
         new = _equations(o, trial, trial_error, motion, clock)
         better = new.cost < parts.cost
         gained = np.where(better, parts.cost - new.cost, 0.0)
@@ -145,9 +152,26 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
     return Common(fitted, error, spread, answer, parts.diagonal, parts.upper, parts.border, seen)
 
 
-def _shared(o: Observations) -> int:
-    """How many errors the samples of the gyro have in common."""
-    return o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
+class _Places(NamedTuple):
+    """Where each kind of error stands among all `count` of them."""
+
+    gyro: slice
+    inertia: slice
+    gains: slice
+    clock: slice
+    count: int
+
+
+def _places(o: Observations, body: Body, clock: Clock | None) -> _Places:
+    gyro = o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
+    edges = np.cumsum([0, gyro, len(body.errors), len(o.row_unknowns), int(clock is not None)])
+    spans = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return _Places(spans[0], spans[1], spans[2], spans[3], int(edges[-1]))
+
+
+def _with_gains(o: Observations, error: np.ndarray) -> Observations:
+    """The same with the gains of each hypothesis off by `error` (K, m) of the unknowns' sigmas."""
+    return replace(o, rows=o.rows + np.einsum("km,mpj->kpj", error, o.row_unknowns))
 
 
 def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
@@ -174,35 +198,34 @@ def _solved(p: _Equations) -> tuple[np.ndarray, ...]:
 
 
 def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> _Equations:
-    n = len(o)
+    n, places = len(o), _places(o, motion.body, clock)
     blind = np.full((n, 3, 3), np.nan)
     nothing = replace(o, sun_cov=blind, power=np.zeros((n, 0)), power_sigma=np.zeros((n, 0)), gyro=np.full((n, 3), np.nan))
-    first = _shared(o)
-    moved = [moving(nothing, track.take(np.array([k])), motion, error[k, first : first + len(motion.body.errors)])
-             for k in range(len(error))]  # fmt: skip
+    each = [np.array([k]) for k in range(len(error))] if len(motion.body.errors) else [slice(None)]  # one body serves all at once
+    moved = [moving(nothing, track.take(k), motion, error[k, places.inertia][0]) for k in each]
     diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
-    place = slice(first, first + inside.shape[-1])
-    border = np.zeros((*slope.shape, error.shape[1]))
-    corner = np.repeat(np.eye(error.shape[1])[None], len(error), axis=0)
+    border = np.zeros((*slope.shape, places.count))
+    corner = np.repeat(np.eye(places.count)[None], len(error), axis=0)
     error_slope = error.copy()
-    border[..., place] += inside
-    corner[:, place, place] += between_errors
-    error_slope[:, place] += downhill
-    told = np.zeros_like(diagonal)
-    cost = cost + (error**2).sum(axis=1) / 2
-    cost += _add_sun(o, track, error, motion, clock, told, slope, border, corner, error_slope)
-    cost += _add_gyro(o, track, error, told, slope, border, corner, error_slope)
+    border[..., places.inertia] += inside
+    corner[:, places.inertia, places.inertia] += between_errors
+    error_slope[:, places.inertia] += downhill
+    sun = sun_part(o, track, error, motion, clock)
+    cost = cost + (error**2).sum(axis=1) / 2 + sun.cost
+    slope, border, corner, error_slope = slope + sun.slope, border + sun.border, corner + sun.corner, error_slope + sun.error_slope
+    told = sun.matrix
+    cost += _add_gyro(o, track, error[:, places.gyro], places.gyro, told, slope, border, corner, error_slope)
     return _Equations(diagonal + told, upper, slope, cost, damping_scale(told, o.t_s), border, corner, error_slope)
 
 
 def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the motion of one hypothesis says, with the inertia off by `error` (r) sigmas: blocks (1, n, 6, 6) and (1, n-1, 6, 6),
-    gradient (1, n, 6), cost (1), and of the inertia's errors border (1, n, 6, r), corner (1, r, r) and gradient (1, r)."""
+    """What the motion of K hypotheses says, with the inertia off by `error` (r) sigmas: blocks (K, n, 6, 6) and (K, n-1, 6, 6),
+    gradient (K, n, 6), cost (K), and of the inertia's errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
     inertia = motion.body.inertia + np.tensordot(error, motion.body.errors, axes=1)
     motion = replace(motion, body=replace(motion.body, inertia=inertia))
     diagonal, upper, slope, cost, _ = normal_equations(o, track, motion)
     r = len(error)
-    border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((1, r, r)), np.zeros((1, r))
+    border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
     value, first, second = between(o, track, motion)
@@ -218,42 +241,49 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     return diagonal, upper, slope, cost, border, corner, downhill
 
 
-def _add_sun(o, track, error, motion, clock, told, slope, border, corner, error_slope) -> np.ndarray:
-    blind = replace(o, gyro=np.full((len(o), 3), np.nan))
-    if clock is None:
-        matrix, change, cost = measured(blind, track)
-        told += matrix
-        slope += change
-        return cost.sum(axis=1)
-    late = _late(clock, error)
-    seen = seen_later(o, track, motion, late)
-    matrix, change, cost = measured(blind, seen)
-    matrix, change = matrix[..., :3, :3], change[..., :3]
-    bridge = np.zeros((*track.omega.shape, 6))  # a turn at the state turns the Sun's instant, and a rate for as long as it is late
-    bridge[..., :3] = seen.attitude @ np.swapaxes(track.attitude, -1, -2)
-    bridge[..., 3:] = late[:, None, None, None] * np.eye(3)
-    along = clock.sigma_s * seen.omega
-    told += np.swapaxes(bridge, -1, -2) @ matrix @ bridge
-    slope += np.einsum("knij,kni->knj", bridge, change)
-    border[..., -1] += np.einsum("knij,kni->knj", bridge, np.einsum("knij,knj->kni", matrix, along))
-    corner[:, -1, -1] += np.einsum("kni,knij,knj->k", along, matrix, along)
-    error_slope[:, -1] += np.einsum("kni,kni->k", along, change)
-    return cost.sum(axis=1)
+class SunPart(NamedTuple):
+    """What the Sun's readings say: blocks (K, n, 6, 6), gradient (K, n, 6), border (K, n, 6, m), corner (K, m, m) and gradient
+    (K, m) of the errors in common, cost (K)."""
+
+    matrix: np.ndarray
+    slope: np.ndarray
+    border: np.ndarray
+    corner: np.ndarray
+    error_slope: np.ndarray
+    cost: np.ndarray
 
 
-def _add_gyro(o, track, error, told, slope, border, corner, error_slope) -> np.ndarray:
+def sun_part(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> SunPart:
+    """The Sun's readings, which answer to the states, to the gains and to how late the states are, at errors (K, m)."""
+    places = _places(o, motion.body, clock)
+    late = np.zeros(len(error)) if clock is None else _late(clock, error)
+    seen = track if clock is None else seen_later(o, track, motion, late)
+    matrix, slope, cost = sun_measured(_with_gains(o, error[:, places.gains]), seen, o.row_unknowns)
+    # of a turn at the Sun's instant and the gains, what the states (6) and the errors (m) of the equations do to each
+    bridge = np.zeros((*track.omega.shape[:2], slope.shape[-1], 6 + places.count))
+    bridge[..., :3, :3] = seen.attitude @ np.swapaxes(track.attitude, -1, -2) if clock is not None else np.eye(3)
+    bridge[..., :3, 3:6] = late[:, None, None, None] * np.eye(3)  # a rate turns it for as long as the state is late
+    bridge[..., 3:, 6:][..., places.gains] = np.eye(len(o.row_unknowns))
+    if clock is not None:
+        bridge[..., :3, -1] = clock.sigma_s * seen.omega
+    carried = np.swapaxes(bridge, -1, -2)
+    matrix, slope = carried @ matrix @ bridge, (carried @ slope[..., None])[..., 0]
+    corner, error_slope = matrix[..., 6:, 6:].sum(axis=1), slope[..., 6:].sum(axis=1)
+    return SunPart(matrix[..., :6, :6].copy(), slope[..., :6], matrix[..., :6, 6:], corner, error_slope, cost.sum(axis=1))
+
+
+def _add_gyro(o, track, error, place, told, slope, border, corner, error_slope) -> np.ndarray:
     known = np.isfinite(o.gyro).all(axis=1)
     if not known.any():
         return np.zeros(len(error))
-    shared = _shared(o)
-    column = np.nan_to_num(o.gyro_common[:, :shared]) * known[:, None, None] / o.gyro_sigma
+    column = np.nan_to_num(o.gyro_common[:, : error.shape[1]]) * known[:, None, None] / o.gyro_sigma
     value = np.where(known[:, None], (track.omega - np.nan_to_num(o.gyro)) / o.gyro_sigma, 0.0)
-    value = value + np.einsum("ka,nai->kni", error[:, :shared], column)
+    value = value + np.einsum("ka,nai->kni", error, column)
     weight, cost = student(value)
     weight = weight * known
     told[..., 3:, 3:] += weight[..., None, None] * np.eye(3) / o.gyro_sigma**2
     slope[..., 3:] += weight[..., None] * value / o.gyro_sigma
-    border[..., 3:, :shared] += np.einsum("kn,nai->knia", weight, column) / o.gyro_sigma
-    corner[:, :shared, :shared] += np.einsum("kn,nai,nbi->kab", weight, column, column)
-    error_slope[:, :shared] += np.einsum("kn,nai,kni->ka", weight, column, value)
+    border[..., 3:, place] += np.einsum("kn,nai->knia", weight, column) / o.gyro_sigma
+    corner[:, place, place] += np.einsum("kn,nai,nbi->kab", weight, column, column)
+    error_slope[:, place] += np.einsum("kn,nai,kni->ka", weight, column, value)
     return cost.sum(axis=1)

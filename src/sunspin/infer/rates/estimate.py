@@ -17,8 +17,8 @@ from sunspin.infer.rates.dense import Dense
 from sunspin.infer.rates.link import linked
 from sunspin.infer.rates.motion import Body, require_followed
 from sunspin.infer.rates.observe import observations, passes, usable
-from sunspin.infer.rates.seed import SEED_NOISE, cooled, forgiving, search, seeds
-from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit
+from sunspin.infer.rates.seed import SEED_NOISE, cooled, distinct_index, guesses, search, seeds
+from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit, joined
 from sunspin.infer.rates.spread import with_spread
 from sunspin.infer.rates.start import coarse
 from sunspin.infer.rates.wheels import wheel_momenta
@@ -42,6 +42,9 @@ HIGHER_NOISES = (1e-3, 3e-3)
 
 LADDER_PASSES = 2
 """Passes whose evidence chooses among them."""
+
+EVIDENCE_MODES = 4
+"""Hypotheses that are fitted with gains that are unknown where the evidence of a noise is asked for."""
 
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
@@ -165,9 +168,12 @@ def _clock(
 
 def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     """The heavier modes of one pass, best first."""
-    track = search(forgiving(o), motion, rate_max)
-    order, weight = _ranked(track)
-    return track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))])
+    found = []
+    for guess in guesses(o):
+        track = search(guess, motion, rate_max)
+        order, weight = _ranked(track)
+        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]))
+    return joined(found)
 
 
 def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
@@ -193,8 +199,10 @@ def finished(
     if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
         other = loosened(o, motion, clock, rate_max)
         common = other if other.track.cost.min() < common.track.cost.min() else common
+    if common is not None:  # with their common errors two hypotheses may have become one
+        common = common.take(distinct_index(common.track, o.t_s))
     between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
-    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common)
+    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
     if common is not None:
         track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
     order, weight = _ranked(track)
@@ -242,18 +250,26 @@ def choose(
 def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
     """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
 
-    From the loosest to the stiffest, each from where the one before ended.
+    From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
+    vehicle file's, what they do to the Sun's direction would pass for strong torques. The inertia is the file's.
     """
+    return np.logaddexp.reduce([_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)], axis=0)
+
+
+def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
+    """The same with the motions that are found as `guess` has the measurements."""
     found = np.full(len(noises), -np.inf)
-    o = forgiving(o)
     motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
     try:
-        track, last = seeds(o, motion, rate_max, pairs=1), motion.noise
+        track, last = seeds(guess, motion, rate_max, pairs=1), motion.noise
     except InputError:
         return found
     for k in np.argsort(noises)[::-1]:
-        track, last = cooled(o, track, last, replace(motion, noise=noises[k])), noises[k]
-        found[k] = np.logaddexp.reduce(track.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
+        motion = replace(motion, noise=noises[k])
+        track, last = cooled(guess, track, last, motion), noises[k]
+        known = replace(motion, body=replace(body, errors=body.errors[:0]))
+        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
+        found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
     return found
 
 

@@ -49,13 +49,16 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
     parts: dict[str, Any] = {
         "sun_B": np.full((n, 3), np.nan), "sun_cov": np.full((n, 3, 3), np.nan), "power": np.zeros((n, 0)),
         "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)),
-        "row_errors": np.zeros((0, 0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
+        "row_errors": np.zeros((0, 0, 3)), "row_unknowns": np.zeros((0, 0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
     }  # fmt: skip
     if source == "panels":
         quality = panel_quality(vehicle, telemetry)
+        errors = _gain_errors(vehicle, quality)
+        told = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion can tell the gains
         parts |= {
             "power": signals(telemetry), "power_sigma": quality["sigma"].values,
-            "rows": quality["gain"].values[:, None] * vehicle.panel_normals_B, "row_errors": _gain_errors(vehicle, quality),
+            "rows": quality["gain"].values[:, None] * vehicle.panel_normals_B, "row_errors": errors[: len(errors) * told],
+            "row_unknowns": errors[len(errors) * told :],
             "scale": quality["scale"].values, "scale_sigma": quality["scale_sigma"].values,
             "earth_light": quality.attrs["earth_light"],
         }  # fmt: skip

@@ -15,7 +15,7 @@ from sunspin.errors import InputError, sentence
 from sunspin.infer.rates.motion import step
 from sunspin.infer.rates.shoot import carried, shot
 from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit, measured, smooth
-from sunspin.infer.rates.start import gyro_decides, starts, steady
+from sunspin.infer.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -46,6 +46,18 @@ than the second number."""
 PAIRS, MORE_PAIRS, BADLY = 3, 2, 0.8
 """Pairs to start from; how many more where even the best hypothesis costs more than this share of what is called bad."""
 
+BLIND_PAIRS = 4
+"""Pairs to start from where panels lie in one plane, so that a sample limited by the battery looks like a Sun that stands aside."""
+
+DIM_PENALTY = 3.0
+"""So much longer is a pair of samples reckoned where both are dark."""
+
+SUN_SHARE = 0.35
+"""Directions of the Sun count so much less than turns there: they part mirror images, not what is still on its way to one place."""
+
+BRIGHTEST, OTHER_SCALE = 0.95, 0.1
+"""Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
+
 MAX_TURNS = 100
 """Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
 
@@ -56,7 +68,8 @@ DROP = 18.0
 """Hypotheses less probable than the best by exp(-18) are dropped."""
 
 ALIKE_RAD = 0.25
-"""Two hypotheses whose turns between neighbours differ by less everywhere are one."""
+"""Two hypotheses whose turns between neighbours and whose directions of the Sun differ by less everywhere are one: panels on the
+sides alone leave two mirror images, which turn nearly alike where the body spins about the axis that nothing looks along."""
 
 
 def wider(o: Observations, noise: float, index: int, apart_rad: float) -> Observations:
@@ -120,12 +133,17 @@ def _thinned(o, index, suns, rates, motion, apart) -> tuple[np.ndarray, np.ndarr
 
 def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> Track:
     """Without the improbable and without copies, best first."""
+    return track.take(distinct_index(track, times, keep, drop))
+
+
+def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> np.ndarray:
+    """Which hypotheses those are."""
     order = np.argsort(track.cost, kind="stable")
     if not len(order):
-        return track
+        return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
     turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    angle = (track.omega[:, : len(turns)] * turns).astype(np.float32)
+    angle = np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
     chosen = np.zeros(0, dtype=int)
     for i in order:
         apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
@@ -133,7 +151,7 @@ def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DR
             chosen = np.append(chosen, i)
         if len(chosen) == keep:
             break
-    return track.take(chosen)
+    return chosen
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
@@ -182,9 +200,28 @@ def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None =
 
 
 def forgiving(o: Observations) -> Observations:
-    """The same with a gyro trusted no further than its zero and scale: the search holds it at what the vehicle file says."""
+    """The same with a gyro trusted no further than its zero and scale, and panels no further than gains that are unknown: the
+    search holds them at what the vehicle file says."""
     common = np.sqrt((o.gyro_common**2).sum(axis=1).mean()) if o.gyro_common.size else 0.0
-    return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)))
+    unknown = np.linalg.norm(o.row_unknowns, axis=(0, 2)) / np.maximum(np.linalg.norm(o.rows, axis=-1), 1e-300)
+    sigma = np.hypot(o.power_sigma, np.nan_to_num(o.power) * unknown) if len(o.row_unknowns) else o.power_sigma
+    return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)), power_sigma=sigma)
+
+
+def guesses(o: Observations) -> list[Observations]:
+    """What is searched: the forgiving measurements, and where panels lie in one plane and their brightest samples do not look
+    like full Sun, also those with all gains as these samples have them: either the Sun never came near the plane, or the full
+    scale is wrong."""
+    loose = forgiving(o)
+    if blind_axis(o) is None or not len(o.row_unknowns):
+        return [loose]
+    full = float(np.quantile(np.linalg.norm(relative(o), axis=1), BRIGHTEST))
+    return [loose] if abs(full - 1) < OTHER_SCALE else [loose, replace(loose, rows=o.rows * full)]
+
+
+def relative(o: Observations) -> np.ndarray:
+    """Readings (n, n_panel) as shares of full Sun, zero where they say nothing."""
+    return np.where(np.isfinite(o.power_sigma), np.nan_to_num(o.power) / np.linalg.norm(o.rows, axis=1), 0.0) / o.scale[:, None]
 
 
 def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:
@@ -195,17 +232,34 @@ def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track
     return distinct(smooth(o, track, motion, steps=25), o.t_s)
 
 
+def bright_pairs(o: Observations) -> np.ndarray:
+    """Pairs of neighbours, those first whose whole windows are bright: there the Sun stands in the plane of the panels and the
+    battery limits nothing. Windows that overlap come later, since what spoils one spoils the other."""
+    dim = 1 - np.minimum(np.linalg.norm(relative(o), axis=1), 1.0)
+    ends = np.arange(len(o) - 1)
+    window = [dim[max(0, i - 1) : i + 3].mean() for i in ends]
+    order = np.argsort(np.diff(o.t_s) * (1 + DIM_PENALTY * np.array(window)), kind="stable")
+    first: list[int] = []
+    for i in order:
+        if all(abs(i - j) > WINDOW for j in first):
+            first.append(i)
+    return np.array(first + [i for i in order if i not in first])
+
+
 def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
     """Modes under a loose motion: from the `pairs` shortest intervals, grown over the whole pass and joined.
 
     Default: three, or one where the samples begin so close together that no rate hides between them, where a grid holds all
-    rates anyway, or a gyro tells. Where nothing found fits, more are tried before that is said.
+    rates anyway, or a gyro tells. Where nothing found fits, more are tried before that is said. Panels in one plane bound the Sun
+    so little that four pairs are tried in any case, and each motion found is tried mirrored.
     """
+    blind = blind_axis(o)
     quality = np.where(o.told, 1.0, 2.0)
-    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable")
+    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable") if blind is None else bright_pairs(o)
     dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
     trust = gyro_decides(o, int(order[0]))
-    pairs = pairs or (1 if dense or trust or not steady(o, int(order[0]), motion, rate_max) else PAIRS)
+    one = dense or trust or not steady(o, int(order[0]), motion, rate_max)
+    pairs = BLIND_PAIRS if blind is not None else pairs or (1 if one else PAIRS)
     tracks: list[Track] = []
     for i in order[: pairs + MORE_PAIRS]:
         best = min((float(track.cost[0]) for track in tracks), default=np.inf)
@@ -220,4 +274,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
                 got=f"largest rate {rate_max:.4g} rad/s", do="raise --max-rate, or check the times and the directions",
             )
         )  # fmt: skip
-    return distinct(_joined(tracks), o.t_s)
+    track = distinct(_joined(tracks), o.t_s)
+    if blind is None:
+        return track
+    return distinct(_joined([track, smooth(o, mirrored(track, blind), motion)]), o.t_s)

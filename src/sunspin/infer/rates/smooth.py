@@ -47,13 +47,14 @@ PER_SAMPLE = (
 class Observations:
     """What a pass measured, at n samples. NaN or infinite sigma: nothing measured there.
 
-    `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel),
-    `power_sigma` (n, n_panel), `rows` (n_panel, 3) gain times normal with `row_errors` (m, n_panel, 3), one
-    sigma of errors that all samples share, `scale` (n) and `scale_sigma` (n): the factor of all
-    powers of a sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one
-    sigma of errors that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in
-    the body's mean moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma`
-    (rad), of which only the turn from sample to sample is used; `earth_light`: how much of full Sun a panel gets that looks at
+    `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel) or for
+    each hypothesis (K, n, n_panel), `power_sigma` (n, n_panel), `rows` (n_panel, 3) or for each hypothesis (K, n_panel, 3) gain
+    times normal with `row_errors` (m, n_panel, 3), one sigma of errors that all samples share, and `row_unknowns`
+    (m, n_panel, 3), one sigma of those that are to be estimated; `scale` (n) and `scale_sigma` (n): the factor of all powers of a
+    sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one sigma of errors
+    that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in the body's mean
+    moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma` (rad), of which only
+    the turn from sample to sample is used; `earth_light`: how much of full Sun a panel gets that looks at
     the Earth.
     """
 
@@ -64,6 +65,7 @@ class Observations:
     power_sigma: np.ndarray
     rows: np.ndarray
     row_errors: np.ndarray
+    row_unknowns: np.ndarray
     scale: np.ndarray
     scale_sigma: np.ndarray
     gyro: np.ndarray
@@ -112,13 +114,19 @@ class Track:
     log_weight: np.ndarray = field(default_factory=lambda: UNTOLD)
     covariance: np.ndarray = field(default_factory=lambda: UNTOLD)
 
-    def take(self, index: np.ndarray) -> Track:
+    def take(self, index: np.ndarray | slice) -> Track:
         told = (x if x is UNTOLD else x[index] for x in (self.cost, self.log_weight, self.covariance))
         return Track(self.attitude[index], self.omega[index], *told)
 
     @property
     def sun_B(self) -> np.ndarray:
         return self.attitude @ SUN_N
+
+
+def joined(tracks: list[Track]) -> Track:
+    """All hypotheses of smoothed tracks."""
+    each = [(t.attitude, t.omega, t.cost, t.log_weight, t.covariance) for t in tracks]
+    return Track(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -140,14 +148,8 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
 def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal matrices (K, n, 6, 6), gradients (K, n, 6) and costs (K, n) of what was measured at each sample."""
     k, n = track.omega.shape[:2]
-    matrix, slope, cost = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6)), np.zeros((k, n))
-    sun = track.sun_B
-    answer = cross_matrix(sun)  # the Sun's direction in the body answers sun x turn
-    for value, jacobian in _sun_residuals(observations, sun, answer):
-        weight, part = student(value)
-        matrix[..., :3, :3] += np.einsum("kn,knmi,knmj->knij", weight, jacobian, jacobian)
-        slope[..., :3] += np.einsum("kn,knmi,knm->kni", weight, jacobian, value)
-        cost += part
+    matrix, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
+    matrix[..., :3, :3], slope[..., :3], cost = sun_measured(observations, track)
     known = np.all(np.isfinite(observations.gyro), axis=1)
     if known.any():
         value = np.where(known[:, None], (track.omega - np.nan_to_num(observations.gyro)) / observations.gyro_sigma, 0.0)
@@ -158,30 +160,52 @@ def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.n
     return matrix, slope, cost
 
 
-def _sun_residuals(o: Observations, sun: np.ndarray, answer: np.ndarray):
+def sun_measured(o: Observations, track: Track, unknowns: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal matrices (K, n, 3 + m, 3 + m), gradients (K, n, 3 + m) and costs (K, n) of the Sun at each sample, to a turn and to
+    one sigma of each of `unknowns` (m, n_panel, 3), errors of gain times normal."""
+    unknowns = np.zeros((0, *o.rows.shape[-2:])) if unknowns is None else unknowns
+    k, n, size = *track.omega.shape[:2], 3 + len(unknowns)
+    matrix, slope, cost = np.zeros((k, n, size, size)), np.zeros((k, n, size)), np.zeros((k, n))
+    sun = track.sun_B
+    answer = cross_matrix(sun)  # the Sun's direction in the body answers sun x turn
+    for value, jacobian in _sun_residuals(o, sun, answer, unknowns):
+        weight, part = student(value)
+        matrix += np.einsum("kn,knmi,knmj->knij", weight, jacobian, jacobian)
+        slope += np.einsum("kn,knmi,knm->kni", weight, jacobian, value)
+        cost += part
+    return matrix, slope, cost
+
+
+def _sun_residuals(o: Observations, sun: np.ndarray, answer: np.ndarray, unknowns: np.ndarray):
     told = o.told
     if told.any():
         white = np.zeros((len(o), 3, 3))
         white[told] = np.swapaxes(np.linalg.cholesky(np.linalg.inv(o.sun_cov[told])), -1, -2)
-        yield np.einsum("nij,knj->kni", white, sun - np.where(told[:, None], o.sun_B, 0.0)), white @ answer
+        jacobian = white @ answer
+        jacobian = np.concatenate([jacobian, np.zeros((*jacobian.shape[:-1], len(unknowns)))], axis=-1)
+        yield np.einsum("nij,knj->kni", white, sun - np.where(told[:, None], o.sun_B, 0.0)), jacobian
     if o.power.size and np.isfinite(o.power_sigma).any():
-        yield _power_residuals(o, sun, answer)
+        yield _power_residuals(o, sun, answer, unknowns)
 
 
-def _power_residuals(o: Observations, sun: np.ndarray, answer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Powers less the model's, in sigma, the scale of each sample being put at its best (variable projection).
+def _power_residuals(o: Observations, sun: np.ndarray, answer: np.ndarray, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Powers less the model's (K, n, n_panel + 1), in sigma, the scale of each sample being put at its best (variable projection),
+    and their Jacobian (K, n, n_panel + 1, 3 + m) to a turn and to the `unknowns`.
 
     The scale's own prior is one more residual, so a scale known, half known and free are one formula.
     """
     inverse = np.where(np.isfinite(o.power_sigma), 1 / o.power_sigma, 0.0)
-    target = np.concatenate([np.nan_to_num(o.power) * inverse, (1 / o.scale_sigma)[:, None]], axis=1)
-    cosine = sun @ o.rows.T
+    target = np.nan_to_num(o.power) * inverse
+    target = np.concatenate([target, np.broadcast_to((1 / o.scale_sigma)[:, None], (*target.shape[:-1], 1))], axis=-1)
+    cosine = sun @ np.swapaxes(o.rows, -1, -2)
     shape = np.maximum(cosine, 0.0) * inverse * o.scale[:, None]
     shape = np.concatenate([shape, np.broadcast_to((1 / o.scale_sigma)[:, None], (*shape.shape[:2], 1))], axis=-1)
     size = (shape**2).sum(axis=-1, keepdims=True)
     best = np.maximum((shape * target).sum(axis=-1, keepdims=True) / size, 0.0)
-    change = ((cosine > 0) * inverse * o.scale[:, None])[..., None] * (o.rows @ answer)
-    change = np.concatenate([change, np.zeros((*change.shape[:2], 1, 3))], axis=-2) * best[..., None]
+    to_turn = np.expand_dims(o.rows, -3) @ answer
+    change = np.concatenate([to_turn, np.einsum("knj,mpj->knpm", sun, unknowns)], axis=-1)
+    change = ((cosine > 0) * inverse * o.scale[:, None])[..., None] * change
+    change = np.concatenate([change, np.zeros((*change.shape[:2], 1, change.shape[-1]))], axis=-2) * best[..., None]
     unit = shape / np.sqrt(size)
     change = change - unit[..., None] * np.einsum("...m,...mi->...i", unit, change)[..., None, :]
     return best * shape - target, change

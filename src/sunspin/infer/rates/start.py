@@ -39,6 +39,25 @@ GRID_RAD, GRID_MOST = 0.35, 200_000
 """Step of the grid of rates, as a turn between the first pair of samples, and how many starts it may make."""
 
 
+FLAT = 1e-6
+"""Panels' normals out of one plane by less than this see no difference between a Sun on either side of it."""
+
+
+def blind_axis(o: Observations) -> np.ndarray | None:
+    """The direction (3) along which no panel looks, where the Sun is known from panels in one plane alone; else None."""
+    if o.told.any() or not o.power.size:
+        return None
+    seeing = o.rows[np.isfinite(o.power_sigma).any(axis=0)]
+    size, axes = np.linalg.svd(seeing / np.linalg.norm(seeing, axis=1, keepdims=True))[1:]
+    return axes[2] if np.count_nonzero(size > FLAT) == 2 else None
+
+
+def mirrored(track: Track, axis: np.ndarray) -> Track:
+    """Hypotheses as a mirror across the plane of `axis` shows them: panels in that plane read the same."""
+    mirror = np.eye(3) - 2 * np.outer(axis, axis)
+    return Track(mirror @ track.attitude @ np.diag([-1.0, 1.0, 1.0]), -track.omega @ mirror)
+
+
 def facing(sun_B: np.ndarray) -> np.ndarray:
     """Some attitude (..., 3, 3), B_from_N, that shows the Sun of N in the direction `sun_B` (..., 3)."""
     other = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
