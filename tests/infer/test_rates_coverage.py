@@ -15,6 +15,7 @@ def test_intervals_hold_the_truth_with_all_faults_at_once():
     assert found.too_narrow < 0.5
     assert found.error < np.radians(0.05)  # of 1 to 3 deg/s
 
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_intervals_hold_the_truth(name):
