@@ -98,6 +98,18 @@ def test_motions_once_lost_are_found(i):
     assert found["word"] == "unique" and found["sigmas"] < strange_twins.NEAR_SIGMAS, found["verdict"]
 
 
+def test_readings_that_do_not_tell_an_unknown_do_not_stop_the_fit():
+    """One lit panel, read to a part in a billion, tells nothing across it: rounding leaves the curvature without an inverse."""
+    vehicle = craft(4, noise=1e-9)
+    telemetry = samples(vehicle, 3)
+    telemetry["current_A"].values[:] = 0.5 * np.array([0.6, 0.0, 0.0, 0.0])
+    data, _, _ = readings(vehicle, telemetry)
+    unknown, _ = model(vehicle, PRIORS, 0.5)
+    start = State(np.full((4, 3), 1e-12), np.tile([0.6, 0.0, 0.8], (4, 1)), np.zeros((4, len(unknown.unknowns))))
+    found = Fit(Likelihood(unknown, data), start, ((3.0, 2), (1.0, 2)), still=True, normal=True)(np.arange(4))
+    assert np.isfinite(found["cost"]).all()
+
+
 def test_hopeless_hypotheses_keep_a_cost_for_the_best_of_them_to_go_on():
     vehicle = craft(6)
     data, _, _ = readings(vehicle, samples(vehicle, 6))

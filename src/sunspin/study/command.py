@@ -49,14 +49,14 @@ def rows_folder(folder: Path) -> Path:
 
 def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """A row from its JSON file; where there is none it is made, and the file written whole."""
+    made = None if path.is_file() else json.dumps(make())
     try:
-        if not path.is_file():
-            row = json.dumps(make())
-            whole.write_whole(path, lambda part: part.write_text(row, "utf-8"))
+        if made is not None:
+            whole.write_whole(path, lambda part: part.write_text(made, "utf-8"))
         row = json.loads(path.read_text("utf-8"))
+    except SunspinError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, SunspinError):
-            raise
         raise OutputError(sentence(f"the row cannot be kept or read ({error})", do="delete the file or choose another folder",
                                    where=str(path))) from None  # fmt: skip
     if not isinstance(row, dict):

@@ -215,7 +215,9 @@ class _Search:
     def _taken_up(self) -> np.ndarray:
         """How many readings (n) the unknowns of each row answer for, dark ones and priors apart."""
         told = np.einsum("nri,nrj->nij", self._scaled, self._scaled)
-        whole = told + np.diag(self._prior + 1e-9)
+        size = np.sqrt(np.einsum("nii->ni", told) + self._prior + 1e-12)  # in these units no number is large
+        told /= size[:, :, None] * size[:, None, :]
+        whole = told + np.eye(told.shape[1]) * (self._prior / size**2 + 1e-9)[:, :, None]
         return np.trace(np.linalg.solve(whole, told), axis1=1, axis2=2)
 
     def curvature(self) -> np.ndarray:
