@@ -27,6 +27,9 @@ LARGEST_TURN = 0.5
 READINGS_AT_ONCE = 2_500_000
 """Derivatives held in memory at once by one worker."""
 
+Levels = tuple[tuple[float, int], ...]
+"""(factor on the noise, steps) one after the other."""
+
 
 def chunk_rows(likelihood: Likelihood) -> int:
     """Rows that one worker fits at once."""
@@ -46,7 +49,7 @@ class Fit:
 
     likelihood: Likelihood
     start: State = field(repr=False)
-    levels: tuple[tuple[float, int], ...]
+    levels: Levels
     still: bool = False
     curved: bool = False
     normal: bool = False

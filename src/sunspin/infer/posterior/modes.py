@@ -14,7 +14,7 @@ from sunspin.infer.ensemble import ensemble, worker_count
 from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior import cells as c
 from sunspin.infer.posterior.data import Readings
-from sunspin.infer.posterior.fit import FILES, Fit, chunk_rows
+from sunspin.infer.posterior.fit import FILES, Fit, Levels, chunk_rows
 from sunspin.infer.posterior.likelihood import Likelihood, moved, tangents
 from sunspin.infer.posterior.model import Model, State
 
@@ -184,10 +184,8 @@ class Search:
     """One enumeration: keeps store, workers and bar for its stages."""
 
     def __init__(self, workers: int | None, store: Path | None, progress: bool) -> None:
-        self.workers: int | None = workers
-        self.store: Path | None = store
-        self.progress: bool = progress
-        self.stage: int = 0
+        self.workers, self.store, self.progress = workers, store, progress
+        self.stage = 0
 
     def run(self, function: Any, label: str, chunk: int) -> dict[str, np.ndarray]:
         """All rows of a function, kept in a folder of its own."""
@@ -204,9 +202,7 @@ class Search:
         cells = c.Starts(grid, turn, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
         return cells.found(worker_count(self.workers))
 
-    def fit(
-        self, likelihood: Likelihood, state: State, levels: tuple[tuple[float, int], ...], label: str, **options: Any
-    ) -> dict[str, np.ndarray]:
+    def fit(self, likelihood: Likelihood, state: State, levels: Levels, label: str, **options: Any) -> dict[str, np.ndarray]:
         return self.run(Fit(likelihood, state, levels, **options), label, chunk_rows(likelihood))
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
