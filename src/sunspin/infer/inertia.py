@@ -9,6 +9,9 @@ from sunspin.vehicle import Vehicle
 ASSUMED = 0.01
 """Relative sigma of each moment where the vehicle's file states none: known exactly, they would make any answer too sure."""
 
+UNKNOWN_MOMENT, UNKNOWN_PRODUCT = 0.3, 0.1
+"""The same, of the mean moment, where the file has no inertia: a 3U CubeSat's moments are 0.7 below and 0.4 above their mean."""
+
 
 def stated_sigma(vehicle: Vehicle) -> np.ndarray | None:
     """One sigma (3, 3) of the elements of the tensor, kg m2, if the vehicle's file states it."""
@@ -32,3 +35,11 @@ def inertia_errors(vehicle: Vehicle) -> np.ndarray:
                 error[a, b] = error[b, a] = sigma[a, b]
                 made.append(error)
     return np.array(made).reshape(-1, 3, 3)
+
+
+def unknown_errors() -> np.ndarray:
+    """The same (6, 3, 3) of a sphere of which nothing is known, in units of the mean moment: of each moment and product."""
+    made = np.zeros((6, 3, 3))
+    for error, (a, b) in zip(made, [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)], strict=True):
+        error[a, b] = error[b, a] = UNKNOWN_MOMENT if a == b else UNKNOWN_PRODUCT
+    return made

@@ -222,7 +222,8 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     """What the motion of K hypotheses says, with the inertia off by `error` (r) sigmas: blocks (K, n, 6, 6) and (K, n-1, 6, 6),
     gradient (K, n, 6), cost (K), and of the inertia's errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
     inertia = motion.body.inertia + np.tensordot(error, motion.body.errors, axes=1)
-    motion = replace(motion, body=replace(motion.body, inertia=inertia))
+    sphere = motion.body.spherical and not len(error)
+    motion = replace(motion, body=replace(motion.body, inertia=inertia, spherical=sphere))
     diagonal, upper, slope, cost, _ = normal_equations(o, track, motion)
     r = len(error)
     border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))

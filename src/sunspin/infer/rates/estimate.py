@@ -119,8 +119,8 @@ def rates(
     parts = passes(o, why, gap_s)
     sensors = vehicle.sensors
     rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
-    body = Body.of(vehicle, sensors.disturbance.dipole)
     given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
+    body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None)
     if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
         low, high = NOISE_RANGE
         raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
@@ -311,7 +311,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     attrs |= {
         "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
-        "body": "sphere (no inertia given)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
+        "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
         "attitude_used": int(np.isfinite(o.attitude[index]).any()),
         "sunspin_version": metadata.version("sunspin"),

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.inertia import inertia_errors
+from sunspin.infer.inertia import inertia_errors, unknown_errors
 from sunspin.motion import gyrostat as g
 from sunspin.vehicle import Vehicle
 
@@ -43,11 +43,14 @@ class Body:
     errors: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     @classmethod
-    def of(cls, vehicle: Vehicle, dipole: npt.ArrayLike | None = None) -> Body:
-        """The body of a vehicle; a sphere where its inertia is not known."""
+    def of(cls, vehicle: Vehicle, dipole: npt.ArrayLike | None = None, torques_known: bool = False) -> Body:
+        """The body of a vehicle; a sphere where its inertia is not known, give or take much.
+
+        `torques_known`: the acceleration noise is given, and stands for what the body is not a sphere too.
+        """
         pull = np.zeros(3) if dipole is None else np.asarray(dipole, dtype=np.float64)
         if vehicle.inertia_kg_m2 is None:
-            return cls(np.eye(3), pull, True)
+            return cls(np.eye(3), pull, True, unknown_errors()[: 0 if torques_known else None])
         unit = mean_moment(vehicle)
         return cls(np.array(vehicle.inertia_kg_m2) / unit, pull, False, inertia_errors(vehicle) / unit)
 
