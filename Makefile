@@ -40,12 +40,12 @@ lint: $(READY)
 	$(BIN)/basedpyright
 
 test: lint
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile -m "not slow" --evidence $(EVIDENCE)
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile -m "not slow" --evidence=$(EVIDENCE)
 	@$(MAKE) --no-print-directory docs
 
 # adds what the long tests show to what `make test` has shown
 test-slow: $(READY)
-	$(BIN)/python -m pytest -m slow --evidence $(EVIDENCE)
+	$(BIN)/python -m pytest -m slow --evidence=$(EVIDENCE)
 	@$(MAKE) --no-print-directory docs
 
 docs: $(READY)
