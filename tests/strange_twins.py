@@ -24,13 +24,11 @@ from scipy.stats import chi2
 import sunspin as ss
 from sunspin.errors import SunspinError
 from sunspin.infer.posterior.model import ASSUMED
+from sunspin.study.calibrate import NEAR_SIGMAS
 from sunspin.study.command import command, kept, rows_folder
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
-NEAR_SIGMAS = 4.5
-"""A mode counts as the true one within this many sigmas of its rates."""
-
 
 class Twin(NamedTuple):
     """The vehicle as it is told, its telemetry, the true rate at the first sample (3) rad/s, the priors told, what was drawn."""

@@ -13,6 +13,7 @@ from sunspin.infer.posterior.fit import Fit
 from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import State, model
 from sunspin.infer.posterior.modes import APART, BESIDE, denser
+from sunspin.study.calibrate import NEAR_SIGMAS
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
@@ -103,7 +104,7 @@ def test_noise_on_dark_panels_does_not_brighten_the_sun():
 def test_motions_once_lost_are_found(i):
     """8: of a family that the first three samples leave, one member seemed to fit to a tenth of the noise; 149: see above."""
     found = strange_twins.judge(strange_twins.make(0, i, TURNS), 1)
-    assert found["word"] == "unique" and found["sigmas"] < strange_twins.NEAR_SIGMAS, found["verdict"]
+    assert found["word"] == "unique" and found["sigmas"] < NEAR_SIGMAS, found["verdict"]
 
 
 def test_readings_that_do_not_tell_an_unknown_do_not_stop_the_fit():

@@ -27,6 +27,16 @@ def inertia_errors(vehicle: Vehicle) -> np.ndarray:
     tensor, sigma = np.array(vehicle.require_inertia()), stated_sigma(vehicle)
     if sigma is None:
         sigma = np.diag(ASSUMED * np.diag(tensor))
+    return _one_by_one(sigma)
+
+
+def unknown_errors() -> np.ndarray:
+    """The same (6, 3, 3) of a sphere of which nothing is known, in units of the mean moment: of each moment and product."""
+    return _one_by_one(np.where(np.eye(3, dtype=bool), UNKNOWN_MOMENT, UNKNOWN_PRODUCT))
+
+
+def _one_by_one(sigma: np.ndarray) -> np.ndarray:
+    """Symmetric tensors (m, 3, 3) with one of the elements' sigmas (3, 3) each, those of zero left out."""
     made = []
     for a in range(3):
         for b in range(a, 3):
@@ -35,11 +45,3 @@ def inertia_errors(vehicle: Vehicle) -> np.ndarray:
                 error[a, b] = error[b, a] = sigma[a, b]
                 made.append(error)
     return np.array(made).reshape(-1, 3, 3)
-
-
-def unknown_errors() -> np.ndarray:
-    """The same (6, 3, 3) of a sphere of which nothing is known, in units of the mean moment: of each moment and product."""
-    made = np.zeros((6, 3, 3))
-    for error, (a, b) in zip(made, [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)], strict=True):
-        error[a, b] = error[b, a] = UNKNOWN_MOMENT if a == b else UNKNOWN_PRODUCT
-    return made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sunspin.infer.posterior.cells import CANDIDATE_GRID, CAP
 from sunspin.infer.posterior.data import Readings
 from sunspin.measure.panels import panel_power, sphere
 from sunspin.measure.sun import best_directions, is_reconstructed, sun_directions
@@ -15,14 +16,14 @@ LEAST_SEEN, MOST_SEEN = 0.5, 1.2
 MOST_SAMPLES = 40
 """Samples looked at, those with the most light: they bound the scale."""
 
-DIRECTIONS, BETWEEN_RAD = 3000, 0.03
-"""Directions tried, and how far any other is from the nearest of them."""
+BETWEEN_RAD = 0.03
+"""How far any direction is from the nearest of those tried."""
 
 STEP, LEAST, WIDEST = 0.02, 0.03, 3.0
 """Scales tried: steps of their logarithm, and between which parts of the brightest reading they lie at most."""
 
-CAP, WORSE = 16.0, 4.0
-"""A reading counts against a scale by the square of its sigmas, CAP at most; two sigmas from the best is near enough."""
+WORSE = 4.0
+"""A reading counts against a scale by the square of its sigmas, at most `CAP`; two sigmas from the best is near enough."""
 
 
 def brightness(vehicle: Vehicle, data: Readings) -> float:
@@ -50,7 +51,7 @@ def _smallest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
     brightest = brightest[light[brightest].max(axis=1) > 0]  # the dark samples of an eclipse bound nothing
     largest = light[brightest].max(axis=1)
     scales = np.exp(np.arange(np.log(max(np.median(largest), LEAST * largest.max())), np.log(WIDEST * largest.max()), STEP))
-    seen = panel_power(vehicle, sphere(DIRECTIONS))
+    seen = panel_power(vehicle, sphere(CANDIDATE_GRID))
     misfit = np.zeros(len(scales))
     for i, scale in enumerate(scales):
         sigma = np.hypot(data.sigma, BETWEEN_RAD * scale * vehicle.panel_gains)

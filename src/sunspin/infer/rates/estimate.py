@@ -82,7 +82,7 @@ def rates(
 
     Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start;
     starts grow over the pass by smoothing (:mod:`sunspin.infer.rates.smooth`): rigid-body motion with the vehicle's inertia
-    and wheels (a sphere where no inertia is known) and white angular acceleration for what it leaves out, measurements with
+    and wheels (nearly a sphere where no inertia is known) and white angular acceleration for what it leaves out, measurements with
     Student tails.
 
     Parameters

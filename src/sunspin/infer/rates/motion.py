@@ -1,8 +1,8 @@
 """One step of the smoother of :mod:`sunspin.infer.rates`: attitude and rate from one sample to the next, and how they answer.
 
 The equations are those of :mod:`sunspin.motion.gyrostat`, called with arrays. Wheels enter by their momentum, linear in time
-between two samples (:mod:`sunspin.infer.rates.wheels` says how fast they turn). A vehicle without inertia is taken as a sphere:
-its torque-free rate is constant, and the process noise covers what it is not.
+between two samples (:mod:`sunspin.infer.rates.wheels` says how fast they turn). A vehicle without inertia is searched as
+a sphere, whose torque-free rate is constant; what it is not are errors of its inertia, or the process noise where that is given.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from sunspin.errors import InputError, sentence
 from sunspin.infer.rates.motion import step
 from sunspin.infer.rates.shoot import carried, shot
-from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit, measured, smooth
+from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit, joined, measured, smooth
 from sunspin.infer.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
 
 WINDOW = 2
@@ -185,12 +185,8 @@ def _freed(o: Observations, track: Track, motion: Motion) -> Track:
         return track
     moved = smooth(o, shot(wider(o, motion.noise, middle, 0.0), middle, track.take(poor), motion, 8), motion, steps=4)
     good = np.setdiff1d(np.arange(len(track.cost)), poor)
-    both = moved if not len(good) else _joined([track.take(good), moved])
+    both = moved if not len(good) else joined([track.take(good), moved])
     return distinct(both, o.t_s)
-
-
-def _joined(tracks: list[Track]) -> Track:
-    return Track(*(np.concatenate(parts) for parts in zip(*((t.attitude, t.omega, t.cost) for t in tracks), strict=True)))
 
 
 def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
@@ -274,7 +270,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
                 got=f"largest rate {rate_max:.4g} rad/s", do="raise --max-rate, or check the times and the directions",
             )
         )  # fmt: skip
-    track = distinct(_joined(tracks), o.t_s)
+    track = distinct(joined(tracks), o.t_s)
     if blind is None:
         return track
-    return distinct(_joined([track, smooth(o, mirrored(track, blind), motion)]), o.t_s)
+    return distinct(joined([track, smooth(o, mirrored(track, blind), motion)]), o.t_s)
