@@ -9,10 +9,10 @@ import strange_twins
 import sunspin as ss
 from sunspin.infer.posterior.brightness import brightness
 from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.family import APART, BESIDE, JOINED, denser, joined, same_mode
 from sunspin.infer.posterior.fit import Fit
-from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.likelihood import Likelihood, moved
 from sunspin.infer.posterior.model import State, model
-from sunspin.infer.posterior.modes import APART, BESIDE, denser
 from sunspin.study.calibrate import NEAR_SIGMAS
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -71,12 +71,51 @@ def test_a_family_is_made_denser_as_the_window_grows():
     tight = np.diag([1e8, 1e8, 1e8, 1e4, 1e4])
     loose = np.array(tight)
     loose[0, 0] = (reach / 3.0) ** 2
-    found, hits = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), reach, 0.5)
+    found, hits, beside = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
     gaps = np.diff(np.unique(np.round(found.omega[:, 0], 9))) * reach
     assert gaps.max() < BESIDE + APART and len(found) > 18
     assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1}
-    still, _ = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), reach, 0.5)
-    assert len(still) == 10
+    still, _, never = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
+    assert len(still) == 10 and np.all(never == 0.0) and np.all(beside == reach)
+
+
+def test_a_family_gets_no_more_neighbours_until_the_window_has_grown():
+    line, many = State(np.tile(RATE, (3, 1)), np.tile(SUN, (3, 1)), np.zeros((3, 0))), np.full(3, 1)
+    loose = np.tile(np.diag([1e3, 1e8, 1e8, 1e4, 1e4]), (3, 1, 1))
+    beside = np.array([100.0, 100.0, 0.0])  # the third was held fast before
+    near, _, set_at = denser(line, loose, many, beside, 110.0, 0.5)
+    assert len(near) > 3 and set_at[:3].tolist() == [100.0, 100.0, 110.0]
+    assert len(denser(line, loose, many, np.full(3, 100.0), 110.0, 0.5)[0]) == 3
+    assert np.all(denser(line, loose, many, beside, 150.0, 0.5)[2] == 150.0)
+
+
+def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
+    rng = np.random.default_rng(1)
+    cloud = State(0.1 + 0.002 * rng.standard_normal((60, 3)), moved(np.tile(SUN, (60, 1)), 0.02 * rng.standard_normal((60, 2))),
+                  rng.standard_normal((60, 2)))  # fmt: skip
+    scale = np.array([0.002] * 3 + [0.02] * 2 + [1.0] * 2)
+    normal = np.array([np.diag(scale**-2.0 * rng.uniform(0.5, 2.0)) for _ in range(60)])
+    hits = rng.integers(1, 5, 60)
+    kept, count = joined(cloud, normal, hits)
+    assert count.sum() == hits.sum() and 1 < len(kept) < 60 and kept[0] == 0
+    for i in range(60):
+        better = [int(k) for k in kept if k < i]
+        assert (i in kept) == (same_mode(cloud, normal, i, better, JOINED) is None)
+
+
+def test_a_fit_does_not_hang_on_its_company():
+    """Rows that have arrived wait while others go on: each gives the same bits alone."""
+    vehicle = craft(6)
+    data, _, _ = readings(vehicle, samples(vehicle, 6))
+    unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)
+    far = np.random.default_rng(2).standard_normal((4, 3)) * np.array([[0.0], [1e-4], [2e-3], [1e-2]])
+    start = State(RATE + far, np.tile(SUN, (4, 1)), np.zeros((4, len(unknown.unknowns))))
+    fit = Fit(Likelihood(unknown, data), start, ((2.0, 3), (1.0, 8)), curved=True)
+    every = fit(np.arange(4))
+    for i in range(4):
+        alone = fit(np.array([i]))
+        assert all(np.array_equal(every[name][i], alone[name][0]) for name in every)
+    assert np.ptp(every["cost"][:3]) < 0.01
 
 
 def test_brightness_is_guessed_where_no_sample_gives_a_direction():

@@ -21,6 +21,9 @@ FILES = (
 FIRST_DAMPING, LESS, MORE = 1e-3, 0.2, 8.0
 """Of a step, as a part of the curvature; after a step that helped it falls, after one that did not it grows."""
 
+ARRIVED = 1e-3
+"""Fall of the objective in a step below which a row has arrived, and waits for the next noise."""
+
 LARGEST_TURN = 0.5
 """rad by which one step may turn the Sun within the window."""
 
@@ -118,7 +121,12 @@ class _Search:
 
     def _load(self, state: State) -> None:
         _, self._raw, self._extra, self._jacobian = self._look(state)
-        self._damping = np.full(len(state), FIRST_DAMPING)
+        self._set_off()
+
+    def _set_off(self) -> None:
+        """All rows are on their way, with the damping of a first step."""
+        self._damping = np.full(len(self.state), FIRST_DAMPING)
+        self._arrived = np.zeros(len(self.state), dtype=bool)
 
     def _look(self, state: State) -> tuple[Any, ...]:
         base, raw, extra, jacobian = self.likelihood.linearised(state, self.still)
@@ -137,13 +145,13 @@ class _Search:
         """Go on with some of the rows."""
         self.state = self.state.take(rows)
         self._raw, self._extra, self._jacobian = self._raw[rows], self._extra[rows], self._jacobian[rows]
-        self._damping = self._damping[rows]
+        self._set_off()
         self._judge()
 
     def widen(self, factor: float) -> None:
         """Set the noise to `factor` times what it is."""
         self._factor = factor
-        self._damping[:] = FIRST_DAMPING
+        self._set_off()
         self._judge()
 
     def _judge(self) -> None:
@@ -153,39 +161,49 @@ class _Search:
         self.objective = self.cost + 0.5 * np.sum(self.state.u**2, axis=1)
 
     def step(self) -> None:
-        normal = np.einsum("nri,nrj->nij", self._scaled, self._scaled) + np.diag(self._prior)
-        gradient = np.einsum("nri,nr->ni", self._scaled, self._residual)
-        gradient[:, 5:] += self.state.u
+        """One step of the rows that have not arrived."""
+        on = np.flatnonzero(~self._arrived)
+        if not len(on):
+            return
+        state = self.state.take(on)
+        trial = self._moved(state, self._move(on))
+        fine, raw, extra, jacobian = self._look(trial)
+        cost = self.likelihood.weigh(raw, extra, self._sigma(trial))[0] + 0.5 * np.sum(trial.u**2, axis=1)
+        better = fine & (cost < self.objective[on])
+        self._damping[on] *= np.where(better, LESS, MORE)
+        self._arrived[on] = better & (cost > self.objective[on] - ARRIVED)
+        there = on[better]
+        new, omega, sun, u = trial.take(better), np.array(self.state.omega), np.array(self.state.sun), np.array(self.state.u)
+        omega[there], sun[there], u[there] = new.omega, new.sun, new.u
+        self.state = State(omega, sun, u)
+        self._raw[there], self._extra[there], self._jacobian[there] = raw[better], extra[better], jacobian[better]
+        self._judge()
+
+    def _move(self, rows: np.ndarray) -> np.ndarray:
+        """Damped step (m, D) of some of the rows."""
+        scaled, u = self._scaled[rows], self.state.u[rows]
+        normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
+        gradient = np.einsum("nri,nr->ni", scaled, self._residual[rows])
+        gradient[:, 5:] += u
         if self.free is not None:
             normal = np.einsum("ai,nij,jb->nab", self.free.T, normal[:, :5, :5], self.free)
             gradient = gradient[:, :5] @ self.free
         diagonal = np.einsum("nii->ni", normal)
         floor = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
-        damped = normal + np.einsum("ni,ij->nij", self._damping[:, None] * diagonal + floor, np.eye(normal.shape[1]))
+        damping = self._damping[rows, None] * diagonal + floor
+        damped = normal + np.einsum("ni,ij->nij", damping, np.eye(normal.shape[1]))
         move = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-        if self.free is not None:
-            move = np.concatenate([move @ self.free.T, np.zeros_like(self.state.u)], axis=1)
-        trial = self._moved(move)
-        fine, raw, extra, jacobian = self._look(trial)
-        cost = self.likelihood.weigh(raw, extra, self._sigma(trial))[0] + 0.5 * np.sum(trial.u**2, axis=1)
-        better = fine & (cost < self.objective)
-        self.state = State(*(np.where(better[:, None], new, old) for new, old in zip(
-            (trial.omega, trial.sun, trial.u), (self.state.omega, self.state.sun, self.state.u), strict=True)))  # fmt: skip
-        self._raw = np.where(better[:, None], raw, self._raw)
-        self._extra = np.where(better[:, None], extra, self._extra)
-        self._jacobian = np.where(better[:, None, None], jacobian, self._jacobian)
-        self._damping = np.where(better, self._damping * LESS, self._damping * MORE)
-        self._judge()
+        return move if self.free is None else np.concatenate([move @ self.free.T, np.zeros_like(u)], axis=1)
 
-    def _moved(self, move: np.ndarray) -> State:
+    def _moved(self, state: State, move: np.ndarray) -> State:
         window = self.likelihood.data.reach_s
         turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
         turn = np.maximum(turn / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
         move = move / np.maximum(turn, 1.0)[:, None]
-        omega = self.state.omega + move[:, :3]
+        omega = state.omega + move[:, :3]
         limit = self.likelihood.model.max_rate
         omega = omega * np.minimum(1.0, limit / np.maximum(np.linalg.norm(omega, axis=1, keepdims=True), 1e-12))
-        return State(omega, moved(self.state.sun, move[:, 3:5]), np.clip(self.state.u + move[:, 5:], -8.0, 8.0))
+        return State(omega, moved(state.sun, move[:, 3:5]), np.clip(state.u + move[:, 5:], -8.0, 8.0))
 
     def fit_noise(self, few: bool = False) -> None:
         """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm.
@@ -209,7 +227,7 @@ class _Search:
             slope = width * (count - spread) + u[:, at]
             u[:, at] = np.clip(u[:, at] - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1), least, 5)
         self.state = State(self.state.omega, self.state.sun, u)
-        self._damping[:] = FIRST_DAMPING
+        self._set_off()
         self._judge()
 
     def _taken_up(self) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,8 +13,9 @@ from sunspin.infer.ensemble import ensemble, worker_count
 from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior import cells as c
 from sunspin.infer.posterior.data import Readings
+from sunspin.infer.posterior.family import boxes, denser, joined, same_mode
 from sunspin.infer.posterior.fit import FILES, Fit, Levels, chunk_rows
-from sunspin.infer.posterior.likelihood import Likelihood, moved, tangents
+from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import Model, State
 
 GROWTH = 1.5
@@ -33,29 +33,14 @@ SLACK = 10.0
 SLACK_STILL = 4.0
 """The same while inertia, friction and wheel are left as they are."""
 
-APART = 0.4
-"""rad at the end of the next window: hypotheses nearer to each other are one."""
-
-SUN_APART = 0.3
-"""The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
-
 NOT_YET = 0.5
 """What a hypothesis may be worse by, for each reading, after the steps under the wider noise."""
 
 NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 """Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
 
-LOOSE, BESIDE = 0.35, 0.45
-"""rad: a hypothesis free by more than this at the end of the next window is one of a family, and gets neighbours this far away."""
-
-JOINED = 2.0
-"""Squared distance, in sigmas, below which hypotheses are one while the window grows."""
-
 GRID_SAMPLES, FEW_STARTS = 3, 2000
 """Samples for which the grid of starts is dense enough: neighbours are set from the next window on, or where they cost little."""
-
-FREE = 3
-"""Directions of a family along which neighbours are set, the loosest."""
 
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
@@ -74,9 +59,6 @@ MOST_CHOICES = 40
 
 DROP, MOST_MODES = 30.0, 300
 """Modes less probable than the best by exp(-30) are left out, and more than this."""
-
-SAME = 9.0
-"""Squared distance, in sigmas of both, below which two fits are one mode."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +198,7 @@ class Search:
             hits = np.ones(len(state), dtype=np.int64)
             notes.append("no rate explains even the first samples")
         used = np.sort(np.append(chosen.tried, chosen.anchor))
-        trace, first = [], True
+        trace, first, beside = [], True, np.zeros(len(state))
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
             part = data.take(used)
@@ -232,18 +214,18 @@ class Search:
             keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, limit)
             notes += [f"{note} ({len(used)} samples)"] if note else []
             before = len(state)
-            state, normal, first = state.take(keep), fitted["normal"][keep], False
+            state, normal, beside, first = state.take(keep), fitted["normal"][keep], beside[keep], False
             if not still:
-                only, hits = _joined(state, normal, hits)
-                state, normal = state.take(only), normal[only]
+                only, hits = joined(state, normal, hits)
+                state, normal, beside = state.take(only), normal[only], beside[only]
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
                 return self._last(likelihood, state, hits, trace, notes)
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
-                state, hits = denser(state, normal, hits, reach, model.max_rate)
+                state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
-                state, hits = state.take(keep), hits[keep]
+                state, hits, beside = state.take(keep), hits[keep], beside[keep]
             used = following
 
     def _looked(self, model: Model, coming: Readings, state: State, scale: float) -> np.ndarray:
@@ -273,32 +255,6 @@ class Search:
         return Modes(state.take(index), cost[index], hessian[index], np.array(count), tuple(trace), tuple(notes))
 
 
-def offset(state: State, i: int, others: np.ndarray) -> np.ndarray:
-    """Coordinates (m, D) of hypotheses `others` as seen from number `i`: rates, tangent of the direction, u."""
-    return coordinates(state.take(others), state.take(np.array([i])))
-
-
-def coordinates(state: State, centre: State) -> np.ndarray:
-    """Coordinates (n, D) of states about one centre: the direction by the great circle to it."""
-    e1, e2 = tangents(centre.sun)
-    along = np.clip(state.sun @ centre.sun[0], -1.0, 1.0)
-    side = np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1)
-    size = np.linalg.norm(side, axis=1)
-    stretch = np.arctan2(size, along) / np.maximum(size, 1e-15)
-    side = side * np.where(size > 1e-15, stretch, 1.0)[:, None]
-    return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
-
-
-def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME) -> int | None:
-    """Which of the kept ones the fit `i` is a copy of, if any."""
-    if not kept:
-        return None
-    d = offset(state, i, np.array(kept))
-    distance = np.minimum(np.einsum("mi,mij,mj->m", d, hessian[kept], d), np.einsum("mi,ij,mj->m", d, hessian[i], d))
-    nearest = int(np.argmin(distance))
-    return nearest if distance[nearest] < within else None
-
-
 def _anything(model: Model, chosen: Plan) -> State:
     """Starts where there is no hope: rest, and turns about the axes."""
     rates = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * min(0.3, 0.5 * model.max_rate)
@@ -317,54 +273,6 @@ def _grown(data: Readings, used: np.ndarray) -> np.ndarray:
         return np.sort(np.append(used, nearest))
     half = max(GROWTH * distance[used].max(), distance[nearest])
     return np.union1d(used, np.flatnonzero(distance <= half * (1 + 1e-9)))
-
-
-def _joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Hypotheses (best first) without those that lie on the sheet of a better one, and the starts that each stands for.
-
-    Unknown moments, friction and wheel speed make a sheet of each motion: boxes of rate and direction cut it into many.
-    """
-    kept: list[int] = []
-    count: list[int] = []
-    for i in range(len(state)):
-        near = same_mode(state, normal, i, kept, JOINED)
-        if near is None:
-            kept.append(i)
-            count.append(int(hits[i]))
-        else:
-            count[near] += int(hits[i])
-    return np.array(kept), np.array(count)
-
-
-def denser(state: State, normal: np.ndarray, hits: np.ndarray, reach_s: float, widest: float) -> tuple[State, np.ndarray]:
-    """Hypotheses, and neighbours of those that are one of a family, and the starts that each stands for.
-
-    The fits of neighbouring starts stay a step apart where the readings leave a family of motions, and with the window that step
-    grows: without others between them the true one would be lost. `normal` (n, D, D): curvature; u as it is, since what differs by
-    u alone is found from either. `widest`: largest rate.
-    """
-    size = np.array([reach_s] * 3 + [1.0] * 2)
-    spread = np.linalg.inv(normal[:, :5, :5].astype(np.float64) + np.diag([widest**-2] * 3 + [1.0] * 2))
-    values, vectors = np.linalg.eigh(spread * size[:, None] * size)
-    free = np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE
-    parts, parent = [state], [np.arange(len(state))]
-    for signs in product((0, 1, -1), repeat=FREE):
-        along = np.flatnonzero(signs)
-        rows = np.flatnonzero(free[:, along].all(axis=1)) if len(along) else along
-        if len(rows):
-            step = BESIDE * vectors[rows][:, :, ::-1][:, :, :FREE] @ np.array(signs, dtype=np.float64) / size
-            parts.append(State(state.omega[rows] + step[:, :3], moved(state.sun[rows], step[:, 3:]), state.u[rows]))
-            parent.append(rows)
-    every, origin = State.joined(parts), np.concatenate(parent)
-    boxes = _boxes(every, reach_s)
-    _, first = np.unique(boxes, axis=0, return_index=True)
-    kept = np.union1d(first, np.arange(len(state)))  # the fits themselves stay
-    return every.take(kept), np.where(kept < len(state), hits[origin[kept]], 1)
-
-
-def _boxes(state: State, reach_s: float) -> np.ndarray:
-    """Boxes (n, 6) of rate and direction, `APART` wide at `reach_s` s."""
-    return np.floor(np.concatenate([state.omega * (reach_s / APART), state.sun / SUN_APART], axis=1)).astype(np.int64)
 
 
 def expected(data: Readings) -> float:
@@ -388,8 +296,7 @@ def _thinned(
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
-    boxes = _boxes(state.take(possible), reach_s)
-    _, first, inverse = np.unique(boxes, axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(boxes(state.take(possible), reach_s), axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
     rank = np.argsort(first, kind="stable")  # best first
     most = MOST_FEW if len(data) < FEW else MOST

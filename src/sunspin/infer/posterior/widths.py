@@ -12,17 +12,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
+from scipy.sparse.csgraph import connected_components
+from scipy.special import logsumexp
 from scipy.stats import genpareto
 
 from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior.fit import FILES, Fit
-from sunspin.infer.posterior.likelihood import Likelihood, moved
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.mixture import SOFT, Mixture, monomials
 from sunspin.infer.posterior.model import State
-from sunspin.infer.posterior.modes import Modes, coordinates
-
-FREEDOM = 5.0
-"""Degrees of freedom of the mixture's Student components."""
+from sunspin.infer.posterior.modes import Modes
 
 ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 5_000, 12_000, 40_000
 """Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round."""
@@ -45,10 +44,6 @@ LOCAL, LOCAL_SHRINK = 24, 0.3
 MOST_BENT = 12
 """Modes whose ridges are followed, the best."""
 
-SOFT = 1
-"""Directions in rate and direction that may vary by much though u is known (the azimuth of H in the body), the others answering
-to them."""
-
 RIDGE_POINTS, RIDGE_WIDTHS = 4, (0.3, 0.7, 1.3)
 """Fits for each coefficient of a bend, and how far about the centre they are, in sigmas, one after the other."""
 
@@ -58,74 +53,11 @@ ON_RIDGE = 9.0
 TAIL_LEAST = 30
 """Weights that a tail must have to be fitted."""
 
+BLOCK = 2_000
+"""Draws whose densities under all components are worked on at once."""
+
 CONNECTED = 0.02
 """Components that share this part of the draws of one of them belong to one region."""
-
-
-@dataclass(frozen=True)
-class Mixture:
-    """Student components in bent coordinates.
-
-    centres (m), bases (m, 5, 5), bends (m, M, 4), means (m, D) and covariances (m, D, D) in these coordinates, weights (m) that
-    add to one. A basis turns rate and
-    direction into coordinates of which the first is soft: it may vary by much within the noise. A bend says how the
-    other four answer to it and to u: polynomials (see `monomials`), which are subtracted. That leaves volumes as they are,
-    and straightens the thin curved sheet that uncertain inertias, friction and wheel speeds make of a mode. `moving` are the
-    places in u of what the motion depends on.
-    """
-
-    centre: State
-    basis: np.ndarray
-    bend: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-    weight: np.ndarray
-    moving: tuple[int, ...]
-
-    def coordinates(self, state: State, m: int) -> np.ndarray:
-        """Bent coordinates (n, D) of states about component m."""
-        x = coordinates(state, self.centre.take(np.array([m])))
-        x[:, :5] = x[:, :5] @ self.basis[m].T
-        x[:, SOFT:5] -= monomials(x, self.moving) @ self.bend[m]
-        return x
-
-    def states(self, x: np.ndarray, which: np.ndarray) -> State:
-        """The states (n) with bent coordinates x (n, D) about the components `which` (n)."""
-        centre = self.centre.take(which)
-        x = np.array(x)
-        x[:, SOFT:5] += np.einsum("nm,nmj->nj", monomials(x, self.moving), self.bend[which])
-        step = np.linalg.solve(self.basis[which], x[:, :5, None])[:, :, 0]
-        return State(centre.omega + step[:, :3], moved(centre.sun, np.clip(step[:, 3:], -np.pi, np.pi)), centre.u + x[:, 5:])
-
-    def draw(self, n: int, rng: np.random.Generator) -> State:
-        """n draws: systematic over the components, so that each gets its share."""
-        edges = np.cumsum(self.weight) / self.weight.sum()
-        which = np.minimum(np.searchsorted(edges, (np.arange(n) + rng.random()) / n), len(edges) - 1)
-        root = np.linalg.cholesky(self.covariance)
-        x = np.einsum("nij,nj->ni", root[which], rng.standard_normal((n, self.covariance.shape[1])))
-        return self.states(self.mean[which] + x * np.sqrt(FREEDOM / rng.chisquare(FREEDOM, n))[:, None], which)
-
-    def log_densities(self, state: State) -> np.ndarray:
-        """Log density (n, m) of each component times its weight, over rates, the sphere and u."""
-        out = np.empty((len(state), len(self.weight)))
-        d = self.covariance.shape[1]
-        constant = gammaln((FREEDOM + d) / 2) - gammaln(FREEDOM / 2) - 0.5 * d * np.log(FREEDOM * np.pi)
-        for m in range(len(self.weight)):
-            root = np.linalg.cholesky(self.covariance[m])
-            square = np.sum(np.linalg.solve(root, (self.coordinates(state, m) - self.mean[m]).T) ** 2, axis=0)
-            angle = np.arccos(np.clip(state.sun @ self.centre.sun[m], -1.0, 1.0))
-            sphere = -np.log(np.maximum(np.sinc(angle / np.pi), 1e-12))
-            volume = np.linalg.slogdet(self.basis[m])[1] - np.log(np.diag(root)).sum()
-            out[:, m] = constant + volume - 0.5 * (FREEDOM + d) * np.log1p(square / FREEDOM) + sphere
-        with np.errstate(divide="ignore"):
-            return out + np.log(self.weight)
-
-
-def monomials(x: np.ndarray, moving: tuple[int, ...]) -> np.ndarray:
-    """Of bent coordinates (n, D): all u, the soft one, and the products of two of these and of those u that move the body."""
-    part = np.concatenate([x[:, :SOFT], x[:, [5 + i for i in moving]]], axis=1)
-    i, j = np.triu_indices(part.shape[1])
-    return np.concatenate([x[:, 5:], x[:, :SOFT], part[:, i] * part[:, j]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -181,11 +113,11 @@ def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, turn)))
         mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
     share = max(share for share, _ in tried)
-    mixture = tried[-1][1] if share > GOOD_SHARE else _pooled(tried)
+    mixture = tried[-1][1] if share > GOOD_SHARE else pooled(tried)
     count = int(np.clip(WANTED / max(share, 1e-3), LAST_DRAWS, MOST_DRAWS))
     last = _round(likelihood, mixture, count, seed, ROUNDS, run, chunk)
     trace.append([last.evidence, last.effective / count, last.tail])
-    label, of_component = _regions(last, mixture)
+    label, of_component = regions(last.log_weight, last.parts, last.density)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
         last.state, last.log_weight, last.log_likelihood, label, share, of_component[of_mode], last.effective, last.tail,
@@ -193,13 +125,14 @@ def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int
     )  # fmt: skip
 
 
-def _pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
+def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
     """The mixtures of all rounds, by what their draws were worth: none of them may be trusted to cover the posterior alone."""
-    parts, total = [mixture for _, mixture in tried], sum(share for share, _ in tried)
-    basis, bend = (np.concatenate([getattr(m, name) for m in parts]) for name in ("basis", "bend"))
-    mean, covariance = (np.concatenate([getattr(m, name) for m in parts]) for name in ("mean", "covariance"))
-    weight = np.concatenate([share / total * m.weight / m.weight.sum() for share, m in tried])
-    return Mixture(State.joined([m.centre for m in parts]), basis, bend, mean, covariance, weight, parts[0].moving)
+    total = sum(share for share, _ in tried)
+    weights = [share / total * m.weight / m.weight.sum() for share, m in tried]
+    n, first, second = len(weights[0]), tried[0][1], tried[1][1]
+    weights[1][:n] = sum(weight[:n] for weight in weights[1:])  # each round but the first begins with the same defence
+    parts = [first, second, *(m.take(np.arange(n, len(m.weight))) for _, m in tried[2:])]
+    return replace(Mixture.joined(parts), weight=np.concatenate([*weights[:2], *(weight[n:] for weight in weights[2:])]))
 
 
 @dataclass(frozen=True)
@@ -208,6 +141,7 @@ class _Round:
     log_weight: np.ndarray
     log_likelihood: np.ndarray
     parts: np.ndarray  # log of weight times density of each component
+    density: np.ndarray  # log of their sum
     effective: float
     tail: float
     evidence: float
@@ -221,11 +155,17 @@ def _round(likelihood: Likelihood, mixture: Mixture, n: int, seed: int, turn: in
     known = np.full(n, -np.inf)
     known[inside] = run(Weigh(likelihood, state.take(inside)), "weighing", chunk)["log_likelihood"]
     parts = mixture.log_densities(state)
-    weight = prior + known - logsumexp(parts, axis=1)
+    density = np.concatenate([np.asarray(logsumexp(parts[rows], axis=1)) for rows in _blocks(n)])
+    weight = prior + known - density
     weight = np.where(np.isnan(weight), -np.inf, weight)
     share = np.exp(weight - weight.max())
     effective = float(share.sum() ** 2 / np.sum(share**2))
-    return _Round(state, weight, known, parts, effective, pareto_tail(weight), float(logsumexp(weight) - np.log(n)))
+    return _Round(state, weight, known, parts, density, effective, pareto_tail(weight), float(logsumexp(weight) - np.log(n)))
+
+
+def _blocks(n: int) -> list[slice]:
+    """Draws to be worked on at once, so that what is made of many draws and components stays small."""
+    return [slice(low, min(low + BLOCK, n)) for low in range(0, n, BLOCK)]
 
 
 def pareto_tail(log_weight: np.ndarray) -> float:
@@ -329,7 +269,7 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     weight = made.log_weight - made.log_weight.max()
     cut = logsumexp(weight) - np.log(len(weight)) / 2  # no draw counts for more than a root of their number
     weight = np.exp(np.minimum(weight, cut))
-    share = np.exp(made.parts - logsumexp(made.parts, axis=1, keepdims=True)) * (weight / weight.sum())[:, None]
+    share = np.exp(made.parts - made.density[:, None]) * (weight / weight.sum())[:, None]
     used = np.flatnonzero(share.sum(axis=0) > 1e-4)
     means, covariances, masses = [], [], []
     for m in used:
@@ -358,20 +298,19 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     )  # fmt: skip
 
 
-def _regions(made: _Round, mixture: Mixture) -> tuple[np.ndarray, np.ndarray]:
-    """The region of each draw (n) and of each component (m; -1: none of weight)."""
-    weight = np.exp(made.log_weight - logsumexp(made.log_weight))
-    share = np.exp(made.parts - logsumexp(made.parts, axis=1, keepdims=True))
-    mass = weight @ share
-    overlap = np.einsum("n,ni,nj->ij", weight, share, share)
+def regions(log_weight: np.ndarray, parts: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The region of each draw (n) and of each component (m; -1: none of weight); arguments as in `_Round`."""
+    weight = np.exp(log_weight - logsumexp(log_weight))
+    count = parts.shape[1]
+    mass, overlap = np.zeros(count), np.zeros((count, count))
+    for rows in _blocks(len(weight)):
+        share = np.exp(parts[rows] - density[rows, None])
+        mass += weight[rows] @ share
+        overlap += (weight[rows, None] * share).T @ share
     alike = overlap > CONNECTED * np.maximum(np.minimum(mass[:, None], mass[None, :]), 1e-300)
-    alike[mass < 1e-12] = False
-    alike[:, mass < 1e-12] = False
-    label = np.arange(len(mass))
-    for i in range(len(mass)):
-        for j in np.flatnonzero(alike[i]):
-            label[label == label[j]] = label[i]
-    of_draw = label[np.argmax(made.parts, axis=1)]
+    alike &= (mass[:, None] >= 1e-12) & (mass >= 1e-12)
+    label = connected_components(alike, directed=False)[1]
+    of_draw = label[np.argmax(parts, axis=1)]
     names, inverse = np.unique(of_draw, return_inverse=True)
     order = np.argsort(-np.bincount(inverse, weights=weight), kind="stable")
     rank = np.empty(len(names), dtype=np.int64)

@@ -1,0 +1,105 @@
+"""The mixture from which motions are proposed: heavy-tailed components in coordinates bent along the sheets that modes are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln
+
+from sunspin.infer.posterior.family import coordinates
+from sunspin.infer.posterior.likelihood import moved
+from sunspin.infer.posterior.model import State
+
+FREEDOM = 5.0
+"""Degrees of freedom of the mixture's Student components."""
+
+SOFT = 1
+"""Directions in rate and direction that may vary by much though u is known (the azimuth of H in the body), the others answering
+to them."""
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Student components in bent coordinates.
+
+    centres (m), bases (m, 5, 5), bends (m, M, 4), means (m, D) and covariances (m, D, D) in these coordinates, weights (m) that
+    add to one. A basis turns rate and
+    direction into coordinates of which the first is soft: it may vary by much within the noise. A bend says how the
+    other four answer to it and to u: polynomials (see `monomials`), which are subtracted. That leaves volumes as they are,
+    and straightens the thin curved sheet that uncertain inertias, friction and wheel speeds make of a mode. `moving` are the
+    places in u of what the motion depends on.
+    """
+
+    centre: State
+    basis: np.ndarray
+    bend: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    weight: np.ndarray
+    moving: tuple[int, ...]
+
+    def take(self, index: np.ndarray) -> Mixture:
+        """Some of the components."""
+        parts = {name: getattr(self, name)[index] for name in ("basis", "bend", "mean", "covariance", "weight")}
+        return Mixture(centre=self.centre.take(index), moving=self.moving, **parts)
+
+    @classmethod
+    def joined(cls, parts: list[Mixture]) -> Mixture:
+        """The components of several, one after the other."""
+        columns = ("basis", "bend", "mean", "covariance", "weight")
+        every = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
+        return cls(centre=State.joined([part.centre for part in parts]), moving=parts[0].moving, **every)
+
+    def coordinates(self, state: State, m: int) -> np.ndarray:
+        """Bent coordinates (n, D) of states about component m."""
+        x = coordinates(state, self.centre.take(np.array([m])))
+        x[:, :5] = x[:, :5] @ self.basis[m].T
+        if self.bend[m, x.shape[1] - 5 + SOFT :].any():
+            x[:, SOFT:5] -= monomials(x, self.moving) @ self.bend[m]
+        else:  # most of many components: their products would cost most of all
+            x[:, SOFT:5] -= _plain(x) @ self.bend[m, : x.shape[1] - 5 + SOFT]
+        return x
+
+    def states(self, x: np.ndarray, which: np.ndarray) -> State:
+        """The states (n) with bent coordinates x (n, D) about the components `which` (n)."""
+        centre = self.centre.take(which)
+        x = np.array(x)
+        x[:, SOFT:5] += np.einsum("nm,nmj->nj", monomials(x, self.moving), self.bend[which])
+        step = np.linalg.solve(self.basis[which], x[:, :5, None])[:, :, 0]
+        return State(centre.omega + step[:, :3], moved(centre.sun, np.clip(step[:, 3:], -np.pi, np.pi)), centre.u + x[:, 5:])
+
+    def draw(self, n: int, rng: np.random.Generator) -> State:
+        """n draws: systematic over the components, so that each gets its share."""
+        edges = np.cumsum(self.weight) / self.weight.sum()
+        which = np.minimum(np.searchsorted(edges, (np.arange(n) + rng.random()) / n), len(edges) - 1)
+        root = np.linalg.cholesky(self.covariance)
+        x = np.einsum("nij,nj->ni", root[which], rng.standard_normal((n, self.covariance.shape[1])))
+        return self.states(self.mean[which] + x * np.sqrt(FREEDOM / rng.chisquare(FREEDOM, n))[:, None], which)
+
+    def log_densities(self, state: State) -> np.ndarray:
+        """Log density (n, m) of each component times its weight, over rates, the sphere and u."""
+        out = np.empty((len(state), len(self.weight)))
+        d = self.covariance.shape[1]
+        constant = gammaln((FREEDOM + d) / 2) - gammaln(FREEDOM / 2) - 0.5 * d * np.log(FREEDOM * np.pi)
+        for m in range(len(self.weight)):
+            root = np.linalg.cholesky(self.covariance[m])
+            square = np.sum(((self.coordinates(state, m) - self.mean[m]) @ np.linalg.inv(root).T) ** 2, axis=1)
+            angle = np.arccos(np.clip(state.sun @ self.centre.sun[m], -1.0, 1.0))
+            sphere = -np.log(np.maximum(np.sinc(angle / np.pi), 1e-12))
+            volume = np.linalg.slogdet(self.basis[m])[1] - np.log(np.diag(root)).sum()
+            out[:, m] = constant + volume - 0.5 * (FREEDOM + d) * np.log1p(square / FREEDOM) + sphere
+        with np.errstate(divide="ignore"):
+            return out + np.log(self.weight)
+
+
+def monomials(x: np.ndarray, moving: tuple[int, ...]) -> np.ndarray:
+    """Of bent coordinates (n, D): all u, the soft one, and the products of two of these and of those u that move the body."""
+    part = np.concatenate([x[:, :SOFT], x[:, [5 + i for i in moving]]], axis=1)
+    i, j = np.triu_indices(part.shape[1])
+    return np.concatenate([_plain(x), part[:, i] * part[:, j]], axis=1)
+
+
+def _plain(x: np.ndarray) -> np.ndarray:
+    """Of these the first: all u, the soft one."""
+    return np.concatenate([x[:, 5:], x[:, :SOFT]], axis=1)
