@@ -9,8 +9,9 @@ import xarray as xr
 import sunspin as ss
 from sunspin.infer.rates.motion import Body, Ends, step, step_with_answer, turn, turn_between
 from sunspin.infer.rates.observe import thinned
-from sunspin.infer.rates.smooth import SUN_N, solve
+from sunspin.infer.rates.smooth import solve
 from sunspin.infer.rates.start import facing, rates_between
+from sunspin.infer.rates.state import SUN_N
 from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])

@@ -8,7 +8,7 @@ from clock_twins import CUBE, craft, twin
 from sunspin.infer.rates.common import seen_later
 from sunspin.infer.rates.motion import Body
 from sunspin.infer.rates.observe import observations
-from sunspin.infer.rates.smooth import Motion, Track
+from sunspin.infer.rates.state import Motion, Track
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Clock
 

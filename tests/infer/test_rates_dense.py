@@ -12,7 +12,8 @@ from sunspin.errors import InputError
 from sunspin.infer.rates.dense import Dense, bridge
 from sunspin.infer.rates.motion import Body
 from sunspin.infer.rates.observe import MAX_SAMPLES, observations, thinned
-from sunspin.infer.rates.smooth import Motion, Track, whitening
+from sunspin.infer.rates.smooth import whitening
+from sunspin.infer.rates.state import Motion, Track
 from sunspin.infer.rates.wheels import wheel_momenta
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 

@@ -10,7 +10,7 @@ from fast_twins import BODIES, Kind, craft, near, tally, twin
 from sunspin.infer.rates.motion import Body
 from sunspin.infer.rates.observe import observations
 from sunspin.infer.rates.shoot import carried, shot
-from sunspin.infer.rates.smooth import Motion
+from sunspin.infer.rates.state import Motion
 
 
 @pytest.mark.evidence("rates", "modelled", "twins that turn by 5 to 30 deg/s, no largest rate told")

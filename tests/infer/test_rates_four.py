@@ -8,10 +8,12 @@ import pytest
 import sunspin as ss
 from coverage_twins import CUBE, FAULTS, FOUR, battery, coverage, twin
 from sunspin.infer.rates.common import Clock, sun_part
+from sunspin.infer.rates.light import sun_measured
 from sunspin.infer.rates.motion import Body
 from sunspin.infer.rates.observe import observations, passes
-from sunspin.infer.rates.smooth import Motion, Track, measured, sun_measured
+from sunspin.infer.rates.smooth import measured
 from sunspin.infer.rates.start import blind_axis, facing, mirrored
+from sunspin.infer.rates.state import Motion, Track
 
 MOTION = Motion(Body.of(CUBE), 2e-5, 0.075)
 

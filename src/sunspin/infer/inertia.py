@@ -7,7 +7,8 @@ import numpy as np
 from sunspin.vehicle import Vehicle
 
 ASSUMED = 0.01
-"""Relative sigma of each moment where the vehicle's file states none: known exactly, they would make any answer too sure."""
+"""Relative sigma of each moment where the vehicle's file states none: known exactly, they would make any answer too sure; and that
+of each product, in units of the mean moment: principal axes are off the body's by a degree or more."""
 
 UNKNOWN_MOMENT, UNKNOWN_PRODUCT = 0.3, 0.1
 """The same, of the mean moment, where the file has no inertia: a 3U CubeSat's moments are 0.7 below and 0.4 above their mean."""
@@ -23,10 +24,11 @@ def stated_sigma(vehicle: Vehicle) -> np.ndarray | None:
 
 def inertia_errors(vehicle: Vehicle) -> np.ndarray:
     """Changes (m, 3, 3) of the tensor by one sigma of each independent error, kg m2: of each element for which the file states one,
-    else of each moment."""
+    else of all."""
     tensor, sigma = np.array(vehicle.require_inertia()), stated_sigma(vehicle)
     if sigma is None:
-        sigma = np.diag(ASSUMED * np.diag(tensor))
+        moments = np.diag(tensor)
+        sigma = ASSUMED * np.where(np.eye(3, dtype=bool), np.diag(moments), moments.mean())
     return _one_by_one(sigma)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.measure.gains import UNKNOWN_SIGMA, brightness, estimate_gains, prior_sigmas
+from sunspin.measure.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
 from sunspin.measure.panels import panel_power, sphere
 from sunspin.measure.sun import LIT_SIGMAS, signals
 from sunspin.vehicle import Vehicle
@@ -27,6 +27,9 @@ LIMITED_FRACTION = 0.85
 
 SPIKE_FACTOR = 1.6
 """A reading above this many times full Sun is a wrapped counter or a spike; Earth's albedo adds at most 0.4."""
+
+EARTH_LEFT = 0.25
+"""Part of the light on dark panels that no smooth beam explains: clouds and coasts."""
 
 ALBEDO_DEFAULT = 0.06
 """Fraction of full Sun that Earth's light may put on a dark panel, where the file has too few samples to tell."""
@@ -89,7 +92,8 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing; `scale` (time), the factor
+        `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing, and `sigma_beside_earth`, the same
+        where the Earth's light is modelled; `scale` (time), the factor
         between gain and reading at full Sun, and its relative uncertainty `scale_sigma` (time); `use` (time): 0 used, 1
         down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel); `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
         `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of
@@ -122,12 +126,13 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
     untold = np.hypot(albedo, told.sigma * use_value / (full * gains))  # whose gains may be off by their prior
     share = np.where(use_value > SURELY_LIT * albedo * full * gains, untold if told.spread is None else told.spread, albedo)
+    beside = np.minimum(share, np.hypot(EARTH_LEFT * albedo, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
     floor = np.hypot(share * full * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
     sigma = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA) * largest * limited[:, None]
-    sigma = np.hypot(sigma, floor)
-    sigma[~np.isfinite(value) | spike | dead[None]] = np.inf
-    sigma[dropped | dark | idle] = np.inf
+    nothing = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
+    beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * full * gains, noise)))
+    sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
     use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(np.int8)
     some = spike.any(axis=1) & (use == USED)
     use[some] = DOWNWEIGHTED
@@ -138,6 +143,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(
         {
             "sigma": (("time", "panel"), sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
+            "sigma_beside_earth": (("time", "panel"), beside, {"long_name": "the same where the Earth's light is modelled"}),
             "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), full), {"units": "1"}),
             "scale_sigma": ("time", np.where(limited, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}),
             "gain": ("panel", gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),

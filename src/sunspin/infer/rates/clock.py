@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.infer.rates.common import Clock, has_common, with_common
-from sunspin.infer.rates.smooth import Motion, Observations, Track, smooth
+from sunspin.infer.rates.smooth import smooth
+from sunspin.infer.rates.state import Motion, Observations, Track
 
 UNTOLD_SIGMA_S = 30.0
 """How late sensors may be where the vehicle file says nothing and it is only asked whether they are."""
@@ -66,7 +67,7 @@ def lateness(passes: list[tuple[Observations, Track]], motion: Motion, clock: Cl
 def _cost_without(o: Observations, track: Track, motion: Motion, clock: Clock) -> float:
     """The cost of a motion whose sensors are as late as the prior says."""
     known = Clock(clock.late_s) if clock.late_s else None
-    if has_common(o, known, motion.body):
+    if has_common(o, known, motion):
         return float(with_common(o, track, motion, known).track.cost[0])
     return float(smooth(o, track, motion, steps=10).cost[0])
 

@@ -1,5 +1,6 @@
 """Errors that all samples of a pass share, as unknowns of :mod:`sunspin.infer.rates`: a gyro's zero and scale, the body's
-inertia, gains of panels that brightness alone does not tell, and a clock; in this order.
+inertia, a magnetic torque, how the field turns, gains of panels that brightness alone does not tell, the Earth's light, and a
+clock; in this order.
 
 Gyro, magnetometer and attitude of a row may be older than the row's Sun. The states of a fit are then those of the sensors'
 instants, and the Sun is seen so much later, after a turn by the rate: which says how late they are wherever the rate changes. A few
@@ -13,20 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunspin.infer.rates import field, torque
+from sunspin.infer.rates.earth import begun, lit_by
+from sunspin.infer.rates.light import student, sun_measured
 from sunspin.infer.rates.motion import Body, turn
-from sunspin.infer.rates.smooth import (
-    RATE_LIMIT,
-    Motion,
-    Observations,
-    Track,
-    between,
-    damping_scale,
-    normal_equations,
-    shortened,
-    solve,
-    student,
-    sun_measured,
-)  # fmt: skip
+from sunspin.infer.rates.smooth import RATE_LIMIT, between, damping_scale, normal_equations, shortened, solve, whitening
+from sunspin.infer.rates.state import Motion, Observations, Track
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
 """rad/s^1.5; acceleration noises under which a lateness finds its place."""
@@ -40,6 +33,11 @@ INERTIA_STEP = 0.02
 
 MOST_SIGMAS = 4.0
 """No trial inertia or gain is further from that of the vehicle's file than this, in its sigmas."""
+
+
+THINNEST, DRAWN_IN = 0.1, 10
+"""No principal moment is less than this part of the mean one, and no second moment of the masses less than minus this; a trial
+beyond is drawn in by a fifth, so many times at most."""
 
 
 class Clock(NamedTuple):
@@ -86,10 +84,25 @@ class _Equations(NamedTuple):
     error_slope: np.ndarray
 
 
-def has_common(o: Observations, clock: Clock | None, body: Body) -> bool:
+def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
+    """Errors of the inertia (K, r), in sigmas, drawn in as far as they must be for a tensor that a body may have, nearly."""
+    error = error.copy()
+    for _ in range(DRAWN_IN):
+        inertia = body.inertia + np.einsum("kr,rij->kij", error, body.errors)
+        about = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia  # the masses' second moments
+        wrong = (np.linalg.eigvalsh(about)[:, 0] < -THINNEST) | (np.linalg.eigvalsh(inertia)[:, 0] < THINNEST)
+        if not wrong.any():
+            return error
+        error[wrong] *= 0.8
+    error[wrong] = 0.0
+    return error
+
+
+def has_common(o: Observations, clock: Clock | None, motion: Motion) -> bool:
     """Whether a pass has such errors at all."""
     gyro = np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common)
-    return clock is not None or len(body.errors) > 0 or len(o.row_unknowns) > 0 or bool(gyro)
+    light = len(o.row_unknowns) + o.light_unknowns > 0
+    return clock is not None or len(motion.body.errors) > 0 or motion.torque > 0 or light or bool(gyro)
 
 
 def acceleration(body: Body, omega: np.ndarray, momentum: np.ndarray) -> np.ndarray:
@@ -112,7 +125,10 @@ def with_common(
     A lateness moves the states of all samples along the motion: where that is stiff it is loosened, and cooled again. `begin`: the
     acceleration noise (rad/s^1.5) under which the hypotheses were found, if they have to be cooled from there.
     """
-    error = np.zeros((len(track.omega), _places(o, motion.body, clock).count))
+    places = _places(o, motion, clock)
+    error = np.zeros((len(track.omega), places.count))
+    if o.light_unknowns:
+        track, error[:, places.earth] = begun(o, track)
     if clock is not None:
         error[:, -1] = first
         begin = max(begin, LOOSE[0])
@@ -122,11 +138,16 @@ def with_common(
     return _fitted(o, track, error, motion, clock, 20)
 
 
+def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = None, steps: int = 8) -> Common:
+    """A fit brought to a stiffer motion."""
+    return _fitted(o, fit.track, fit.error, motion, clock, steps)
+
+
 def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int) -> Common:
     """Damped Gauss-Newton on K hypotheses and their common errors at once."""
     parts = _equations(o, track, error, motion, clock)
     damping = np.full(len(error), 1e-3)
-    each, places = np.arange(6), _places(o, motion.body, clock)
+    each, places = np.arange(6), _places(o, motion, clock)
     for _ in range(steps):
         diagonal = parts.diagonal.copy()
         diagonal[..., each, each] += (damping[:, None] * parts.damping)[:, None]
@@ -135,6 +156,7 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
         trial, trial_error = Track(turn(track.attitude, change[..., :3]), omega), error + step
         for place in (places.inertia, places.gains):
             trial_error[:, place] = np.clip(trial_error[:, place], -MOST_SIGMAS, MOST_SIGMAS)
+        trial_error[:, places.inertia] = of_a_body(motion.body, trial_error[:, places.inertia])
         new = _equations(o, trial, trial_error, motion, clock)
         better = new.cost < parts.cost
         gained = np.where(better, parts.cost - new.cost, 0.0)
@@ -157,21 +179,36 @@ class _Places(NamedTuple):
 
     gyro: slice
     inertia: slice
+    torque: slice
+    field: slice
     gains: slice
+    earth: slice
     clock: slice
     count: int
 
+    @property
+    def moving(self) -> slice:
+        """Inertia, torque and how the field turns."""
+        return slice(self.inertia.start, self.field.stop)
 
-def _places(o: Observations, body: Body, clock: Clock | None) -> _Places:
+    @property
+    def light(self) -> slice:
+        """Gains and the Earth's light."""
+        return slice(self.gains.start, self.earth.stop)
+
+
+def _places(o: Observations, motion: Motion, clock: Clock | None) -> _Places:
     gyro = o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
-    edges = np.cumsum([0, gyro, len(body.errors), len(o.row_unknowns), int(clock is not None)])
+    moving = [len(motion.body.errors), torque.count(motion), field.count(o)]
+    edges = np.cumsum([0, gyro, *moving, len(o.row_unknowns), o.light_unknowns, int(clock is not None)])
     spans = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    return _Places(spans[0], spans[1], spans[2], spans[3], int(edges[-1]))
+    return _Places(spans[0], spans[1], spans[2], spans[3], spans[4], spans[5], spans[6], int(edges[-1]))
 
 
-def _with_gains(o: Observations, error: np.ndarray) -> Observations:
-    """The same with the gains of each hypothesis off by `error` (K, m) of the unknowns' sigmas."""
-    return replace(o, rows=o.rows + np.einsum("km,mpj->kpj", error, o.row_unknowns))
+def _with_light(o: Observations, error: np.ndarray, places: _Places) -> Observations:
+    """The same with the gains and the Earth's light of each hypothesis off by those of its errors (K, m), in sigmas."""
+    lit = lit_by(o, error[:, places.earth]) if o.light_unknowns else o
+    return replace(lit, rows=o.rows + np.einsum("km,mpj->kpj", error[:, places.gains], o.row_unknowns))
 
 
 def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
@@ -198,18 +235,19 @@ def _solved(p: _Equations) -> tuple[np.ndarray, ...]:
 
 
 def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> _Equations:
-    n, places = len(o), _places(o, motion.body, clock)
+    n, places = len(o), _places(o, motion, clock)
     blind = np.full((n, 3, 3), np.nan)
     nothing = replace(o, sun_cov=blind, power=np.zeros((n, 0)), power_sigma=np.zeros((n, 0)), gyro=np.full((n, 3), np.nan))
-    each = [np.array([k]) for k in range(len(error))] if len(motion.body.errors) else [slice(None)]  # one body serves all at once
-    moved = [moving(nothing, track.take(k), motion, error[k, places.inertia][0]) for k in each]
+    own = error[:, places.moving].size > 0  # else one body serves all at once
+    each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
+    moved = [moving(nothing, track.take(k), motion, error[k, places.moving][0]) for k in each]
     diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
     border = np.zeros((*slope.shape, places.count))
     corner = np.repeat(np.eye(places.count)[None], len(error), axis=0)
     error_slope = error.copy()
-    border[..., places.inertia] += inside
-    corner[:, places.inertia, places.inertia] += between_errors
-    error_slope[:, places.inertia] += downhill
+    border[..., places.moving] += inside
+    corner[:, places.moving, places.moving] += between_errors
+    error_slope[:, places.moving] += downhill
     sun = sun_part(o, track, error, motion, clock)
     cost = cost + (error**2).sum(axis=1) / 2 + sun.cost
     slope, border, corner, error_slope = slope + sun.slope, border + sun.border, corner + sun.corner, error_slope + sun.error_slope
@@ -219,10 +257,11 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
 
 
 def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the motion of K hypotheses says, with the inertia off by `error` (r) sigmas: blocks (K, n, 6, 6) and (K, n-1, 6, 6),
-    gradient (K, n, 6), cost (K), and of the inertia's errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
-    inertia = motion.body.inertia + np.tensordot(error, motion.body.errors, axes=1)
-    sphere = motion.body.spherical and not len(error)
+    """What the motion of K hypotheses says, with inertia, torque and field off by `error` (r) sigmas: blocks (K, n, 6, 6) and
+    (K, n-1, 6, 6), gradient (K, n, 6), cost (K), and of the errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
+    of_inertia, of_others = error[: len(motion.body.errors)], error[len(motion.body.errors) :]
+    inertia = motion.body.inertia + np.tensordot(of_inertia, motion.body.errors, axes=1)
+    sphere = motion.body.spherical and not len(of_inertia)
     motion = replace(motion, body=replace(motion.body, inertia=inertia, spherical=sphere))
     diagonal, upper, slope, cost, _ = normal_equations(o, track, motion)
     r = len(error)
@@ -230,16 +269,35 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
     value, first, second = between(o, track, motion)
-    answer = []
+    answer = [np.zeros((*value.shape, 0))]
     for change in motion.body.errors:
         other = replace(motion, body=replace(motion.body, inertia=inertia + INERTIA_STEP * change))
-        answer.append((between(o, track, other)[0] - value) / INERTIA_STEP)
-    answers = np.stack(answer, axis=-1)
+        answer.append(((between(o, track, other)[0] - value) / INERTIA_STEP)[..., None])
+    if len(of_others):
+        pulled = _linear(o, track, motion, value.shape)
+        more = pulled @ of_others
+        cost = cost + ((2 * value + more) * more).sum(axis=(1, 2)) / 2
+        slope[:, :-1] += np.einsum("knmi,knm->kni", first, more)
+        slope[:, 1:] += np.einsum("knmi,knm->kni", second, more)
+        value, answer = value + more, [*answer, pulled]
+    answers = np.concatenate(answer, axis=-1)
     border[:, :-1] += np.einsum("knmi,knmr->knir", first, answers)
     border[:, 1:] += np.einsum("knmi,knmr->knir", second, answers)
     corner += np.einsum("knmr,knms->krs", answers, answers)
     downhill += np.einsum("knmr,knm->kr", answers, value)
     return diagonal, upper, slope, cost, border, corner, downhill
+
+
+def _linear(o: Observations, track: Track, motion: Motion, shape: tuple[int, ...]) -> np.ndarray:
+    """What one sigma of each unknown of torque and field adds to the residuals between neighbours (K, n - 1, m) = `shape`; that it
+    changes with the states is left out of their equations."""
+    spans = np.diff(o.t_s)
+    parts = np.zeros((*shape, torque.count(motion) + field.count(o)))
+    if motion.torque:
+        parts[:, :, :6, : torque.UNKNOWNS] = -whitening(spans, motion.noise) @ torque.gained(track, motion, spans)
+    if field.count(o):
+        parts[:, :, 6:9, -field.count(o) :] = field.gained(o, track)
+    return parts
 
 
 class SunPart(NamedTuple):
@@ -256,15 +314,15 @@ class SunPart(NamedTuple):
 
 def sun_part(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> SunPart:
     """The Sun's readings, which answer to the states, to the gains and to how late the states are, at errors (K, m)."""
-    places = _places(o, motion.body, clock)
+    places = _places(o, motion, clock)
     late = np.zeros(len(error)) if clock is None else _late(clock, error)
     seen = track if clock is None else seen_later(o, track, motion, late)
-    matrix, slope, cost = sun_measured(_with_gains(o, error[:, places.gains]), seen, o.row_unknowns)
+    matrix, slope, cost = sun_measured(_with_light(o, error, places), seen, o.row_unknowns)
     # of a turn at the Sun's instant and the gains, what the states (6) and the errors (m) of the equations do to each
     bridge = np.zeros((*track.omega.shape[:2], slope.shape[-1], 6 + places.count))
     bridge[..., :3, :3] = seen.attitude @ np.swapaxes(track.attitude, -1, -2) if clock is not None else np.eye(3)
     bridge[..., :3, 3:6] = late[:, None, None, None] * np.eye(3)  # a rate turns it for as long as the state is late
-    bridge[..., 3:, 6:][..., places.gains] = np.eye(len(o.row_unknowns))
+    bridge[..., 3:, 6:][..., places.light] = np.eye(bridge.shape[-2] - 3)
     if clock is not None:
         bridge[..., :3, -1] = clock.sigma_s * seen.omega
     carried = np.swapaxes(bridge, -1, -2)

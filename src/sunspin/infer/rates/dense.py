@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.infer.rates.motion import Ends, step_with_answer, turn, turn_between
-from sunspin.infer.rates.smooth import Motion, Observations, Track
+from sunspin.infer.rates.state import Motion, Observations, Track
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,21 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
+from sunspin.infer.rates import torque
 from sunspin.infer.rates.clock import lateness, suspected
 from sunspin.infer.rates.common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.infer.rates.dense import Dense
+from sunspin.infer.rates.earth import is_told, with_beam
+from sunspin.infer.rates.field import with_drift
 from sunspin.infer.rates.link import linked
 from sunspin.infer.rates.motion import Body, require_followed
+from sunspin.infer.rates.noise import choose, refined, settled
 from sunspin.infer.rates.observe import observations, passes, usable
-from sunspin.infer.rates.seed import SEED_NOISE, cooled, distinct_index, guesses, search, seeds
-from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit, joined
+from sunspin.infer.rates.seed import distinct_index, guesses, search
+from sunspin.infer.rates.smooth import cost_limit
 from sunspin.infer.rates.spread import with_spread
 from sunspin.infer.rates.start import coarse
+from sunspin.infer.rates.state import Motion, Observations, Track, joined
 from sunspin.infer.rates.wheels import wheel_momenta
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
@@ -31,20 +36,8 @@ MAX_MODES = 6
 LEAST_WEIGHT = 1e-3
 """Modes of less weight are not reported."""
 
-NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
-"""Angular-acceleration noises (rad/s^1.5) tried where none is given; at 3e-4 a rate wanders by 0.3 deg/s in 5 minutes."""
-
 NOISE_RANGE = (1e-9, 1.0)
 """rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
-
-HIGHER_NOISES = (1e-3, 3e-3)
-"""Tried where the highest of these is the best: strong torques, or a body with other moments than the file says."""
-
-LADDER_PASSES = 2
-"""Passes whose evidence chooses among them."""
-
-EVIDENCE_MODES = 4
-"""Hypotheses that are fitted with gains that are unknown where the evidence of a noise is asked for."""
 
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
@@ -132,9 +125,14 @@ def rates(
     use = usable(o, why)
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
     tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
-    clock, late = _clock(sensors.clock, tracks, motion)
+    if not _torque_told(vehicle, o):
+        motion = replace(motion, torque=torque.prior_sigma(noise))
+    ready = [(with_unknowns(some), track) for some, track in tracks]
+    if given is None:
+        motion = replace(motion, noise=refined(ready, motion))
+    clock, late = _clock(sensors.clock, ready, motion)
     each = zip(wholes, parts, (track for _, track in tracks), strict=True)
-    found, walk = link(o, [finished(o, *one, motion, clock, rate_max) for one in each], motion)
+    found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise) for one in each], motion)
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
@@ -144,8 +142,13 @@ def rates(
 def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
     """The vehicle's acceleration noise: another one where its dipole cannot be modelled, the field not being measured."""
     disturbance = vehicle.sensors.disturbance
-    modelled = disturbance.dipole is None or np.isfinite(o.field).all(axis=1).any()
+    modelled = disturbance.dipole is None or _torque_told(vehicle, o)
     return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+
+
+def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
+    """Whether the vehicle file has a dipole, and the field that pulls at it is measured."""
+    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field).all(axis=1).any())
 
 
 def _clock(
@@ -182,22 +185,23 @@ def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
     return order, np.exp(track.log_weight[order] - track.log_weight[order[0]])
 
 
-def loosened(o: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
+def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
     """Modes found as if strong torques acted, then fitted with the inertia as it may be: where that of the file fits no motion."""
     loose = replace(motion, noise=max(LOOSER[0], motion.noise))
-    return with_common(o, leading(o, loose, rate_max), motion, clock, begin=loose.noise)
+    return with_common(with_unknowns(plain), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
 
 
 def finished(
     every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
-    rate_max: float,
+    rate_max: float, begin: float,
 ) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
-    found at the samples `kept` of `index`, carried to all of them."""
-    o = every.take(kept)
-    common = with_common(o, track, motion, clock) if has_common(o, clock, motion.body) else None
+    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
+    plain = every.take(kept)
+    o = with_unknowns(plain)
+    common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
     if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
-        other = loosened(o, motion, clock, rate_max)
+        other = loosened(plain, motion, clock, rate_max)
         common = other if other.track.cost.min() < common.track.cost.min() else common
     if common is not None:  # with their common errors two hypotheses may have become one
         common = common.take(distinct_index(common.track, o.t_s))
@@ -208,6 +212,12 @@ def finished(
     order, weight = _ranked(track)
     whole = between.filled(track, motion).take(order)
     return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
+
+
+def with_unknowns(o: Observations) -> Observations:
+    """A pass with all that is estimated beside its motion."""
+    drifting = with_drift(o)
+    return with_beam(drifting) if is_told(drifting) else drifting
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -221,56 +231,6 @@ def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass]
         keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
         result.append(Pass(p.index, p.kept, p.track.take(keep), weight[keep], p.mean[keep], p.mean_sigma[keep]))
     return result, walk
-
-
-def choose(
-    o: Observations, parts: list[np.ndarray], body: Body, rate_max: float, noise: float | None, wheels: dict[str, np.ndarray]
-) -> tuple[float, Observations, str]:
-    """The acceleration noise (of `NOISE_LADDER`, unless given) and what the wheels do, by their evidence over the passes with
-    the most samples; with these wheels in the observations, and in words."""
-    noises = NOISE_LADDER if noise is None else (noise,)
-    if len(noises) * len(wheels) == 1:
-        name = next(iter(wheels))
-        return noises[0], replace(o, momentum=wheels[name]), name
-    longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
-    evidence: dict[tuple[float, str], float] = {}
-    for what, momentum in wheels.items():
-        for rungs in (noises, HIGHER_NOISES):
-            each = [_evidence(replace(o, momentum=momentum).take(part), body, rungs, rate_max) for part in longest]
-            evidence |= {(rung, what): float(total) for rung, total in zip(rungs, np.sum(each, axis=0), strict=True)}
-            own = {rung: value for (rung, other), value in evidence.items() if other == what}
-            if noise is not None or max(own, key=lambda rung: own[rung]) != NOISE_LADDER[-1]:
-                break
-    level, name = max(evidence, key=lambda one: evidence[one])
-    others = [value for (_, other), value in evidence.items() if other != name]
-    told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name
-    return level, replace(o, momentum=wheels[name]), told
-
-
-def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
-    """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
-
-    From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
-    vehicle file's, what they do to the Sun's direction would pass for strong torques. The inertia is the file's.
-    """
-    return np.logaddexp.reduce([_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)], axis=0)
-
-
-def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
-    """The same with the motions that are found as `guess` has the measurements."""
-    found = np.full(len(noises), -np.inf)
-    motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
-    try:
-        track, last = seeds(guess, motion, rate_max, pairs=1), motion.noise
-    except InputError:
-        return found
-    for k in np.argsort(noises)[::-1]:
-        motion = replace(motion, noise=noises[k])
-        track, last = cooled(guess, track, last, motion), noises[k]
-        known = replace(motion, body=replace(body, errors=body.errors[:0]))
-        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
-        found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
-    return found
 
 
 def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> float:
@@ -313,7 +273,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
-        "attitude_used": int(np.isfinite(o.attitude[index]).any()),
+        "attitude_used": int(np.isfinite(o.attitude[index]).any()), "earth_light": o.earth_light if is_told(o) else 0.0,
         "sunspin_version": metadata.version("sunspin"),
     }  # fmt: skip
     result = xr.Dataset(

@@ -28,6 +28,9 @@ MAX_STEPS = 400
 MOST_NUTATION = 800.0
 """rad that wheels may turn a rate round between two samples: at 2 rad a step the integration still holds."""
 
+LOST_MOMENTUM = 1e6
+"""In units of the mean moment times rad/s, where the motion of a trial overflows."""
+
 DIFFERENCE = 1e-5
 """Step of the differences that give the answer of a step to its start, rad and (times the interval) rad/s."""
 
@@ -151,6 +154,8 @@ def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> t
         d = slope((i + 1) / count, y + h * c)
         y = y + h / 6 * (a + 2 * b + 2 * c + d)
     q = np.moveaxis(y[3:], 0, -1)
+    lost = ~np.isfinite(y).all(axis=0) | ~np.any(q, axis=-1)  # no step is fine enough: such a trial must cost much, not fail
+    y[:, lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
     matrix = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*omega.shape, 3)
     return matrix, np.moveaxis(np.stack(g.body_rate(y[:3], (), wheels(1.0))), 0, -1)
 

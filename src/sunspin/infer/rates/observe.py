@@ -9,7 +9,8 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.errors import InputError, sentence
-from sunspin.infer.rates.smooth import Observations
+from sunspin.infer.rates.earth import differing
+from sunspin.infer.rates.state import Observations
 from sunspin.measure.quality import panel_quality
 from sunspin.measure.sun import signals
 from sunspin.vehicle import Vehicle
@@ -50,7 +51,10 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
         "sun_B": np.full((n, 3), np.nan), "sun_cov": np.full((n, 3, 3), np.nan), "power": np.zeros((n, 0)),
         "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)),
         "row_errors": np.zeros((0, 0, 3)), "row_unknowns": np.zeros((0, 0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
+        "earth_unknowns": np.zeros((n, 0, 3)), "field_unknowns": np.zeros((n, 0, 3)),
+        "zero_sigma": np.zeros(0),
     }  # fmt: skip
+    quality = None
     if source == "panels":
         quality = panel_quality(vehicle, telemetry)
         errors = _gain_errors(vehicle, quality)
@@ -75,7 +79,9 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
     parts |= {"gyro": gyro, "gyro_sigma": gyro_sigma, "gyro_common": _common_errors(sensors.gyro, gyro)}
     parts |= {"field": field, "field_sigma": noise or np.inf}
     parts |= {"attitude": _attitudes(telemetry, n), "attitude_sigma": sensors.attitude.sigma_rad if sensors.attitude else np.inf}
-    made = Observations(t_s=t, momentum=np.zeros((n, 3)), **parts)
+    whole_sigma = quality["sigma_beside_earth"].values if quality is not None else parts["power_sigma"]
+    parts |= {"whole_power": parts["power"], "whole_sigma": whole_sigma, "whole_scale_sigma": parts["scale_sigma"]}
+    made = differing(Observations(t_s=t, momentum=np.zeros((n, 3)), **parts))
     late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
     why[late] = "dropped: a late or repeated frame (time does not increase)"
     return made, why, source

@@ -14,8 +14,9 @@ import numpy as np
 from sunspin.errors import InputError, sentence
 from sunspin.infer.rates.motion import step
 from sunspin.infer.rates.shoot import carried, shot
-from sunspin.infer.rates.smooth import Motion, Observations, Track, cost_limit, joined, measured, smooth
+from sunspin.infer.rates.smooth import cost_limit, measured, smooth
 from sunspin.infer.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
+from sunspin.infer.rates.state import Motion, Observations, Track, joined
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""

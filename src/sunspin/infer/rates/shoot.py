@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.infer.rates.motion import step, step_with_answer, turn
-from sunspin.infer.rates.smooth import RATE_LIMIT, TURN_PRIOR, Motion, Observations, Track, measured, shortened
+from sunspin.infer.rates.smooth import RATE_LIMIT, TURN_PRIOR, measured, shortened
 from sunspin.infer.rates.start import facing
+from sunspin.infer.rates.state import Motion, Observations, Track
 
 CROWD = 4000
 """Starts moved at once, so that their numbers stay in the processor's cache."""

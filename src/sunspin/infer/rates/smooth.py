@@ -8,17 +8,11 @@ wild. Only the Sun is known in N, as its z axis: the turn about it is held by a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
 import numpy as np
 
-from sunspin.infer.rates.motion import Body, Ends, step_with_answer, turn, turn_between
-
-STUDENT = 4.0
-"""Degrees of freedom of the Student law of measurements: tails that let one bad sample in ten be outvoted."""
-
-FIELD_TURN_RATE = 2.2e-3
-"""rad/s; a satellite in low orbit sees the Earth's field turn at about twice its own rate of 1.1e-3 rad/s."""
+from sunspin.infer.rates.light import cross_matrix, student, sun_measured
+from sunspin.infer.rates.motion import Ends, step_with_answer, turn, turn_between
+from sunspin.infer.rates.state import Motion, Observations, Track
 
 RATE_LIMIT = 4.0
 """No trial rate exceeds this many times the prior's sigma (twice the largest rate of the search)."""
@@ -31,118 +25,6 @@ BAD_COST = 3.7
 
 THREE_READINGS = 1.5
 """What three sound readings cost in the mean."""
-
-SUN_N = np.array([0.0, 0.0, 1.0])
-"""The Sun in the local frame N."""
-
-
-PER_SAMPLE = (
-    "t_s", "sun_B", "sun_cov", "power", "power_sigma", "scale", "scale_sigma", "gyro", "gyro_common", "field", "momentum",
-    "attitude",
-)  # fmt: skip
-"""What `Observations` holds for each sample."""
-
-
-@dataclass(frozen=True)
-class Observations:
-    """What a pass measured, at n samples. NaN or infinite sigma: nothing measured there.
-
-    `t_s` (n); `sun_B` (n, 3), `sun_cov` (n, 3, 3) its covariance (of full rank; NaN: no direction); `power` (n, n_panel) or for
-    each hypothesis (K, n, n_panel), `power_sigma` (n, n_panel), `rows` (n_panel, 3) or for each hypothesis (K, n_panel, 3) gain
-    times normal with `row_errors` (m, n_panel, 3), one sigma of errors that all samples share, and `row_unknowns`
-    (m, n_panel, 3), one sigma of those that are to be estimated; `scale` (n) and `scale_sigma` (n): the factor of all powers of a
-    sample and its relative uncertainty; `gyro` (n, 3) rad/s with `gyro_sigma` and `gyro_common` (n, m, 3), one sigma of errors
-    that all samples share; `field` (n, 3) with `field_sigma`, in any unit; `momentum` (n, 3) of the wheels, in the body's mean
-    moment of inertia times rad/s; `attitude` (n, 3, 3) B_from_N of some inertial frame with `attitude_sigma` (rad), of which only
-    the turn from sample to sample is used; `earth_light`: how much of full Sun a panel gets that looks at
-    the Earth.
-    """
-
-    t_s: np.ndarray
-    sun_B: np.ndarray
-    sun_cov: np.ndarray
-    power: np.ndarray
-    power_sigma: np.ndarray
-    rows: np.ndarray
-    row_errors: np.ndarray
-    row_unknowns: np.ndarray
-    scale: np.ndarray
-    scale_sigma: np.ndarray
-    gyro: np.ndarray
-    gyro_common: np.ndarray
-    gyro_sigma: float
-    field: np.ndarray
-    field_sigma: float
-    momentum: np.ndarray
-    attitude: np.ndarray
-    attitude_sigma: float
-    earth_light: float = 0.0
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    @property
-    def told(self) -> np.ndarray:
-        """Which samples have a direction (n)."""
-        return np.isfinite(self.sun_cov[:, 0, 0])
-
-    def take(self, index: np.ndarray | slice) -> Observations:
-        """The samples `index`."""
-        return replace(self, **{name: getattr(self, name)[index] for name in PER_SAMPLE})
-
-    def part(self, low: int, high: int) -> Observations:
-        """Samples low to high - 1."""
-        return self.take(slice(low, high))
-
-    def wheels(self, start: int, end: int) -> Ends:
-        """What the wheels do between two samples."""
-        return Ends(momentum=self.momentum[start], momentum_end=self.momentum[end])
-
-
-UNTOLD = np.zeros(0)
-"""What stands in a `Track` for what no fit has told yet."""
-
-
-@dataclass(frozen=True)
-class Track:
-    """K hypotheses: attitudes B_from_N (K, n, 3, 3), rates (K, n, 3), and once smoothed their `cost` (K) (minus the log of
-    the posterior density) and `log_weight` (K) (log of the mass of the mode, by Laplace), `covariance` (K, n, 6, 6)."""
-
-    attitude: np.ndarray
-    omega: np.ndarray
-    cost: np.ndarray = field(default_factory=lambda: UNTOLD)
-    log_weight: np.ndarray = field(default_factory=lambda: UNTOLD)
-    covariance: np.ndarray = field(default_factory=lambda: UNTOLD)
-
-    def take(self, index: np.ndarray | slice) -> Track:
-        told = (x if x is UNTOLD else x[index] for x in (self.cost, self.log_weight, self.covariance))
-        return Track(self.attitude[index], self.omega[index], *told)
-
-    @property
-    def sun_B(self) -> np.ndarray:
-        return self.attitude @ SUN_N
-
-
-def joined(tracks: list[Track]) -> Track:
-    """All hypotheses of smoothed tracks."""
-    each = [(t.attitude, t.omega, t.cost, t.log_weight, t.covariance) for t in tracks]
-    return Track(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
-
-
-@dataclass(frozen=True)
-class Motion:
-    """How the body moves: the body, the white angular acceleration `noise` (rad/s^1.5), the prior sigma of a rate (rad/s)."""
-
-    body: Body
-    noise: float
-    rate_prior: float
-
-
-def cross_matrix(v: np.ndarray) -> np.ndarray:
-    """[v]x (..., 3, 3): [v]x b = v x b."""
-    zero = np.zeros_like(v[..., 0])
-    rows = [[zero, -v[..., 2], v[..., 1]], [v[..., 2], zero, -v[..., 0]], [-v[..., 1], v[..., 0], zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -160,70 +42,12 @@ def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.n
     return matrix, slope, cost
 
 
-def sun_measured(o: Observations, track: Track, unknowns: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normal matrices (K, n, 3 + m, 3 + m), gradients (K, n, 3 + m) and costs (K, n) of the Sun at each sample, to a turn and to
-    one sigma of each of `unknowns` (m, n_panel, 3), errors of gain times normal."""
-    unknowns = np.zeros((0, *o.rows.shape[-2:])) if unknowns is None else unknowns
-    k, n, size = *track.omega.shape[:2], 3 + len(unknowns)
-    matrix, slope, cost = np.zeros((k, n, size, size)), np.zeros((k, n, size)), np.zeros((k, n))
-    sun = track.sun_B
-    answer = cross_matrix(sun)  # the Sun's direction in the body answers sun x turn
-    for value, jacobian in _sun_residuals(o, sun, answer, unknowns):
-        weight, part = student(value)
-        matrix += np.einsum("kn,knmi,knmj->knij", weight, jacobian, jacobian)
-        slope += np.einsum("kn,knmi,knm->kni", weight, jacobian, value)
-        cost += part
-    return matrix, slope, cost
-
-
-def _sun_residuals(o: Observations, sun: np.ndarray, answer: np.ndarray, unknowns: np.ndarray):
-    told = o.told
-    if told.any():
-        white = np.zeros((len(o), 3, 3))
-        white[told] = np.swapaxes(np.linalg.cholesky(np.linalg.inv(o.sun_cov[told])), -1, -2)
-        jacobian = white @ answer
-        jacobian = np.concatenate([jacobian, np.zeros((*jacobian.shape[:-1], len(unknowns)))], axis=-1)
-        yield np.einsum("nij,knj->kni", white, sun - np.where(told[:, None], o.sun_B, 0.0)), jacobian
-    if o.power.size and np.isfinite(o.power_sigma).any():
-        yield _power_residuals(o, sun, answer, unknowns)
-
-
-def _power_residuals(o: Observations, sun: np.ndarray, answer: np.ndarray, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Powers less the model's (K, n, n_panel + 1), in sigma, the scale of each sample being put at its best (variable projection),
-    and their Jacobian (K, n, n_panel + 1, 3 + m) to a turn and to the `unknowns`.
-
-    The scale's own prior is one more residual, so a scale known, half known and free are one formula.
-    """
-    inverse = np.where(np.isfinite(o.power_sigma), 1 / o.power_sigma, 0.0)
-    target = np.nan_to_num(o.power) * inverse
-    target = np.concatenate([target, np.broadcast_to((1 / o.scale_sigma)[:, None], (*target.shape[:-1], 1))], axis=-1)
-    cosine = sun @ np.swapaxes(o.rows, -1, -2)
-    shape = np.maximum(cosine, 0.0) * inverse * o.scale[:, None]
-    shape = np.concatenate([shape, np.broadcast_to((1 / o.scale_sigma)[:, None], (*shape.shape[:2], 1))], axis=-1)
-    size = (shape**2).sum(axis=-1, keepdims=True)
-    best = np.maximum((shape * target).sum(axis=-1, keepdims=True) / size, 0.0)
-    to_turn = np.expand_dims(o.rows, -3) @ answer
-    change = np.concatenate([to_turn, np.einsum("knj,mpj->knpm", sun, unknowns)], axis=-1)
-    change = ((cosine > 0) * inverse * o.scale[:, None])[..., None] * change
-    change = np.concatenate([change, np.zeros((*change.shape[:2], 1, change.shape[-1]))], axis=-2) * best[..., None]
-    unit = shape / np.sqrt(size)
-    change = change - unit[..., None] * np.einsum("...m,...mi->...i", unit, change)[..., None, :]
-    return best * shape - target, change
-
-
-def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weight and cost of residual vectors (..., m) under a Student law of `STUDENT` degrees of freedom."""
-    square = (value**2).sum(axis=-1)
-    return (STUDENT + 2) / (STUDENT + square), (STUDENT + 2) / 2 * np.log1p(square / STUDENT)
-
-
 def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the motion and the field say of neighbours: residuals (K, n-1, m), Jacobians to the first and second of them."""
     dt = np.diff(o.t_s)
     start, end = track.attitude[:, :-1], track.attitude[:, 1:]
     relative = end @ np.swapaxes(start, -1, -2)
-    met = np.all(np.isfinite(o.field), axis=1)
-    pair = met[:-1] & met[1:]
+    pair = field_pairs(o)
     b0, b1 = np.nan_to_num(o.field[:-1]) * pair[:, None], np.nan_to_num(o.field[1:]) * pair[:, None]
     ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
     if pair.any() and np.any(motion.body.dipole):
@@ -236,7 +60,7 @@ def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, 
     first = -np.einsum("nij,knjl->knil", white, answer)
     second = np.broadcast_to(white, (*value.shape, 6)).copy()
     if pair.any() and np.isfinite(o.field_sigma):
-        more = _field_residuals(o, relative, b0, b1, pair, dt)
+        more = _field_residuals(o, relative, b0, b1, pair)
         value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
     known = np.isfinite(o.attitude[:, 0, 0])
     if (pair := known[:-1] & known[1:]).any():
@@ -266,9 +90,19 @@ def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
     return np.linalg.inv(np.linalg.cholesky(covariance)) / noise
 
 
-def _field_residuals(o, relative, b0, b1, pair, dt):
-    sigma = np.sqrt(2 * o.field_sigma**2 + (np.linalg.norm(b0, axis=1) * FIELD_TURN_RATE * dt) ** 2)
-    inverse = np.where(pair, 1 / sigma, 0.0)[:, None]
+def field_pairs(o: Observations) -> np.ndarray:
+    """Which neighbours (n - 1) both have a field."""
+    met = np.all(np.isfinite(o.field), axis=1)
+    return met[:-1] & met[1:]
+
+
+def field_sigmas(o: Observations) -> np.ndarray:
+    """One sigma (n - 1) of the field's change between neighbours: of two readings, and of its turning."""
+    return np.sqrt(2 * o.field_sigma**2 + (np.linalg.norm(o.field[:-1], axis=1) * o.field_turn_rate * np.diff(o.t_s)) ** 2)
+
+
+def _field_residuals(o, relative, b0, b1, pair):
+    inverse = np.where(pair, 1 / field_sigmas(o), 0.0)[:, None]
     carried = np.einsum("knij,nj->kni", relative, b0)
     value = (carried - b1) * inverse
     first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))

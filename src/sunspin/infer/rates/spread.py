@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.infer.rates.common import Clock, Common, sun_part
-from sunspin.infer.rates.smooth import Motion, Observations, Track, measured, normal_equations, solve
+from sunspin.infer.rates.smooth import measured, normal_equations, solve
+from sunspin.infer.rates.state import Motion, Observations, Track
 
 Shift = Callable[[Observations, np.ndarray], np.ndarray]
 """What other readings change (k, n, 6) in the states of the hypotheses (k)."""

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunspin.infer.rates.motion import Body, nutation
-from sunspin.infer.rates.smooth import Motion, Observations, Track, measured
+from sunspin.infer.rates.smooth import measured
+from sunspin.infer.rates.state import Motion, Observations, Track
 from sunspin.measure.panels import sphere
 
 ANGLES = 36
