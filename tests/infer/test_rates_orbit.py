@@ -130,6 +130,12 @@ def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
     assert np.max([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]]) > 2 * miss.max()
 
 
+def test_a_long_body_of_unknown_inertia_seen_by_the_sun_alone_is_not_told_without_a_warning():
+    """A 3U CubeSat at 3.4 deg/s, 12 s between samples: the search, which takes it for a sphere, ends elsewhere."""
+    told = orbit_twins.judge(2, 12)
+    assert not told["inertia"] and "GIVE ITS INERTIA" in told["verdict"]
+
+
 def test_no_magnetometer_no_field():
     data, _ = twin((), np.random.default_rng(1))
     o = pass_of(CUBE, data)

@@ -19,7 +19,7 @@ from sunspin.infer.rates.earth import is_told, with_beam
 from sunspin.infer.rates.field import with_drift
 from sunspin.infer.rates.link import linked
 from sunspin.infer.rates.motion import Body, require_followed
-from sunspin.infer.rates.noise import choose, refined, settled
+from sunspin.infer.rates.noise import HIGHER_NOISES, choose, refined, settled
 from sunspin.infer.rates.observe import observations, passes, usable
 from sunspin.infer.rates.seed import distinct_index, guesses, search
 from sunspin.infer.rates.smooth import cost_limit
@@ -136,6 +136,7 @@ def rates(
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
+    result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     return result.assign_attrs(verdict=verdict(result))
 
 
@@ -320,4 +321,6 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
+        if result.attrs["no_sphere"]:
+            text += "; the body is far from the sphere that the search takes it for, and another motion may fit: GIVE ITS INERTIA"
     return text
