@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import orbit_twins
+import strange_rates
 from coverage_twins import CUBE, albedo, twin
 from sunspin.infer.rates import estimate, field, observe, torque
 from sunspin.infer.rates.earth import differing, with_beam
@@ -134,6 +135,11 @@ def test_a_long_body_of_unknown_inertia_seen_by_the_sun_alone_is_not_told_withou
     """A 3U CubeSat at 3.4 deg/s, 12 s between samples: the search, which takes it for a sphere, ends elsewhere."""
     told = orbit_twins.judge(2, 12)
     assert not told["inertia"] and "GIVE ITS INERTIA" in told["verdict"]
+
+
+def test_noise_that_the_file_does_not_state_is_not_taken_for_the_earths_light():
+    """Noise of 4.6 % beside light of the Earth: held for its light alone, no motion seemed to fit."""
+    assert strange_rates.judge(0, 55)["word"] == "decided"
 
 
 def test_no_magnetometer_no_field():

@@ -126,7 +126,8 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
     untold = np.hypot(albedo, told.sigma * use_value / (full * gains))  # whose gains may be off by their prior
     share = np.where(use_value > SURELY_LIT * albedo * full * gains, untold if told.spread is None else told.spread, albedo)
-    beside = np.minimum(share, np.hypot(EARTH_LEFT * albedo, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
+    left = _left(albedo, told.spread, vehicle.telemetry.noise is not None)
+    beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
     floor = np.hypot(share * full * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
     sigma = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA) * largest * limited[:, None]
@@ -251,6 +252,13 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     dark = dark[np.isfinite(dark)]
     told = len(dark) >= TOLD_READINGS
     return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(dark)
+
+
+def _left(albedo: float, spread: float | None, stated: bool) -> float:
+    """What no beam explains of the light on dark panels. Noise that the file does not state is in that light too: as much as full
+    Sun scatters, or where that is not told all of it."""
+    noise = 0.0 if stated else albedo if spread is None else min(spread, albedo)
+    return max(EARTH_LEFT * albedo, noise)
 
 
 def _earth_light(albedo: float, seen: int, noise: float) -> float:
