@@ -9,13 +9,10 @@ the field that a magnetometer reads. Nothing of the package's own dynamics or pa
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +21,10 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from coverage_twins import place
-from strange_rates import MISSED_RAD_S, MISSED_SIGMAS, tally
+from strange_rates import campaign, judged, tally
 from strange_twins import FACES, unit
 from sunspin.errors import SunspinError
-from sunspin.infer.rates.estimate import DECIDED
-from sunspin.study.command import command, kept, rows_folder
+from sunspin.study.command import command
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
@@ -221,37 +216,15 @@ def judge(seed: int, i: int) -> dict[str, Any]:
                     "processor_s": time.process_time() - began}  # fmt: skip
 
 
-def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
-    """One pass."""
-    truth = run["omega_B"].sel(time=result["time"].values[result["pass_of"].values == k]).values.mean(axis=0)
-    sigma = result["omega_sigma_B"].values[k]
-    miss = np.abs(result["omega_mean_B"].values[k] - truth)
-    near = (miss < np.maximum(MISSED_SIGMAS * sigma, MISSED_RAD_S)).all(axis=1)
-    weight = np.nan_to_num(result["weight"].values[k])
-    best = int(np.nanargmin(np.where(np.isnan(miss).any(axis=1), np.inf, np.linalg.norm(miss / sigma, axis=1))))
-    bad = bool(result["cost"].values[k, 0] > result["cost_limit"].values[k])
-    word = "fits badly" if bad else "decided" if weight[0] >= DECIDED else "several"
-    return {"word": word, "found": bool(near.any()), "weight": float(weight[near].sum()), "pulls": (miss / sigma)[best].tolist(),
-            "miss_deg_s": np.degrees(miss[best]).tolist(), "places": place(result, run)[k].tolist()}  # fmt: skip
-
-
 @command
 def main(arguments: list[str] | None = None) -> None:
     """Run twins and print what becomes of them."""
-    parser = argparse.ArgumentParser(prog="python tests/orbit_twins.py", description=main.__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--twins", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args(arguments)
-    folder = rows_folder(given.out / f"orbit-{given.seed}")
-    rows = []
-    for i in range(given.first, given.first + given.twins):
-        rows.append(kept(folder / f"{i:04d}.json", partial(judge, given.seed, i)))
-        print(i, {k: (round(v, 5) if isinstance(v, float) else v) for k, v in rows[-1].items() if k != "passes"}, flush=True)
-        for part in rows[-1].get("passes", ()):
+    told = []
+    for i, row in campaign("tests/orbit_twins.py", "orbit", judge, arguments):
+        print(i, {k: (round(v, 5) if isinstance(v, float) else v) for k, v in row.items() if k != "passes"}, flush=True)
+        for part in row.get("passes", ()):
             print("   ", {k: np.round(v, 2).tolist() if isinstance(v, list) else v for k, v in part.items()}, flush=True)
-    told = [row | part for row in rows for part in row.get("passes", ())]
+            told.append(row | part)
     print(json.dumps(tally(told), indent=1))
 
 

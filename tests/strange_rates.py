@@ -10,6 +10,7 @@ import json
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -112,20 +113,23 @@ def judge(seed: int, i: int) -> dict[str, Any]:
         result = ss.rates(vehicle, data)
     except SunspinError as error:
         return about | {"word": "refused", "verdict": str(error)}
-    at = result["time"].values[result["pass_of"].values == 0]
-    truth = run["omega_B"].sel(time=at).values.mean(axis=0)
-    miss = np.abs(result["omega_mean_B"].values[0] - truth)
-    pulls = miss / result["omega_sigma_B"].values[0]
-    near = (miss < np.maximum(MISSED_SIGMAS * result["omega_sigma_B"].values[0], MISSED_RAD_S)).all(axis=1)
-    weight = np.nan_to_num(result["weight"].values[0])
-    bad = bool(result["cost"].values[0, 0] > result["cost_limit"].values[0])
-    best = int(np.nanargmin(np.where(np.isnan(pulls).any(axis=1), np.inf, np.linalg.norm(pulls, axis=1))))
-    word = "fits badly" if bad else "decided" if weight[0] >= DECIDED else "several"
-    return about | {
-        "word": word, "verdict": result.attrs["verdict"], "passes": result.sizes["pass_id"], "found": bool(near.any()),
-        "weight": float(weight[near].sum()), "pulls": pulls[best].tolist(), "miss_deg_s": np.degrees(miss[best]).tolist(),
-        "places": place(result, run)[0].tolist(), "processor_s": time.process_time() - began,
+    return about | judged(result, run, 0) | {
+        "verdict": result.attrs["verdict"], "passes": result.sizes["pass_id"], "processor_s": time.process_time() - began,
     }  # fmt: skip
+
+
+def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
+    """How far the true mean rate is from the nearest motion of pass `k`."""
+    truth = run["omega_B"].sel(time=result["time"].values[result["pass_of"].values == k]).values.mean(axis=0)
+    sigma = result["omega_sigma_B"].values[k]
+    miss = np.abs(result["omega_mean_B"].values[k] - truth)
+    near = (miss < np.maximum(MISSED_SIGMAS * sigma, MISSED_RAD_S)).all(axis=1)
+    weight = np.nan_to_num(result["weight"].values[k])
+    best = int(np.nanargmin(np.where(np.isnan(miss).any(axis=1), np.inf, np.linalg.norm(miss / sigma, axis=1))))
+    bad = bool(result["cost"].values[k, 0] > result["cost_limit"].values[k])
+    word = "fits badly" if bad else "decided" if weight[0] >= DECIDED else "several"
+    return {"word": word, "found": bool(near.any()), "weight": float(weight[near].sum()), "pulls": (miss / sigma)[best].tolist(),
+            "miss_deg_s": np.degrees(miss[best]).tolist(), "places": place(result, run)[k].tolist()}  # fmt: skip
 
 
 def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -144,20 +148,28 @@ def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Run twins and print what becomes of them."""
-    parser = argparse.ArgumentParser(prog="python tests/strange_rates.py", description=main.__doc__)
+def campaign(
+    prog: str, name: str, judge: Callable[[int, int], dict[str, Any]], arguments: list[str] | None
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The twins that the command line asks for: number and row, kept as they are made."""
+    parser = argparse.ArgumentParser(prog=f"python {prog}", description="Run twins and print what becomes of them.")
     parser.add_argument("out", type=Path)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--twins", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
-    folder = rows_folder(given.out / f"rates-{given.seed}")
-    rows = []
+    folder = rows_folder(given.out / f"{name}-{given.seed}")
     for i in range(given.first, given.first + given.twins):
-        rows.append(kept(folder / f"{i:04d}.json", partial(judge, given.seed, i)))
-        print(i, {k: (round(v, 3) if isinstance(v, float) else v) for k, v in rows[-1].items() if k != "verdict"}, flush=True)
+        yield i, kept(folder / f"{i:04d}.json", partial(judge, given.seed, i))
+
+
+@command
+def main(arguments: list[str] | None = None) -> None:
+    """Run twins and print what becomes of them."""
+    rows = []
+    for i, row in campaign("tests/strange_rates.py", "rates", judge, arguments):
+        rows.append(row)
+        print(i, {k: (round(v, 3) if isinstance(v, float) else v) for k, v in row.items() if k != "verdict"}, flush=True)
     print(json.dumps(tally(rows), indent=1))
 
 

@@ -10,7 +10,8 @@ import pytest
 import strange_rates
 import sunspin as ss
 from sunspin.infer.inertia import ASSUMED, inertia_errors, stated_sigma
-from sunspin.infer.rates.motion import Body
+from sunspin.infer.rates.common import THINNEST, of_a_body
+from sunspin.infer.rates.motion import Body, step
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
@@ -60,6 +61,22 @@ def test_what_is_not_stated_is_one_percent_of_the_moments():
     np.testing.assert_allclose(inertia_errors(CUBE).sum(axis=0), assumed, rtol=1e-12, atol=0)
     errors = inertia_errors(told(1e-4))
     assert errors.shape == (6, 3, 3) and np.all(errors == np.swapaxes(errors, 1, 2)) and np.all(errors.max(axis=(1, 2)) == 1e-4)
+
+
+def test_no_trial_inertia_is_one_that_no_body_has():
+    """Errors of four sigmas where no inertia is known would make moments negative; small ones stay as they are."""
+    body = Body.of(replace(CUBE, inertia_kg_m2=None))
+    errors = np.array([[-4.0, 4, 0, 4, 0, 0], [0, 0, 0, -4, 4, -4], [0.5, 0, 0, -0.5, 0, 0]])
+    drawn = of_a_body(body, errors)
+    assert np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", errors, body.errors)).min() < 0  # control
+    assert np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", drawn, body.errors)).min() >= THINNEST
+    assert np.all(drawn[2] == errors[2])
+
+
+def test_a_trial_whose_motion_overflows_costs_much_and_fails_nothing():
+    impossible = Body(np.diag([1.0, -1e-3, 2.0]), np.zeros(3), False, np.zeros((0, 3, 3)))
+    turned, rate = step(impossible, np.array([[5.0, 3.0, -4.0], [0.0, 0.0, 0.0]]), np.array([60.0, 60.0]))
+    assert np.isfinite(turned).all() and np.isfinite(rate).all() and np.abs(rate[0]).max() > 1e3 and np.all(rate[1] == 0)
 
 
 @pytest.mark.parametrize("i", [46, 63])

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunspin.infer.rates.light import sun_measured
-from sunspin.infer.rates.state import SUN_N, Observations, Track
+from sunspin.infer.rates.state import SUN_N, Observations, Track, drifting
 
 TURN_RATE = 1.5e-3
 """rad/s; the beam turns with the orbit, 1.1e-3, and brightens or fades as the ground below does."""
@@ -61,11 +61,10 @@ def differing(o: Observations) -> Observations:
 def with_beam(o: Observations) -> Observations:
     """The same with the beam, and gains that were taken from brightness under it, as unknowns of the pass; the readings whole, and
     as good as they are beside the beam."""
-    sigma, away = WIDER * o.earth_light / np.sqrt(3), TURN_RATE * (o.t_s - o.t_s.mean())
-    unknowns = sigma * np.stack([np.ones(len(o)), away], axis=1)[:, :, None, None] * np.eye(3)
+    unknowns = drifting(o.t_s, WIDER * o.earth_light / np.sqrt(3), TURN_RATE)
     rows = np.concatenate([o.row_unknowns.reshape(-1, *o.rows.shape), o.row_errors.reshape(-1, *o.rows.shape)])
     return replace(
-        o, earth_unknowns=unknowns.reshape(len(o), 6, 3), zero_sigma=ZERO * o.earth_light * np.linalg.norm(o.rows, axis=1),
+        o, earth_unknowns=unknowns, zero_sigma=ZERO * o.earth_light * np.linalg.norm(o.rows, axis=1),
         earth_light=0.0, row_unknowns=rows, row_errors=rows[:0], power=o.whole_power, power_sigma=o.whole_sigma,
         scale_sigma=o.whole_scale_sigma,
     )  # fmt: skip

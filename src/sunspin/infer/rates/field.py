@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.infer.rates.smooth import field_pairs, field_sigmas
-from sunspin.infer.rates.state import FIELD_TURN_RATE, Observations, Track
+from sunspin.infer.rates.state import FIELD_TURN_RATE, Observations, Track, drifting
 
 LEFT = 0.2
 """Part of the field's turning that does not change evenly over a pass, and stays noise."""
@@ -31,9 +31,7 @@ def with_drift(o: Observations) -> Observations:
     if not _is_read(o):
         return o
     sigma = FIELD_TURN_RATE * np.nanmedian(np.linalg.norm(o.field, axis=1)) / np.sqrt(3)
-    away = FIELD_TURN_RATE * (o.t_s - o.t_s.mean())
-    unknowns = sigma * np.stack([np.ones(len(o)), away], axis=1)[:, :, None, None] * np.eye(3)
-    return replace(o, field_unknowns=unknowns.reshape(len(o), 6, 3), field_turn_rate=LEFT * FIELD_TURN_RATE)
+    return replace(o, field_unknowns=drifting(o.t_s, sigma, FIELD_TURN_RATE), field_turn_rate=LEFT * FIELD_TURN_RATE)
 
 
 def gained(o: Observations, track: Track) -> np.ndarray:

@@ -147,14 +147,15 @@ def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> t
             change = [c + sum(body.inertia[k, j] * torque[j] for j in range(3)) for k, c in enumerate(change)]
         return np.stack([*change, *g.quaternion_rate(q, w)])
 
-    for i in range(count):
-        a = slope(i / count, y)
-        b = slope((i + 0.5) / count, y + h / 2 * a)
-        c = slope((i + 0.5) / count, y + h / 2 * b)
-        d = slope((i + 1) / count, y + h * c)
-        y = y + h / 6 * (a + 2 * b + 2 * c + d)
+    with np.errstate(over="ignore", invalid="ignore"):  # no step is fine enough for some trials: they must cost much, not fail
+        for i in range(count):
+            a = slope(i / count, y)
+            b = slope((i + 0.5) / count, y + h / 2 * a)
+            c = slope((i + 0.5) / count, y + h / 2 * b)
+            d = slope((i + 1) / count, y + h * c)
+            y = y + h / 6 * (a + 2 * b + 2 * c + d)
     q = np.moveaxis(y[3:], 0, -1)
-    lost = ~np.isfinite(y).all(axis=0) | ~np.any(q, axis=-1)  # no step is fine enough: such a trial must cost much, not fail
+    lost = ~np.isfinite(y).all(axis=0) | ~np.any(q, axis=-1)
     y[:, lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
     matrix = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*omega.shape, 3)
     return matrix, np.moveaxis(np.stack(g.body_rate(y[:3], (), wheels(1.0))), 0, -1)

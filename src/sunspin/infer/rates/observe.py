@@ -52,15 +52,15 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
         "power_sigma": np.zeros((n, 0)), "rows": np.zeros((0, 3)),
         "row_errors": np.zeros((0, 0, 3)), "row_unknowns": np.zeros((0, 0, 3)), "scale": np.ones(n), "scale_sigma": np.ones(n),
         "earth_unknowns": np.zeros((n, 0, 3)), "field_unknowns": np.zeros((n, 0, 3)),
-        "zero_sigma": np.zeros(0),
+        "whole_sigma": np.zeros((n, 0)), "zero_sigma": np.zeros(0),
     }  # fmt: skip
-    quality = None
     if source == "panels":
         quality = panel_quality(vehicle, telemetry)
         errors = _gain_errors(vehicle, quality)
         told = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion can tell the gains
         parts |= {
             "power": signals(telemetry), "power_sigma": quality["sigma"].values,
+            "whole_sigma": quality["sigma_beside_earth"].values,
             "rows": quality["gain"].values[:, None] * vehicle.panel_normals_B, "row_errors": errors[: len(errors) * told],
             "row_unknowns": errors[len(errors) * told :],
             "scale": quality["scale"].values, "scale_sigma": quality["scale_sigma"].values,
@@ -79,8 +79,7 @@ def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = N
     parts |= {"gyro": gyro, "gyro_sigma": gyro_sigma, "gyro_common": _common_errors(sensors.gyro, gyro)}
     parts |= {"field": field, "field_sigma": noise or np.inf}
     parts |= {"attitude": _attitudes(telemetry, n), "attitude_sigma": sensors.attitude.sigma_rad if sensors.attitude else np.inf}
-    whole_sigma = quality["sigma_beside_earth"].values if quality is not None else parts["power_sigma"]
-    parts |= {"whole_power": parts["power"], "whole_sigma": whole_sigma, "whole_scale_sigma": parts["scale_sigma"]}
+    parts |= {"whole_power": parts["power"], "whole_scale_sigma": parts["scale_sigma"]}
     made = differing(Observations(t_s=t, momentum=np.zeros((n, 3)), **parts))
     late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
     why[late] = "dropped: a late or repeated frame (time does not increase)"

@@ -21,6 +21,13 @@ PER_SAMPLE = (
 """What `Observations` holds for each sample."""
 
 
+def drifting(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
+    """Unknowns (n, 6, 3) of a vector that drifts evenly over a pass, at its times (n): one sigma of each component in its middle,
+    and of each component's drift, as fast as a turn at this rate."""
+    away = rate_rad_s * (t_s - t_s.mean())
+    return (sigma * np.stack([np.ones(len(t_s)), away], axis=1)[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
+
+
 @dataclass(frozen=True)
 class Observations:
     """What a pass measured, at n samples. NaN or infinite sigma: nothing measured there.
