@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 
+import sunspin as ss
+from sunspin.infer.posterior.data import readings
+from sunspin.infer.posterior.likelihood import Likelihood
+from sunspin.infer.posterior.model import State, model
 from sunspin.motion import kernel as k
 from vehicles import FIRST_SUN, philae_body, random_vehicle
 
@@ -36,8 +41,18 @@ def run_case(name: str, device: str) -> k.BlockResult:
     return k.run_rows(vehicle, rows, duration, device=device, **options)
 
 
+def log_likelihoods(device: str) -> np.ndarray:
+    """Of two motions of Philae under three samples of its twin, as a posterior asks for them."""
+    case = ss.load_case("philae")
+    data, start_s, _ = readings(case.vehicle, case.telemetry, phase="first_rebound")
+    unknown, _ = model(case.vehicle, {}, 0.02)
+    u = 0.3 * np.ones((2, len(unknown.unknowns)))
+    motions = State(np.array([[-0.27, 0.07, 0.08], [0.1, 0.2, -0.1]]), np.tile(FIRST_SUN, (2, 1)), u)
+    return Likelihood(replace(unknown, device=device), data.take(np.arange(3)), 1e-8)(motions)
+
+
 def main(path: str) -> None:
-    found = {}
+    found = {"log_likelihoods": log_likelihoods("cuda")}
     for name in CASES:
         result = run_case(name, "cuda")
         for field in ("track", "hist", "outcome", "steps", "evenness"):

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from sunspin.infer.posterior.likelihood import moved
-from sunspin.infer.posterior.mixture import SOFT, Mixture, monomials
+from sunspin.infer.posterior.mixture import Mixture, Sheet
 from sunspin.infer.posterior.model import State
 from sunspin.infer.posterior.widths import BLOCK, DEFENCE, pooled, regions
 
-MOVING = (1, 2)
-UNKNOWNS = 3
+UNKNOWNS = 4
+SHEET = Sheet.of(5 + UNKNOWNS, softs=2, moving=(1, 2), brightness=(0,))
 
 
 def mixture(seed: int, count: int) -> Mixture:
@@ -23,11 +23,11 @@ def mixture(seed: int, count: int) -> Mixture:
     centre = State(0.1 * rng.standard_normal((count, 3)), moved(np.tile([0.0, 0.6, 0.8], (count, 1)), rng.normal(size=(count, 2))),
                    rng.standard_normal((count, UNKNOWNS)))  # fmt: skip
     root = 0.1 * rng.standard_normal((count, d, d)) + 0.3 * np.eye(d)
-    bend = np.zeros((count, monomials(np.zeros((1, d)), MOVING).shape[1], 5 - SOFT))
-    bend[:, : UNKNOWNS + SOFT] = rng.standard_normal((count, UNKNOWNS + SOFT, 5 - SOFT))
+    bend = np.zeros((count, SHEET.terms, len(SHEET.stiff)))
+    bend[:, : len(SHEET.along)] = rng.standard_normal((count, len(SHEET.along), len(SHEET.stiff)))
     weight = rng.uniform(0.5, 1.0, count)
     basis = np.tile(np.diag([50.0] * 3 + [1.0] * 2), (count, 1, 1))
-    return Mixture(centre, basis, bend, np.zeros((count, d)), root @ root.swapaxes(1, 2), weight / weight.sum(), MOVING)
+    return Mixture(centre, basis, bend, np.zeros((count, d)), root @ root.swapaxes(1, 2), weight / weight.sum(), SHEET)
 
 
 def density(of: Mixture, state: State) -> np.ndarray:
@@ -55,6 +55,24 @@ def test_a_bend_of_nothing_is_no_bend():
     state = straight.draw(50, np.random.default_rng(5))
     for m in range(2):
         np.testing.assert_allclose(straight.coordinates(state, m), replace(straight, bend=bend).coordinates(state, m), rtol=1e-9)
+
+
+def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
+    """Every coordinate is stiff or along the sheet; what is bent comes back, and densities are those of the straight sheet."""
+    assert sorted([*SHEET.stiff, *SHEET.along]) == list(range(5 + UNKNOWNS)) and set(SHEET.bending) <= set(SHEET.along)
+    straight = mixture(6, 1)
+    bent = replace(straight, bend=np.random.default_rng(7).normal(0, 0.05, straight.bend.shape))
+    x = np.random.default_rng(8).normal(0, 0.3, (40, 5 + UNKNOWNS))
+    here = np.zeros(40, dtype=int)
+    one, other = straight.states(x, here), bent.states(x, here)
+    np.testing.assert_allclose(bent.coordinates(other, 0), x, rtol=0, atol=1e-9)
+    assert np.abs(other.u[:, 0] - one.u[:, 0]).max() > 0.01  # the brightness is bent with the motion
+
+    def in_the_chart(of: Mixture, state: State) -> np.ndarray:
+        """Density without the chart's own stretching of the sphere."""
+        return of.log_densities(state)[:, 0] + np.log(np.sinc(np.arccos(state.sun @ of.centre.sun[0]) / np.pi))
+
+    np.testing.assert_allclose(in_the_chart(bent, other), in_the_chart(straight, one), rtol=0, atol=1e-7)
 
 
 def test_components_that_share_draws_are_one_region():

@@ -70,6 +70,27 @@ def test_a_gpu_agrees_with_the_processor(name):
     assert_agrees(name, vars(cuda_cases.run_case(name, "cuda")))
 
 
+@pytest.mark.evidence("posterior", "verified", "its likelihoods by the GPU's text in numba's simulator")
+@needs_numba_cuda
+def test_a_posterior_has_the_same_likelihoods_by_the_simulator(simulated):
+    found, expected = simulated["log_likelihoods"], cuda_cases.log_likelihoods("cpu")
+    assert np.isfinite(expected).all() and abs(expected[0] - expected[1]) > 1  # control: not any motion
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
+
+
+def test_a_posterior_on_a_device_that_is_not_there_is_refused(tmp_path):
+    """Before the search, and nothing is written."""
+    try:
+        k.require_device("cuda")
+        pytest.skip("this machine has an NVIDIA GPU")
+    except ss.InputError as error:
+        expected = str(error)
+    case = ss.load_case("philae")
+    with pytest.raises(ss.InputError) as caught:
+        ss.posterior(case.vehicle, case.telemetry, device="cuda", store=tmp_path / "rows")
+    assert str(caught.value) == expected and not (tmp_path / "rows").exists()
+
+
 def test_the_wheel_of_the_cases_stops_on_the_way():
     vehicle, rows, times, _ = cuda_cases.CASES["a wheel that stops"]
     for omega, sun, speed in zip(rows.omega_B, rows.sun_B, rows.wheel_speed_rad_s, strict=True):

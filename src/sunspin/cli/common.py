@@ -145,6 +145,11 @@ def data_option(command: Callable) -> Callable:
     )(command)  # fmt: skip
 
 
+def device_option(command: Callable) -> Callable:
+    return click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Run motions on the "
+                        "processor, or on an NVIDIA GPU. The latter needs pip install \"sunspin[gpu]\".")(command)  # fmt: skip
+
+
 def run_options(command: Callable) -> Callable:
     """--seed, --workers."""
     command = click.option("--workers", type=click.IntRange(1, 4096), help="Threads; default one per core.")(command)

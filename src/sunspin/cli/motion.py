@@ -8,7 +8,17 @@ from typing import Any
 import click
 import numpy as np
 
-from sunspin.cli.common import data_option, find_telemetry, numbers, on_terminal, output_options, report, run_options, store_run
+from sunspin.cli.common import (
+    data_option,
+    device_option,
+    find_telemetry,
+    numbers,
+    on_terminal,
+    output_options,
+    report,
+    run_options,
+    store_run,
+)
 from sunspin.errors import InputError, sentence
 
 MAX_SAMPLES, BYTES_PER_SAMPLE = 2_000_000, 300
@@ -138,8 +148,7 @@ def _vector(values: list[float]) -> str:
               "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
 @click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
               "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
-@click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Run on the processor, or on "
-              "an NVIDIA GPU. The latter needs pip install \"sunspin[gpu]\".")
+@device_option
 @click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")

@@ -10,6 +10,7 @@ import click
 
 from sunspin.cli.common import (
     data_option,
+    device_option,
     find_telemetry,
     numbers,
     on_terminal,
@@ -41,11 +42,12 @@ from sunspin.errors import InputError, sentence
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
+@device_option
 @output_options()
 @run_options
 @data_option
-def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, draws, store, out, as_json,
-              quiet, seed, workers, data) -> None:  # fmt: skip
+def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, draws, store, device, out,
+              as_json, quiet, seed, workers, data) -> None:  # fmt: skip
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
@@ -73,7 +75,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
         results_folder(out, "posterior")  # refuse before the work, not after it
     tree = run(
         craft, samples, dict(_prior(text) for text in priors), seed, begin_s=begin, end_s=end, phase=phase, observations=seen,
-        wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet),
+        wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet), device=device,
     )  # fmt: skip
     summary = told(tree)
     lines = _lines(summary, tree)

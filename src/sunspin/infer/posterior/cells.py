@@ -19,14 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior.data import Readings
-from sunspin.infer.posterior.fit import FILES
+from sunspin.infer.posterior.fit import asked
 from sunspin.infer.posterior.likelihood import moved, tangents
 from sunspin.infer.posterior.model import Model, State
 from sunspin.measure.panels import panel_power, sphere
 from sunspin.motion import gyrostat as g
-from sunspin.motion import kernel as k
 from sunspin.motion.compiler import njit
 
 TURN = 1.6
@@ -134,7 +132,7 @@ class Attitudes:
         return len(self.places)
 
     def identity(self) -> dict[str, Any]:
-        return {**code(*FILES), "attitudes": plain(self)}
+        return asked(self, self.model)
 
     def rates(self, places: np.ndarray) -> np.ndarray:
         """Rates (n, 3) at places of the cube; halves and quarters between points are made by the caller."""
@@ -152,7 +150,7 @@ class Attitudes:
         frame = np.stack([along, across, np.cross(along, across)], axis=2)
         turns = np.empty((len(omega), len(self.times), 4), dtype=np.float32)
         for i, t in enumerate(self.times):
-            run = k.run_rows(model.vehicle, rows, [t], wheel_mode=model.wheel_mode, direction_error=TRIAL_ERROR)
+            run = model.run(rows, [t], TRIAL_ERROR)
             h, r = run.momentum_B[:, 0], run.sun_B[:, 0]
             h = h / np.linalg.norm(h, axis=1, keepdims=True)
             reached = np.stack([h, r, np.cross(h, r)], axis=2)

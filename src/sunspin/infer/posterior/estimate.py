@@ -54,6 +54,7 @@ def posterior(
     workers: int | None = None,
     store: str | Path | None = None,
     progress: bool = False,
+    device: str = "cpu",
 ) -> xr.DataTree:
     """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
 
@@ -81,6 +82,8 @@ def posterior(
         Draws in the result.
     workers, store, progress
         As in :func:`sunspin.infer.ensemble.ensemble`; the folder `store` resumes every stage.
+    device : "cpu" or "cuda"
+        Where motions run; least squares and weights are the processor's on either. Between them bits differ.
 
     Returns
     -------
@@ -93,12 +96,14 @@ def posterior(
     Raises
     ------
     InputError
-        Priors, observations or a window that make no sense; too few samples.
+        Priors, observations or a window that make no sense; too few samples; a device that is not there.
     """
     _whole(seed, draws)
+    k.require_device(device)
     data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
+    unknown = replace(unknown, device=device)
     chosen = plan(unknown, data, scale)
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
@@ -145,7 +150,7 @@ def at_first_sample(likelihood: Likelihood, state: State) -> tuple[np.ndarray, n
     rows = model_.rows(state)
     if back == 0.0:
         return state.omega, state.sun, rows.wheel_speed_rad_s
-    run = k.run_rows(model_.vehicle, rows, [back], wheel_mode=model_.wheel_mode, direction_error=DIRECTION_ERROR)
+    run = model_.run(rows, [back], DIRECTION_ERROR)
     return run.omega_B[:, 0], run.sun_B[:, 0], run.wheel_speed_rad_s[:, 0]
 
 
@@ -229,7 +234,7 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
         "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,
-        "searched_rate_rad_s": float(chosen.limit), "sunspin_version": metadata.version("sunspin"),
+        "searched_rate_rad_s": float(chosen.limit), "device": unknown.device, "sunspin_version": metadata.version("sunspin"),
     }  # fmt: skip
 
 

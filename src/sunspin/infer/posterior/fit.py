@@ -10,7 +10,8 @@ import numpy as np
 
 from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior.likelihood import Likelihood, moved
-from sunspin.infer.posterior.model import State
+from sunspin.infer.posterior.model import Model, State
+from sunspin.motion import kernel as k
 
 FILES = (
     "infer/posterior/data.py", "infer/posterior/model.py", "infer/posterior/likelihood.py", "infer/posterior/fit.py",
@@ -30,14 +31,22 @@ LARGEST_TURN = 0.5
 READINGS_AT_ONCE = 2_500_000
 """Derivatives held in memory at once by one worker."""
 
+GPU_TIMES = 8
+"""Times as many on a GPU."""
+
 Levels = tuple[tuple[float, int], ...]
 """(factor on the noise, steps) one after the other."""
 
 
 def chunk_rows(likelihood: Likelihood) -> int:
-    """Rows that one worker fits at once."""
-    size = likelihood.data.value.size * likelihood.model.dimension
-    return int(np.clip(READINGS_AT_ONCE // max(size, 1), 8, 1024))
+    """Rows that one worker fits at once: more on a GPU, which few do not fill."""
+    size, more = likelihood.data.value.size * likelihood.model.dimension, 1 if likelihood.model.device == "cpu" else GPU_TIMES
+    return int(np.clip(more * READINGS_AT_ONCE // max(size, 1), 8, more * 1024))
+
+
+def asked(function: Any, model: Model) -> dict[str, Any]:
+    """The identity of a function of rows: code, device, and all that it is made of."""
+    return {**code(*FILES), **k.device_identity(model.device), type(function).__name__.lower(): plain(function)}
 
 
 @dataclass(frozen=True)
@@ -45,8 +54,8 @@ class Fit:
     """Row -> the best fit that its start leads to.
 
     `levels`: (factor on the noise, steps) one after the other: a wide noise first, so that a start far away is drawn in.
-    `still`: leave the unknowns of the motion as they are; `free` (5, q): all of u,
-    and of rate and direction what these columns do not span. `curved`: give the curvature too, at the noise that fits;
+    `still`: leave the unknowns of the motion as they are; `free` (D, q): what these columns do not span too.
+    `curved`: give the curvature too, at the noise that fits;
     `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level stay as they are then.
     """
 
@@ -72,7 +81,7 @@ class Fit:
         return {**out, "hessian": ("float64", (d, d)), "readings": ("float64", ())} if self.curved else out
 
     def identity(self) -> dict[str, Any]:
-        return {**code(*FILES), "fit": plain(self)}
+        return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None)
@@ -186,14 +195,14 @@ class _Search:
         gradient = np.einsum("nri,nr->ni", scaled, self._residual[rows])
         gradient[:, 5:] += u
         if self.free is not None:
-            normal = np.einsum("ai,nij,jb->nab", self.free.T, normal[:, :5, :5], self.free)
-            gradient = gradient[:, :5] @ self.free
+            normal = np.einsum("ai,nij,jb->nab", self.free.T, normal, self.free)
+            gradient = gradient @ self.free
         diagonal = np.einsum("nii->ni", normal)
         floor = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
         damping = self._damping[rows, None] * diagonal + floor
         damped = normal + np.einsum("ni,ij->nij", damping, np.eye(normal.shape[1]))
         move = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-        return move if self.free is None else np.concatenate([move @ self.free.T, np.zeros_like(u)], axis=1)
+        return move if self.free is None else move @ self.free.T
 
     def _moved(self, state: State, move: np.ndarray) -> State:
         window = self.likelihood.data.reach_s

@@ -102,9 +102,7 @@ class Likelihood:
         parts, fine = [], np.ones(len(state), dtype=bool)
         for part in (times[times < 0][::-1], times[times >= 0]):
             if len(part):
-                result = k.run_rows(
-                    self.model.vehicle, rows, part, wheel_mode=self.model.wheel_mode, direction_error=error or self.direction_error
-                )
+                result = self.model.run(rows, part, error or self.direction_error)
                 back = slice(None, None, -1 if part[0] < 0 else 1)
                 parts.append((result.sun_B[:, back], result.omega_B[:, back]))
                 fine &= result.outcome == k.Outcome.FINE

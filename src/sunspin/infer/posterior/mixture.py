@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,21 +15,42 @@ from sunspin.infer.posterior.model import State
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student components."""
 
-SOFT = 1
-"""Directions in rate and direction that may vary by much though u is known (the azimuth of H in the body), the others answering
-to them."""
+
+@dataclass(frozen=True)
+class Sheet:
+    """Which of D coordinates are stiff (q) and answer to those along the sheet (D - q); of these `bending` do so in the square too.
+
+    Stiff are the brightness, which the readings tell better than any prior, and what is not soft of rate and direction: soft are
+    those of their directions that may vary by much though u is known (the azimuth of H in the body first).
+    """
+
+    stiff: list[int]
+    along: list[int]
+    bending: list[int]
+
+    @classmethod
+    def of(cls, dimension: int, softs: int, moving: Sequence[int], brightness: Sequence[int]) -> Sheet:
+        """`softs`: how many are soft; `moving`: places in u of what the motion depends on; `brightness`: of that of the Sun."""
+        bright, soft = [5 + i for i in brightness], list(range(softs))
+        along = [i for i in range(5, dimension) if i not in bright] + soft
+        return cls([*range(softs, 5), *bright], along, [*soft, *(5 + i for i in moving)])
+
+    @property
+    def terms(self) -> int:
+        """How many monomials there are."""
+        return len(self.along) + len(self.bending) * (len(self.bending) + 1) // 2
 
 
 @dataclass(frozen=True)
 class Mixture:
     """Student components in bent coordinates.
 
-    centres (m), bases (m, 5, 5), bends (m, M, 4), means (m, D) and covariances (m, D, D) in these coordinates, weights (m) that
+    centres (m), bases (m, 5, 5), bends (m, M, q), means (m, D) and covariances (m, D, D) in these coordinates, weights (m) that
     add to one. A basis turns rate and
-    direction into coordinates of which the first is soft: it may vary by much within the noise. A bend says how the
-    other four answer to it and to u: polynomials (see `monomials`), which are subtracted. That leaves volumes as they are,
-    and straightens the thin curved sheet that uncertain inertias, friction and wheel speeds make of a mode. `moving` are the
-    places in u of what the motion depends on.
+    direction into coordinates of which the first are soft: they may vary by much within the noise. A bend says how the
+    other stiff ones answer to these and to u: polynomials (see `monomials`), which are subtracted. That leaves volumes as they are,
+    and straightens the thin curved sheet that uncertain inertias, friction and wheel speeds make of a mode. `sheet`: which
+    coordinates are which.
     """
 
     centre: State
@@ -37,35 +59,36 @@ class Mixture:
     mean: np.ndarray
     covariance: np.ndarray
     weight: np.ndarray
-    moving: tuple[int, ...]
+    sheet: Sheet
 
     def take(self, index: np.ndarray) -> Mixture:
         """Some of the components."""
         parts = {name: getattr(self, name)[index] for name in ("basis", "bend", "mean", "covariance", "weight")}
-        return Mixture(centre=self.centre.take(index), moving=self.moving, **parts)
+        return Mixture(centre=self.centre.take(index), sheet=self.sheet, **parts)
 
     @classmethod
     def joined(cls, parts: list[Mixture]) -> Mixture:
         """The components of several, one after the other."""
         columns = ("basis", "bend", "mean", "covariance", "weight")
         every = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
-        return cls(centre=State.joined([part.centre for part in parts]), moving=parts[0].moving, **every)
+        return cls(centre=State.joined([part.centre for part in parts]), sheet=parts[0].sheet, **every)
 
     def coordinates(self, state: State, m: int) -> np.ndarray:
         """Bent coordinates (n, D) of states about component m."""
         x = coordinates(state, self.centre.take(np.array([m])))
         x[:, :5] = x[:, :5] @ self.basis[m].T
-        if self.bend[m, x.shape[1] - 5 + SOFT :].any():
-            x[:, SOFT:5] -= monomials(x, self.moving) @ self.bend[m]
+        along, stiff = self.sheet.along, self.sheet.stiff
+        if self.bend[m, len(along) :].any():
+            x[:, stiff] -= monomials(x, self.sheet) @ self.bend[m]
         else:  # most of many components: their products would cost most of all
-            x[:, SOFT:5] -= _plain(x) @ self.bend[m, : x.shape[1] - 5 + SOFT]
+            x[:, stiff] -= x[:, along] @ self.bend[m, : len(along)]
         return x
 
     def states(self, x: np.ndarray, which: np.ndarray) -> State:
         """The states (n) with bent coordinates x (n, D) about the components `which` (n)."""
         centre = self.centre.take(which)
         x = np.array(x)
-        x[:, SOFT:5] += np.einsum("nm,nmj->nj", monomials(x, self.moving), self.bend[which])
+        x[:, self.sheet.stiff] += np.einsum("nm,nmj->nj", monomials(x, self.sheet), self.bend[which])
         step = np.linalg.solve(self.basis[which], x[:, :5, None])[:, :, 0]
         return State(centre.omega + step[:, :3], moved(centre.sun, np.clip(step[:, 3:], -np.pi, np.pi)), centre.u + x[:, 5:])
 
@@ -93,13 +116,26 @@ class Mixture:
             return out + np.log(self.weight)
 
 
-def monomials(x: np.ndarray, moving: tuple[int, ...]) -> np.ndarray:
-    """Of bent coordinates (n, D): all u, the soft one, and the products of two of these and of those u that move the body."""
-    part = np.concatenate([x[:, :SOFT], x[:, [5 + i for i in moving]]], axis=1)
+@dataclass(frozen=True)
+class Blend:
+    """Mixtures (of sheets of different kinds) in shares that add to one, as one mixture."""
+
+    parts: tuple[Mixture, ...]
+    share: np.ndarray
+
+    def draw(self, n: int, rng: np.random.Generator) -> State:
+        """n draws, each part's share of them."""
+        counts = np.diff(np.round(np.cumsum([0.0, *self.share]) * n).astype(int))
+        return State.joined([part.draw(int(count), rng) for part, count in zip(self.parts, counts, strict=True)])
+
+    def log_densities(self, state: State) -> np.ndarray:
+        """Log density (n, m) of each component of all parts times its weight."""
+        every = zip(self.parts, self.share, strict=True)
+        return np.concatenate([part.log_densities(state) + np.log(share) for part, share in every], axis=1)
+
+
+def monomials(x: np.ndarray, sheet: Sheet) -> np.ndarray:
+    """Of bent coordinates (n, D): those along the sheet, and the products of any two of them that bend it."""
+    part = x[:, sheet.bending]
     i, j = np.triu_indices(part.shape[1])
-    return np.concatenate([_plain(x), part[:, i] * part[:, j]], axis=1)
-
-
-def _plain(x: np.ndarray) -> np.ndarray:
-    """Of these the first: all u, the soft one."""
-    return np.concatenate([x[:, 5:], x[:, :SOFT]], axis=1)
+    return np.concatenate([x[:, sheet.along], part[:, i] * part[:, j]], axis=1)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sunspin.errors import InputError, sentence
 from sunspin.infer import inertia
@@ -78,6 +79,7 @@ class Model:
     Rates and direction are those at the reference, `after_s` after the first sample, wheel speeds those at the first sample.
     `time_sigma_s` is that of each sample's time tag. `wheel_off_s`: how long before the first sample the wheels were released; the
     vehicle's speeds are those of that instant, and the unknown "wheel_off" is added to it (never less than zero together).
+    `device`: where motions run.
     """
 
     vehicle: Vehicle
@@ -87,6 +89,7 @@ class Model:
     time_sigma_s: float = 0.0
     after_s: float = 0.0
     wheel_off_s: float = 0.0
+    device: str = "cpu"
 
     def where(self, kind: str) -> list[int]:
         """Places of the unknowns of a kind."""
@@ -135,6 +138,12 @@ class Model:
         if not any(self.where(kind) for kind in ("inertia", "coulomb", "viscous", "wheel_inertia")):
             return rows
         return replace(rows, bodies=self.bodies(state.u))
+
+    def run(self, rows: k.Rows, times_s: npt.ArrayLike, direction_error: float) -> k.BlockResult:
+        """Motions from initial states at the reference to times from there, all later or all earlier."""
+        return k.run_rows(
+            self.vehicle, rows, times_s, wheel_mode=self.wheel_mode, direction_error=direction_error, device=self.device
+        )
 
     def bodies(self, u: np.ndarray) -> k.Bodies:
         """Inertia, wheel inertia and friction of each hypothesis."""

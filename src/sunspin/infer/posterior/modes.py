@@ -10,11 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sunspin.infer.ensemble import ensemble, worker_count
-from sunspin.infer.identity import code, plain
 from sunspin.infer.posterior import cells as c
 from sunspin.infer.posterior.data import Readings
 from sunspin.infer.posterior.family import boxes, denser, joined, same_mode
-from sunspin.infer.posterior.fit import FILES, Fit, Levels, chunk_rows
+from sunspin.infer.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import Model, State
 
@@ -155,7 +154,7 @@ class Look:
         return len(self.state)
 
     def identity(self) -> dict[str, Any]:
-        return {**code(*FILES), "look": plain(self)}
+        return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         seen = self.likelihood.predict(self.state.take(index)).sun

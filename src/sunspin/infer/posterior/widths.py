@@ -16,15 +16,18 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 from scipy.stats import genpareto
 
-from sunspin.infer.identity import code, plain
-from sunspin.infer.posterior.fit import FILES, Fit
+from sunspin.infer.posterior.fit import Fit, asked
 from sunspin.infer.posterior.likelihood import Likelihood
-from sunspin.infer.posterior.mixture import SOFT, Mixture, monomials
+from sunspin.infer.posterior.mixture import Blend, Mixture, Sheet, monomials
 from sunspin.infer.posterior.model import State
 from sunspin.infer.posterior.modes import Modes
 
-ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 5_000, 12_000, 40_000
+ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
 """Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round."""
+
+SOFTS = (1, 2)
+"""Soft directions of the sheets, one kind after the other while the draws are not good. Two straighten what is free by half a
+radian and more; where one is enough a second costs what its quadratic bend misses."""
 
 WANTED = 3_000.0
 """Effective draws for which the last round is made longer."""
@@ -38,7 +41,7 @@ WIDER = 1.3
 DEFENCE = 0.15
 """Part of the mixture that stays with the first components, whatever was learnt."""
 
-LOCAL, LOCAL_SHRINK = 24, 0.3
+LOCAL, LOCAL_SHRINK = 24, 0.6
 """Where learning stalls: components put on draws of the posterior, and their covariance as a part of the whole region's."""
 
 MOST_BENT = 12
@@ -73,7 +76,7 @@ class Weigh:
         return len(self.state)
 
     def identity(self) -> dict[str, Any]:
-        return {**code(*FILES), "weigh": plain(self)}
+        return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         return {"log_likelihood": self.likelihood(self.state.take(index))}
@@ -101,28 +104,53 @@ class Sample:
 
 
 def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int) -> Sample:
-    """The posterior around the modes; `run(function, label, chunk)` computes rows."""
-    first, of_mode = _first(likelihood, modes, seed, run, chunk)
+    """The posterior around the modes; `run(function, label, chunk)` computes rows.
+
+    Where sheets with one soft direction do not become good, others with two are learnt too, and both propose.
+    """
+    tracks: list[_Track] = []
+    for softs in SOFTS:
+        tracks.append(_taught(likelihood, modes, softs, seed, run, chunk))
+        if tracks[-1].share > GOOD_SHARE:
+            break
+    worth = np.array([track.share for track in tracks])
+    blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
+    count = int(np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
+    last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
+    trace = [*(row for track in tracks for row in track.trace), [last.evidence, last.effective / count, last.tail]]
+    label, of_component = regions(last.log_weight, last.parts, last.density)
+    share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
+    return Sample(
+        last.state, last.log_weight, last.log_likelihood, label, share, of_component[tracks[0].of_mode], last.effective, last.tail,
+        last.evidence, np.array(trace),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Track:
+    """What was learnt with sheets of one kind: a mixture, the component of each mode, the best share of draws, the trace."""
+
+    mixture: Mixture
+    of_mode: np.ndarray
+    share: float
+    trace: list[list[float]]
+
+
+def _taught(likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int) -> _Track:
+    """Rounds of draws from which a mixture learns; its first components stand first in it."""
+    first, of_mode = _first(likelihood, modes, softs, seed, run, chunk)
     mixture, tried, trace = first, [], []
+    begin = SOFTS.index(softs) * ROUNDS
     for turn in range(ROUNDS):
-        made = _round(likelihood, mixture, DRAWS, seed, turn, run, chunk)
+        made = _round(likelihood, mixture, DRAWS, seed, begin + turn, run, chunk)
         trace.append([made.evidence, made.effective / DRAWS, made.tail])
         tried.append((made.effective / DRAWS, mixture))
         if made.effective > GOOD_SHARE * DRAWS:
             break
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, turn)))
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
         mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
     share = max(share for share, _ in tried)
-    mixture = tried[-1][1] if share > GOOD_SHARE else pooled(tried)
-    count = int(np.clip(WANTED / max(share, 1e-3), LAST_DRAWS, MOST_DRAWS))
-    last = _round(likelihood, mixture, count, seed, ROUNDS, run, chunk)
-    trace.append([last.evidence, last.effective / count, last.tail])
-    label, of_component = regions(last.log_weight, last.parts, last.density)
-    share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
-    return Sample(
-        last.state, last.log_weight, last.log_likelihood, label, share, of_component[of_mode], last.effective, last.tail,
-        last.evidence, np.array(trace),
-    )  # fmt: skip
+    return _Track(tried[-1][1] if share > GOOD_SHARE else pooled(tried), of_mode, share, trace)
 
 
 def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
@@ -147,7 +175,7 @@ class _Round:
     evidence: float
 
 
-def _round(likelihood: Likelihood, mixture: Mixture, n: int, seed: int, turn: int, run: Any, chunk: int) -> _Round:
+def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, turn: int, run: Any, chunk: int) -> _Round:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, turn)))
     state = mixture.draw(n, rng)
     prior = likelihood.model.log_prior(state)
@@ -180,7 +208,9 @@ def pareto_tail(log_weight: np.ndarray) -> float:
     return float(genpareto.fit(beyond / beyond.mean(), floc=0)[0])
 
 
-def _first(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int) -> tuple[Mixture, np.ndarray]:
+def _first(
+    likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int
+) -> tuple[Mixture, np.ndarray]:
     """Components by Laplace's method, bent along their ridges; and the component that each mode belongs to.
 
     Modes on the ridge of a better one are not given a component of their own.
@@ -188,11 +218,12 @@ def _first(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int
     model, d = likelihood.model, modes.hessian.shape[1]
     least = np.diag(np.concatenate([np.full(3, model.max_rate**-2), np.ones(2), np.zeros(d - 5)]))
     laplace = np.linalg.inv(modes.hessian + least)
-    parts = [_straight(0.5 * (c + c.T), likelihood.data.reach_s, tuple(model.moving)) for c in laplace]
+    sheet = Sheet.of(d, softs, model.moving, model.where("scale"))
+    parts = [_straight(0.5 * (c + c.T), likelihood.data.reach_s, sheet) for c in laplace]
     basis, bend, covariance = (np.array(every) for every in zip(*parts, strict=True))
     owner = np.arange(len(covariance))
     alike = np.ones(len(covariance))
-    mixture = Mixture(modes.state, basis, bend, np.zeros((len(covariance), d)), covariance, alike, tuple(model.moving))
+    mixture = Mixture(modes.state, basis, bend, np.zeros((len(covariance), d)), covariance, alike, sheet)
     for m in range(min(len(covariance), MOST_BENT)):
         for k in np.flatnonzero(owner[:m] == np.arange(m)):
             off = mixture.coordinates(modes.state.take(np.array([m])), int(k))[0]
@@ -200,19 +231,18 @@ def _first(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int
                 owner[m] = k
                 break
         if owner[m] == m:
-            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, m)))
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, SOFTS.index(softs) * len(modes.objective) + m)))
             _follow_ridge(likelihood, mixture, m, rng, run, chunk)
     kept = np.flatnonzero(owner == np.arange(len(owner)))
     mass = (-modes.objective + 0.5 * np.linalg.slogdet(laplace)[1])[kept]
     weight = np.exp(np.maximum(0.7 * (mass - mass.max()), -8.0))
     first = Mixture(
-        modes.state.take(kept), basis[kept], bend[kept], mixture.mean[kept], WIDER * covariance[kept], weight / weight.sum(),
-        mixture.moving,
+        modes.state.take(kept), basis[kept], bend[kept], mixture.mean[kept], WIDER * covariance[kept], weight / weight.sum(), sheet
     )
     return first, np.searchsorted(kept, owner)
 
 
-def _straight(laplace: np.ndarray, reach_s: float, moving: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _straight(laplace: np.ndarray, reach_s: float, sheet: Sheet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Basis, linear bend and covariance in bent coordinates of one covariance (D, D).
 
     With u held, the soft directions are those of largest variance, rates counted as what they turn in `reach_s`.
@@ -226,40 +256,40 @@ def _straight(laplace: np.ndarray, reach_s: float, moving: tuple[int, ...]) -> t
     whole = np.eye(d)
     whole[:5, :5] = basis
     covariance = whole @ laplace @ whole.T
-    ridge = [*range(5, d), *range(SOFT)]
-    answer = np.linalg.solve(covariance[np.ix_(ridge, ridge)], covariance[np.ix_(ridge, range(SOFT, 5))])
-    count = len(ridge) + (SOFT + len(moving)) * (SOFT + len(moving) + 1) // 2
-    bend = np.zeros((count, 5 - SOFT))
-    bend[: len(ridge)] = answer
-    left = covariance[SOFT:5, SOFT:5] - covariance[np.ix_(range(SOFT, 5), ridge)] @ answer
-    covariance[SOFT:5, :], covariance[:, SOFT:5] = 0.0, 0.0
-    covariance[SOFT:5, SOFT:5] = 0.5 * (left + left.T)
+    along, stiff = sheet.along, sheet.stiff
+    answer = np.linalg.solve(covariance[np.ix_(along, along)], covariance[np.ix_(along, stiff)])
+    bend = np.zeros((sheet.terms, len(stiff)))
+    bend[: len(along)] = answer
+    left = covariance[np.ix_(stiff, stiff)] - covariance[np.ix_(stiff, along)] @ answer
+    covariance[stiff, :], covariance[:, stiff] = 0.0, 0.0
+    covariance[np.ix_(stiff, stiff)] = 0.5 * (left + left.T)
     return basis, bend, covariance
 
 
 def _follow_ridge(likelihood: Likelihood, mixture: Mixture, m: int, rng: np.random.Generator, run: Any, chunk: int) -> None:
     """Fit the bend of component m: the best of the stiff coordinates for values of the others about the centre's."""
-    d, count = mixture.covariance.shape[1], mixture.bend.shape[1]
-    n, ridge = RIDGE_POINTS * count, [*range(SOFT), *range(5, d)]
+    d, sheet = mixture.covariance.shape[1], mixture.sheet
+    n, along, stiff = RIDGE_POINTS * sheet.terms, sheet.along, sheet.stiff
     here = np.full(1, m)
     answer = np.zeros((0, d))
-    root = np.linalg.cholesky(mixture.covariance[m][np.ix_(ridge, ridge)])
+    root = np.linalg.cholesky(mixture.covariance[m][np.ix_(along, along)])
+    free = np.eye(d)
+    free[:5, :5] = np.linalg.inv(mixture.basis[m])
     for width in RIDGE_WIDTHS:  # a narrow part first: its bend takes the starts of the wider ones near the ridge
         x = np.zeros((n, d))
-        x[:, ridge] = width * rng.standard_normal((n, d - 5 + SOFT)) @ root.T
+        x[:, along] = width * rng.standard_normal((n, len(along))) @ root.T
         start = mixture.states(x, np.repeat(here, n))
-        free = np.linalg.inv(mixture.basis[m])[:, SOFT:]
-        found = run(Fit(likelihood, start, ((3.0, 2), (1.0, 4)), free=free), "ridge", chunk)
+        found = run(Fit(likelihood, start, ((3.0, 2), (1.0, 4)), free=free[:, stiff]), "ridge", chunk)
         flat = replace(mixture, bend=np.zeros_like(mixture.bend))
-        answer = flat.coordinates(State(found["omega"], found["sun"], start.u), m)
-        terms, good = monomials(answer, mixture.moving), np.isfinite(found["cost"])
+        answer = flat.coordinates(State(found["omega"], found["sun"], found["u"]), m)
+        terms, good = monomials(answer, sheet), np.isfinite(found["cost"])
         good &= found["cost"] < np.median(found["cost"][good]) + 3.0 * d
-        scale = np.linalg.cholesky(mixture.covariance[m, SOFT:5, SOFT:5])
+        scale = np.linalg.cholesky(mixture.covariance[m][np.ix_(stiff, stiff)])
         for _ in range(4):  # points that fell to another ridge are let go
-            if good.sum() < 1.5 * count:
+            if good.sum() < 1.5 * sheet.terms:
                 return
-            bend = np.linalg.lstsq(terms[good], answer[good, SOFT:5], rcond=None)[0]
-            off = np.linalg.norm(np.linalg.solve(scale, (answer[:, SOFT:5] - terms @ bend).T), axis=0)
+            bend = np.linalg.lstsq(terms[good], answer[good][:, stiff], rcond=None)[0]
+            off = np.linalg.norm(np.linalg.solve(scale, (answer[:, stiff] - terms @ bend).T), axis=0)
             good &= off < max(4.0 * np.median(off[good]), 1.0)
         mixture.bend[m] = bend
 
@@ -294,7 +324,7 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
         State.joined([first.centre, mixture.centre.take(origin)]), np.concatenate([first.basis, mixture.basis[origin]]),
         np.concatenate([first.bend, mixture.bend[origin]]), np.concatenate([first.mean, mean]),
         np.concatenate([2.0 * first.covariance, learnt]),
-        np.concatenate([DEFENCE * first.weight, (1 - DEFENCE) * shares / shares.sum()]), mixture.moving,
+        np.concatenate([DEFENCE * first.weight, (1 - DEFENCE) * shares / shares.sum()]), mixture.sheet,
     )  # fmt: skip
 
 
