@@ -207,7 +207,7 @@ def test_in_a_narrow_window_no_word_is_broken_or_cut(browser, study):
         """[...document.querySelectorAll('.controls label')].filter((label) => {
           const range = document.createRange(), word = label.firstChild;
           range.selectNode(word);
-          return word.textContent.trim() && range.getBoundingClientRect().height > 30;
+          return /^\\S+$/.test(word.textContent.trim()) && range.getBoundingClientRect().height > 30;
         }).map((label) => label.firstChild.textContent)"""
     )
     assert broken == []  # "Volume" stood in two lines, as "Volu" and "me"
