@@ -170,3 +170,19 @@ def test_interruption_is_one_sentence_and_130(tmp_path):
     assert process.returncode == 130
     assert complaint.count("\n") == 1 and "interrupted" in complaint and printed == ""
     assert not [path.name for path in out.iterdir() if path.name.endswith((".part", ".html"))]
+
+
+def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
+    vehicle, table = tmp_path / "vehicle.toml", tmp_path / "telemetry.csv"
+    cli.cli.main(["init", str(tmp_path), "--quiet"], standalone_mode=False)
+    refused(sunspin("check", table, vehicle), "telemetry.csv", "comes first")
+    refused(sunspin("check", vehicle, vehicle), "this is a vehicle's file and not telemetry", "a table of samples")
+
+
+def test_a_grid_without_its_step_is_told_its_form(sunspin):
+    told = sunspin("scan", "philae", "philae", "--omega-x=0:1")
+    refused(told, "--omega-x must be low:high:step (found 0:1)", "--omega-x=-0.1:0.1:0.02")
+
+
+def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):
+    refused(sunspin("posterior", "philae", "--phase", "descnt"), "no such phase (found descnt)", "descent", "first_rebound")

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from browser import HOSTILE
 from sunspin.cli import cli
 from sunspin.errors import InputError
+from sunspin.study.row import STATEMENT
 from sunspin.tell.report import write_report
 from sunspin.tell.report.page import _json, _script
 from sunspin.tell.results import MARKER
@@ -75,6 +76,9 @@ def test_the_page_says_what_the_summary_says(study, page):
     assert len(summary["headline"]) == 3
     for sentence in summary["headline"] + summary["conclusions"]:
         assert " ".join(sentence.split()) in page.text
+    compared = [row for row in summary["figures"] if row["agrees"] is not None and not row["id"].startswith(STATEMENT)]
+    free = [row["agrees"] for row in compared if not row["by_construction"]]
+    assert f"({sum(free)} of {len(free)} comparable" in page.text  # what was put in proves nothing by coming out
     rows = {attrs["data-row"]: attrs["data-verdict"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs}
     assert set(rows) == {row["id"] for row in summary["figures"]}
     for row in summary["figures"]:

@@ -201,6 +201,26 @@ def test_narrow_and_dark(browser, study, width, dark):
     assert browser.complaints() == []
 
 
+def test_in_a_narrow_window_no_word_is_broken_or_cut(browser, study):
+    browser.open(study / "report.html", 390, 844)
+    broken = browser.js(
+        """[...document.querySelectorAll('.controls label')].filter((label) => {
+          const range = document.createRange(), word = label.firstChild;
+          range.selectNode(word);
+          return /^\\S+$/.test(word.textContent.trim()) && range.getBoundingClientRect().height > 30;
+        }).map((label) => label.firstChild.textContent)"""
+    )
+    assert broken == []  # "Volume" stood in two lines, as "Volu" and "me"
+    browser.show("#figure-strategy-grid [data-plot]")
+    outside = browser.js(
+        """[...document.querySelectorAll('#figure-strategy-grid .annotation-text')].filter((text) => {
+          const box = text.getBoundingClientRect();
+          return box.left < 0 || box.right > innerWidth;
+        }).map((text) => text.textContent)"""
+    )
+    assert outside == []
+
+
 def test_it_prints_with_its_pictures(browser, study):
     browser.open(study / "report.html", dark=True)
     browser.js("dispatchEvent(new Event('beforeprint'))")

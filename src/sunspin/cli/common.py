@@ -36,7 +36,7 @@ COMMANDS = {
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
 SECTIONS = {
-    "Your satellite": ("init", "check", "sun", "rates", "export"),
+    "Your satellite": ("init", "check", "sun", "rates", "posterior", "report", "export"),
     "Motions": ("simulate", "scan", "outcomes"),
     "Philae": ("reproduce", "worth"),
     "Data of others": ("decode", "compare"),

@@ -237,6 +237,8 @@ def _grid(text: str, name: str) -> np.ndarray:
     from sunspin.infer.scan import check_size
 
     parts = text.split(":")
+    if len(parts) != 3:
+        raise InputError(sentence(f"{name} must be low:high:step", got=text, do=f"for example {name}=-0.1:0.1:0.02"))
     low, high, step = numbers(",".join(parts), name, 3)
     count = (high - low) / step + 1 if step > 0 and high >= low else np.nan
     if not np.isfinite(count):

@@ -65,6 +65,9 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     if not (vehicle.sensors.sun_sensors or vehicle.sensors.gyro):
         vehicle.require_panels()
     form = vehicle.telemetry
+    if path.suffix == ".toml":
+        what = "this is a vehicle's file and not telemetry"
+        raise TelemetryError(sentence(what, do="give the vehicle first and then a table of samples", where=str(path)))
     table = read_table(path)
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, path, optional=bool(sensors))

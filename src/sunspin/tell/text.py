@@ -35,6 +35,11 @@ def turn_text(rate_rad_s: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
+def capital(text: str) -> str:
+    """A text that begins as a sentence does."""
+    return text[:1].upper() + text[1:]
+
+
 def counted(n: int, noun: str) -> str:
     """3 samples, 1 sample."""
     return f"{n:,} {noun}{'' if n == 1 else 's'}".replace(",", " ")

@@ -183,7 +183,10 @@ def parse_vehicle(text: str, where: str) -> v.Vehicle:
         form = VehicleForm.model_validate(table)
         return _vehicle(form)
     except tomllib.TOMLDecodeError as error:
-        raise VehicleError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+        do = "correct that line"
+        if where.lower().endswith(".csv"):
+            do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
+        raise VehicleError(sentence(f"this is not valid TOML: {error}", do=do, where=where)) from None
     except RecursionError:
         raise VehicleError(sentence("the file is nested too deeply to be a vehicle file", where=where)) from None
     except ValidationError as error:

@@ -175,7 +175,8 @@ def _window(
         if phase is not None:
             keep &= phases == phase
     if phase is not None and not keep.any() or phase is not None and "phase" not in telemetry.coords:
-        raise InputError(sentence("the telemetry has no such phase", got=phase))
+        there = ", ".join(dict.fromkeys(np.asarray(telemetry["phase"]).astype(str).tolist())) if "phase" in telemetry.coords else ""
+        raise InputError(sentence("the telemetry has no such phase", got=phase, do=f"it has {there}" if there else "it names none"))
     keep &= (times >= (-np.inf if begin_s is None else begin_s)) & (times <= (np.inf if end_s is None else end_s))
     return keep, remarks
 

@@ -130,7 +130,7 @@ def _numbers(told: dict[str, dict[str, Any]]) -> Table:
     names = list(told)
     quantities = list(dict.fromkeys(q for found in told.values() for q in found))
     rows = [
-        [q.replace("_", " "), *(f"{told[n][q].value:.4f} ± {told[n][q].error:.4f}" if q in told[n] else "–" for n in names)]
+        [q.replace("_", " "), *(_pair(told[n][q].value, told[n][q].error, 4) if q in told[n] else "–" for n in names)]
         for q in quantities
     ]
     return Table(
@@ -160,9 +160,14 @@ def strategies(results: Results) -> Section | None:
     return Section("strategies", "What the wheel could have been told instead", lead, [_grid(table, names, known), numbers])
 
 
+def _pair(value: float, error: float, decimals: int) -> str:
+    """A value with its error, never broken between two lines: the table scrolls instead."""
+    return f"{value:.{decimals}f}\u00a0±\u00a0{error:.{decimals}f}"
+
+
 def _value(table: xr.Dataset, name: str, quantity: str) -> str:
     value, error = (float(table[part].sel(strategy=name, quantity=quantity)) for part in ("value", "error"))
-    return f"{value:.3f} ± {error:.3f}" if np.isfinite(value) else "not told"
+    return _pair(value, error, 3) if np.isfinite(value) else "not told"
 
 
 def _grid(table: xr.Dataset, names: list[str], known: list[tuple[str, str, str]]) -> Plot:
@@ -197,6 +202,8 @@ def _grid(table: xr.Dataset, names: list[str], known: list[tuple[str, str, str]]
             "yanchor": "bottom",
             "xanchor": "left", "showarrow": False, "font": {"size": 12.5},
         })  # fmt: skip
+        # the labels leave a phone half its width: there a heading ends where its plot ends
+        narrow |= {f"annotations.{k}.{key}": value for key, value in (("x", 1), ("xanchor", "right"), ("font.size", 11.5))}
         height = 1 / len(known)
         narrow[f"xaxis{suffix}.domain"] = [0, 1]
         narrow[f"yaxis{suffix}.domain"] = [1 - (k + 1) * height + 0.3 * height, 1 - k * height - 0.16 * height]

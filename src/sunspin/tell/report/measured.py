@@ -12,6 +12,7 @@ from sunspin.measure.sun import is_reconstructed
 from sunspin.tell.report.passes import dense
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, clock, instants, packed, thin, time_axis
+from sunspin.tell.text import capital
 
 MOST_SAMPLES = 4000
 """Samples drawn in one plot; more are thinned evenly, and the caption says so."""
@@ -117,7 +118,7 @@ def _modelled(
             "name": "modelled",
             "showlegend": k == 0, "visible": first == 0,
         })  # fmt: skip
-    show, about = list(range(first, len(data))), str(model.attrs.get("about", ""))
+    show, about = list(range(first, len(data))), capital(str(model.attrs.get("about", "")))
     spans = [(f"{title}, the first {WINDOW_S / 60:g} min", min(t[0] + WINDOW_S, t[-1]))] if t[-1] > t[0] + 3 * WINDOW_S else []
     spans += [(f"{title}, all of it", t[-1])] if long or not spans else []
     if title == "Descent":

@@ -84,7 +84,7 @@ def provenance(results: Results) -> Section:
         facts.append(["seed of all random choices", str(s["seed"])])
     if "seconds" in s:
         facts.append(["computing time", f"{s['seconds']} s"])
-    made = "made by a computer from published facts, not measured" if results.synthetic else "no file calls itself synthetic"
+    made = "made by a computer, not measured" if results.synthetic else "no file calls itself synthetic"
     facts.append(["synthetic data", made])
     if results.vehicle is not None:
         facts.append(["vehicle", results.vehicle.name])

@@ -72,6 +72,7 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
     narrow = {
         "legend.y": -0.2, "margin": {"l": 50, "r": 44, "t": 40, "b": 56}, "xaxis.nticks": 2, "xaxis2.nticks": 4,
         "xaxis2.title.text": f"UTC, {epoch[:10]}", "yaxis2.title.text": "rad/s", "font.size": 11,
+        "annotations.1.text": "rim", "annotations.2.text": "lands", "annotations.3.text": "",
     }  # fmt: skip
     return Plot(
         "speed", data, layout,

@@ -49,7 +49,7 @@ def lines(results: Results) -> Section | None:
         about = str(scan.attrs.get("about", name))
         views.append({
             "label": f"Scan {about}" if "about" in scan.attrs else name, "show": list(range(first, len(data))),
-            "text": f"{len(points)} motions with {volume.name} below {factor:g} times the smallest, "
+            "text": f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {factor:g} times the smallest, "
             f"{float(np.nanmin(volume)):.4f}.",
         })  # fmt: skip
         tables += _line_table(scan, about)

@@ -10,6 +10,7 @@ from sunspin.measure.sun import is_reconstructed
 from sunspin.tell.report.measured import MOST_SAMPLES, PHASES
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, packed, thin
+from sunspin.tell.text import capital
 
 
 def sun_path(results: Results) -> Section | None:
@@ -120,7 +121,7 @@ def _paths(results: Results) -> list[tuple[str, np.ndarray, str]]:
         at = np.flatnonzero(np.abs(t - t[0]) <= PATH_S)
         at = at[thin(at.size, 1500)]
         title = str(data.attrs.get("title", name))
-        note = f"The first {abs(t[at[-1]] - t[0]) / 60:.3g} min. {str(data.attrs.get('about', ''))}"
+        note = f"The first {abs(t[at[-1]] - t[0]) / 60:.3g} min. {capital(str(data.attrs.get('about', '')))}"
         found.append((title, data["sun_B"].values[at], note))
     order = {"Truth": 0, "Best fit": 1}
     return sorted(found, key=lambda item: order.get(item[0], 5))
