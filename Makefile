@@ -16,7 +16,7 @@ help:
 	@echo "make test-slow   the long tests"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
-	@echo "make calibrate   is the posterior right? 170 twins of Philae into $(OUT)/calibration, about 17 min; resumable"
+	@echo "make calibrate   is the posterior right? 170 twins of Philae into $(OUT)/calibration, about 20 min; resumable"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
 

@@ -53,11 +53,10 @@ def _how_sure(result: Reproduction) -> str:
 
 def _rests_on(result: Reproduction) -> str:
     judged = [row for row in result.rows if row.agrees is not None and not row.id.startswith(STATEMENT)]
-    agreeing = sum(bool(row.agrees) for row in judged)
-    made = sum(row.by_construction for row in judged)
-    text = f"{agreeing - made} of {len(judged) - made} comparable figures of the paper come out again"
-    if made:
-        text += f", and {made} more that were put in"
+    free = [bool(row.agrees) for row in judged if not row.by_construction]
+    text = f"{sum(free)} of {len(free)} comparable figures of the paper come out again"
+    if len(judged) > len(free):
+        text += f", and {sum(bool(row.agrees) for row in judged if row.by_construction)} more that were put in"
     if result.synthetic:
         return (
             "The flown panel powers are not public, so this run uses synthetic ones made from published facts: it tests the method "

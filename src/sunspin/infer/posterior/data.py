@@ -29,6 +29,9 @@ WILD = 20.0
 BEYOND_LARGEST = 1.5
 """A reading that has nothing to do with the Sun is anything up to this many times the largest."""
 
+NAMED = 12
+"""Phases that are named where none of them was asked for."""
+
 KINDS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
 """Kinds of other observations and how many numbers each is given with."""
 
@@ -162,21 +165,19 @@ def _window(
 ) -> tuple[np.ndarray, list[str]]:
     keep = np.ones(len(times), dtype=bool)
     remarks = []
-    if "phase" in telemetry.coords:
-        phases = np.asarray(telemetry["phase"]).astype(str)
-        names = list(dict.fromkeys(phases.tolist()))
-        windowed = begin_s is not None or end_s is not None
-        if phase is None and not windowed and len(names) > 1:
-            if FREE_PHASE not in names:
-                raise InputError(sentence("the telemetry has several phases, which are not one motion", got=", ".join(names),
-                                          do="name one, or give begin and end"))  # fmt: skip
-            phase = FREE_PHASE
-            remarks.append(f"of the phases in the file only {phase} was used")
-        if phase is not None:
-            keep &= phases == phase
-    if phase is not None and not keep.any() or phase is not None and "phase" not in telemetry.coords:
-        there = ", ".join(dict.fromkeys(np.asarray(telemetry["phase"]).astype(str).tolist())) if "phase" in telemetry.coords else ""
-        raise InputError(sentence("the telemetry has no such phase", got=phase, do=f"it has {there}" if there else "it names none"))
+    phases = np.asarray(telemetry["phase"]).astype(str) if "phase" in telemetry.coords else np.array([], dtype=str)
+    names = list(dict.fromkeys(phases.tolist()))
+    if phase is None and begin_s is None and end_s is None and len(names) > 1:
+        if FREE_PHASE not in names:
+            raise InputError(sentence("the telemetry has several phases, which are not one motion", got=", ".join(names),
+                                      do="name one, or give begin and end"))  # fmt: skip
+        phase = FREE_PHASE
+        remarks.append(f"of the phases in the file only {phase} was used")
+    if phase is not None:
+        if phase not in names:
+            there = f"it has {', '.join(names[:NAMED])}" if names else "it names none"
+            raise InputError(sentence("the telemetry has no such phase", got=phase, do=there))
+        keep &= phases == phase
     keep &= (times >= (-np.inf if begin_s is None else begin_s)) & (times <= (np.inf if end_s is None else end_s))
     return keep, remarks
 
