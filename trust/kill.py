@@ -19,7 +19,7 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
-UNALIKE = ("seconds", "command", "folder")
+UNALIKE = ("seconds", "processor_s", "command", "folder")
 """Keys of summaries that say how long a run took and where it stood."""
 
 
