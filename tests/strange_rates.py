@@ -108,14 +108,17 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, 
 def judge(seed: int, i: int) -> dict[str, Any]:
     """What `rates` says of a twin, and how far the truth is from the nearest of its motions."""
     vehicle, data, run, about = make(seed, i)
+    return about | told(vehicle, data, lambda result: judged(result, run, 0) | {"passes": result.sizes["pass_id"]})
+
+
+def told(vehicle: Vehicle, data: xr.Dataset, judge: Callable[[xr.Dataset], dict[str, Any]]) -> dict[str, Any]:
+    """What `rates` says of telemetry, with what `judge` makes of it; or that it refuses."""
     began = time.process_time()
     try:
         result = ss.rates(vehicle, data)
     except SunspinError as error:
-        return about | {"word": "refused", "verdict": str(error)}
-    return about | judged(result, run, 0) | {
-        "verdict": result.attrs["verdict"], "passes": result.sizes["pass_id"], "processor_s": time.process_time() - began,
-    }  # fmt: skip
+        return {"word": "refused", "verdict": str(error)}
+    return judge(result) | {"verdict": result.attrs["verdict"], "processor_s": time.process_time() - began}
 
 
 def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:

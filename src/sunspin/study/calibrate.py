@@ -33,7 +33,6 @@ from sunspin.infer.posterior.fit import FILES
 from sunspin.infer.posterior.likelihood import Likelihood
 from sunspin.infer.posterior.model import Model, State, model, rate_and_direction
 from sunspin.motion import gyrostat as g
-from sunspin.motion import kernel as k
 from sunspin.study.command import command, kept, rows_folder
 from sunspin.study.twin import Truth, twin
 from sunspin.vehicle import Vehicle, load_vehicle
@@ -51,7 +50,8 @@ JITTER_S = 6.0
 TAG_S = 0.1
 """Error of the time tags of the kind "jitter"."""
 
-DECIDING = (*FILES, *(f"infer/posterior/{name}.py" for name in ("brightness", "modes", "check", "verdict", "estimate")))
+STEPS = ("brightness", "modes", "family", "mixture", "check", "verdict", "estimate")
+DECIDING = (*FILES, *(f"infer/posterior/{name}.py" for name in STEPS))
 """Files whose text decides what a twin gives; each row keeps their digest."""
 
 NEAR_SIGMAS = 4.5
@@ -91,7 +91,7 @@ def _at_first_tag(unknown: Model, truth: State, after_s: float) -> State:
 
     Philae's rates change by more than their sigmas in a tenth of a second; the speed of its wheel does not.
     """
-    run = k.run_rows(unknown.vehicle, unknown.rows(truth), [after_s], direction_error=DIRECTION_ERROR)
+    run = unknown.run(unknown.rows(truth), [after_s], DIRECTION_ERROR)
     return State(run.omega_B[:, 0], run.sun_B[:, 0], truth.u)
 
 

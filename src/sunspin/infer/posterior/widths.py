@@ -271,7 +271,6 @@ def _follow_ridge(likelihood: Likelihood, mixture: Mixture, m: int, rng: np.rand
     d, sheet = mixture.covariance.shape[1], mixture.sheet
     n, along, stiff = RIDGE_POINTS * sheet.terms, sheet.along, sheet.stiff
     here = np.full(1, m)
-    answer = np.zeros((0, d))
     root = np.linalg.cholesky(mixture.covariance[m][np.ix_(along, along)])
     free = np.eye(d)
     free[:5, :5] = np.linalg.inv(mixture.basis[m])

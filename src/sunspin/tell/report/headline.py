@@ -8,7 +8,7 @@ import numpy as np
 
 from sunspin.cases import case_names
 from sunspin.tell.report.read import Results
-from sunspin.tell.text import counted, number_text
+from sunspin.tell.text import capital, counted, number_text
 
 TITLES = {
     "rates": "How {vehicle} turns",
@@ -49,7 +49,7 @@ def _verdict(results: Results) -> list[str]:
 
 
 def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+    return capital(text) + ("" if text.endswith(".") else ".")
 
 
 def _rates(results: Results) -> list[str]:

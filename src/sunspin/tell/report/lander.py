@@ -14,6 +14,7 @@ from sunspin.measure.panels import panel_power
 from sunspin.tell.report.passes import dense
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import Section, Special, epoch_ms
+from sunspin.tell.text import capital
 from sunspin.vehicle import Vehicle
 
 MOST_INSTANTS = 12_000
@@ -61,7 +62,7 @@ def section(results: Results) -> Section | None:
         "panels": list(vehicle.panel_names),
         "wheels": [w.name for w in vehicle.wheels],
     }
-    return Section("lander", f"{vehicle.name[:1].upper()}{vehicle.name[1:]} in motion", lead, [Special("lander", content, data)])
+    return Section("lander", f"{capital(vehicle.name)} in motion", lead, [Special("lander", content, data)])
 
 
 ORDER = {"Truth": 0, "Best fit": 1, "Descent": 9}

@@ -9,6 +9,7 @@ from sunspin.measure.sun import SunStatus, is_reconstructed
 from sunspin.tell.report.measured import PHASES
 from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, clock, packed, thin, time_axis, utc_text
+from sunspin.tell.text import capital
 
 MOST_LINES = 1000
 """Samples listed one by one; of longer files the first are, and the counts cover all."""
@@ -34,7 +35,7 @@ def section(results: Results) -> Section | None:
     order = np.argsort(-counts)
     verdicts = Table(
         ["verdict", "samples", "share"],
-        [[str(texts[k])[:1].upper() + str(texts[k])[1:], str(counts[k]), f"{counts[k] / status.size:.0%}"] for k in order],
+        [[capital(str(texts[k])), str(counts[k]), f"{counts[k] / status.size:.0%}"] for k in order],
         "Verdicts on the samples",
     )  # fmt: skip
     lead = [f"{told} of {status.size} samples give a direction to the Sun; for each of the others the reason is named."]
