@@ -131,12 +131,12 @@ class EmdRows:
 
 def histograms(
     vehicle: Vehicle, states: k.Rows, duration_s: float, condition: k.Mask | None, wheel_mode: str | tuple[str, ...] = "coast",
-    *, emd_error: float | None = k.EMD_ERROR, direction_error: float | None = None, device: str = "cpu",
+    *, emd_error: float | None = k.EMD_ERROR, direction_error: float | None = None, device: str = "cpu", bins: int = BINS,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Time (s) by r_z (n, BINS) in the run of each state, of directions that the mask lets pass; outcome (n)."""
+    """Time (s) by r_z (n, bins) in the run of each state, of directions that the mask lets pass; outcome (n)."""
     result = k.run_rows(
         vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error, emd_error=emd_error,
-        mask=condition, bins=BINS, device=device,
+        mask=condition, bins=bins, device=device,
     )  # fmt: skip
     return result.hist, result.outcome
 

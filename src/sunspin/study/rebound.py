@@ -19,6 +19,7 @@ from sunspin.infer.mask import allows, reconstructible_mask
 from sunspin.infer.metrics import emd
 from sunspin.infer.scan import near_minimum, scan
 from sunspin.measure.sun import is_reconstructed
+from sunspin.motion import gyrostat
 from sunspin.motion.kernel import Rows
 from sunspin.motion.propagate import propagate
 from sunspin.timeline import utc_seconds
@@ -114,7 +115,87 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
                 do="check the times and the columns of the telemetry",
             )
         )
+    part = part.assign_coords(utc_s=("time", part["time"].values, {"units": "s", "long_name": "time since the epoch"}))
     return part.assign_coords(time=part["time"] - part["time"].values[0])
+
+
+SAME_DIRECTION = 1e-3
+"""A first direction this close (rad) to the published one is the published one: it is printed to four digits."""
+
+
+@dataclass(frozen=True)
+class Rebound:
+    """The telemetry between the first touchdown and the collision, and where its motions begin.
+
+    Attributes
+    ----------
+    samples : Dataset of `sun_directions`, time in s from its first sample
+    first : number of the first sample that gives a direction: the instant of the candidates
+    sun_B : (3,) direction of the Sun then
+    covariance : (3, 3) of that direction from the noise
+    lead_s : s from the touchdown to that instant
+    window_s : s from that instant to the collision
+    """
+
+    case: Case
+    samples: xr.Dataset
+    first: int
+    sun_B: np.ndarray
+    covariance: np.ndarray
+    lead_s: float
+    window_s: float
+
+    @property
+    def told(self) -> np.ndarray:
+        """Which samples (n) give a direction."""
+        return is_reconstructed(self.samples["status"])
+
+    @property
+    def z(self) -> np.ndarray:
+        """The z components that the samples give."""
+        return self.samples["sun_B"].values[self.told, 2]
+
+    @property
+    def t_s(self) -> np.ndarray:
+        """Times (n) of the samples in s from the candidates' instant."""
+        return self.samples["time"].values - self.samples["time"].values[self.first]
+
+    @property
+    def as_published(self) -> bool:
+        """Whether motions begin where the paper's do: same direction, same window."""
+        same = np.linalg.norm(self.sun_B - first_sun(self.case)) < SAME_DIRECTION
+        return bool(same and abs(self.window_s - window_s(self.case)) < 1.0)
+
+    def states(self, omega_B: np.ndarray) -> Rows:
+        """Initial states of motions with these rates (n, 3) in rad/s at the candidates' instant."""
+        omega = np.asarray(omega_B, dtype=np.float64).reshape(-1, 3)
+        speeds = np.array(nominal_speed(self.case.vehicle))
+        return Rows(omega, np.tile(self.sun_B, (len(omega), 1)), np.tile(speeds, (len(omega), 1)))
+
+
+
+def momentum_angles(vehicle: Vehicle, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n) in rad between the momentum H and the body's z axis (theta), and between H and the Sun (alpha).
+
+    alpha never changes in free flight; theta is constant for a body symmetric about z, and wanders by some degrees for Philae.
+    """
+    momentum = gyrostat.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
+    across = np.linalg.norm(np.cross(momentum, rows.sun_B), axis=1)
+    along = np.einsum("ni,ni->n", momentum, rows.sun_B)
+    return np.arctan2(np.hypot(momentum[:, 0], momentum[:, 1]), momentum[:, 2]), np.arctan2(across, along)
+
+
+def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
+    """The first rebound in the Sun directions of the whole landing (`sun_directions`)."""
+    samples = rebound_samples(case, sun)
+    first = int(np.flatnonzero(is_reconstructed(samples["status"]))[0])
+    shift = utc_seconds(case.require_timeline().epoch_utc, sun.attrs["epoch_utc"])
+    touchdown, collision = (case.require_timeline().event(name).t_s + shift for name in ("first_touchdown", "collision"))
+    instant = float(samples["utc_s"].values[first])
+    direction = samples["sun_B"].values[first]
+    if np.linalg.norm(direction - first_sun(case)) < SAME_DIRECTION:
+        direction = first_sun(case)
+    return Rebound(case, samples, first, direction, samples["sun_cov_B"].values[first], instant - touchdown, collision - instant)
 
 
 def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
@@ -183,26 +264,27 @@ def after_touchdown_s(case: Case) -> float:
     return case.require_timeline().seconds("first_touchdown", "first_sample_after_touchdown")
 
 
-def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float) -> np.ndarray:
-    """Body rates (n, 3) at the first touchdown of motions with rates `starts` (n, 3) at the first sample after it."""
+def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float, lead_s: float | None = None) -> np.ndarray:
+    """Body rates (n, 3) at the first touchdown of motions with rates `starts` (n, 3) at the first sample, `lead_s` after it."""
     states = Rows(
         np.asarray(starts, dtype=np.float64).reshape(-1, 3), np.tile(first_sun(case), (len(starts), 1)),
         np.full((len(starts), len(case.vehicle.wheels)), float(wheel_speed_rad_s)),
     )  # fmt: skip
-    return end_rates(case.vehicle, states, -after_touchdown_s(case))
+    return end_rates(case.vehicle, states, -(after_touchdown_s(case) if lead_s is None else lead_s))
 
 
-def speed_at_first_sample(case: Case) -> float:
+def speed_at_first_sample(case: Case, lead_s: float | None = None) -> float:
     """Wheel speed at the first sample if it was nominal at touchdown and coasted since, the body nearly at rest."""
-    run = propagate(case.vehicle, [0, 0, 0], first_sun(case), nominal_speed(case.vehicle), [0.0, after_touchdown_s(case)])
+    lead = after_touchdown_s(case) if lead_s is None else lead_s
+    run = propagate(case.vehicle, [0, 0, 0], first_sun(case), nominal_speed(case.vehicle), [0.0, lead])
     return float(run["wheel_speed_rad_s"].values[-1, 0])
 
 
-def smallest_on_lines(case: Case, lines: Sequence[Line], wheel_speed_rad_s: float) -> float:
+def smallest_on_lines(case: Case, lines: Sequence[Line], wheel_speed_rad_s: float, lead_s: float | None = None) -> float:
     """Smallest angular speed (rad/s) at touchdown over the lines, omega_z at the first sample in the compared range."""
     omega_z = np.linspace(LINE_RANGE[0], LINE_RANGE[1], 101)
     starts = np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in lines])
-    return float(np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s), axis=1).min())
+    return float(np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s, lead_s), axis=1).min())
 
 
 def twin_file(case: Case) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from sunspin.errors import InputError, sentence
 from sunspin.motion.modes import Schedule, schedules
 from sunspin.study.contact import Shape, legs_down, shape_of
 from sunspin.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from sunspin.study.rebound import Rebound
 
 SPIRAL = 20_000
 """Directions, evenly over the sphere, among which the local vertical is drawn: 1.5 degrees apart."""
@@ -97,29 +100,35 @@ class Scenario:
         return self.collision_s + self.after_s
 
 
-def paper_scenario(case: Case) -> Scenario:
-    """Section 3.3 of the paper: from the first sample at nominal wheel speed, 45 min, speed 0.2355 m/s, 65 min on."""
+def paper_scenario(case: Case, rebound: Rebound | None = None) -> Scenario:
+    """Section 3.3 of the paper: from the first sample at nominal wheel speed, 45 min, speed 0.2355 m/s, 65 min on.
+
+    With `rebound` from the first direction of that telemetry, at its own time.
+    """
     published = case.published
     return Scenario(
-        sun_B=_first_sun(case),
+        sun_B=_first_sun(case) if rebound is None else tuple(rebound.sun_B),
         wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
-        before_s=60.0 * published["scan_duration"].value,
+        before_s=60.0 * published["scan_duration"].value if rebound is None else rebound.window_s,
         after_s=60.0 * published["duration_after_collision"].value,
         collision_speed_m_s=published["collision_speed"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
     )
 
 
-def case_scenario(case: Case) -> Scenario:
-    """The case with the times of its timeline and the speeds of its trajectory kernel; candidates as in the paper."""
+def case_scenario(case: Case, rebound: Rebound | None = None) -> Scenario:
+    """The case with the times of its timeline and the speeds of its trajectory kernel; candidates as in the paper.
+
+    With `rebound` candidates are at the first direction of that telemetry.
+    """
     if case.timeline is None or "kernel_speed_before" not in case.published:
         raise InputError(sentence(f"case {case.name!r} knows of no landing", do="give a Scenario of your own"))
     between, published = case.timeline.seconds, case.published
     return Scenario(
-        sun_B=_first_sun(case),
+        sun_B=_first_sun(case) if rebound is None else tuple(rebound.sun_B),
         wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
-        lead_s=between("first_touchdown", "first_sample_after_touchdown"),
-        before_s=between("first_sample_after_touchdown", "collision"),
+        lead_s=between("first_touchdown", "first_sample_after_touchdown") if rebound is None else rebound.lead_s,
+        before_s=between("first_sample_after_touchdown", "collision") if rebound is None else rebound.window_s,
         after_s=between("collision", "second_touchdown"),
         collision_speed_m_s=published["kernel_speed_before"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
