@@ -165,7 +165,7 @@ def share_of_candidates(row: Row, chain: str, chosen: Estimate, possible: Estima
 
 
 def statement(
-    name: str, what: str, published: Any, ours: Any, unit: str, tolerance: float | None, place: str, *,
+    name: str, what: str, published: Any, ours: Any, unit: str, tolerance: float | list[float] | None, place: str, *,
     sentence: str, other_reading: str, changes: str, note: str = "", weak: bool = False,
 ) -> Row:  # fmt: skip
     """A row on a statement of the paper; it stands where both numbers differ by no more than the tolerance, if there is one.
