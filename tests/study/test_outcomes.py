@@ -10,8 +10,8 @@ import sunspin as ss
 from sunspin.infer.ensemble import ensemble
 from sunspin.motion import gyrostat as g
 from sunspin.study import scenario as sc
-from sunspin.study.landing import published_candidates
 from sunspin.study.outcomes import OutcomeRows, candidates_of
+from sunspin.study.rebound import published_candidates
 from sunspin.study.strategies import best_delay, compare
 from sunspin.study.tally import density, effective_runs, estimate, lowest_rz, probability, tally
 from sunspin.vehicle import HullPart, Leg, Panel, Vehicle, Wheel

@@ -156,7 +156,7 @@ def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...])
     if scan is not None:
         return _near_minimum(scan, factor)
     from sunspin.cases import case_names, load_case
-    from sunspin.study.landing import published_candidates
+    from sunspin.study.rebound import published_candidates
 
     if craft.name in case_names() and "line_L1" in load_case(craft.name).published:
         return published_candidates(load_case(craft.name))

@@ -17,7 +17,6 @@ from sunspin.cases import Case
 from sunspin.errors import InputError, TelemetryError, sentence
 from sunspin.infer.end_rates import EndSpeedRows, end_rates
 from sunspin.infer.ensemble import ensemble
-from sunspin.infer.lines import point_at
 from sunspin.infer.rows import histograms
 from sunspin.infer.table import Table
 from sunspin.measure.tables import read_table
@@ -40,9 +39,6 @@ DRAWS = 20_000
 HEIGHT_DRAWS = 2_000
 
 POSTERIOR_DRAWS = 4_000
-LINE_POINTS = 51
-"""Points on each of the published lines: 0.01 rad/s apart in omega_z."""
-
 TAIL = (1 - CONFIDENCE) / 2
 
 
@@ -223,7 +219,7 @@ def compute(
         chosen, box, verdict = _from_posterior(rebound, seed, workers, progress)
     elif source == "published":
         about = "the lines that the paper prints, whatever this telemetry says"
-        chosen = described(rebound, "set", source, about, rebound.states(on_published_lines(case)), seed)
+        chosen = described(rebound, "set", source, about, rebound.states(rb.published_candidates(case)), seed)
     else:
         states, about = rebound.states(_from_file(Path(source))), f"the motions of {Path(source).name}"
         chosen = described(rebound, "set", Path(source).name, about, states, seed)
@@ -244,12 +240,6 @@ def _refuse_unfit(scan: Scanned, found: Calibration | None) -> None:
                 do="check the vehicle, the wheel's command and the panels' gains",
             )
         )  # fmt: skip
-
-
-def on_published_lines(case: Case) -> np.ndarray:
-    """Rates (n, 3) in rad/s along the paper's lines, in equal steps of omega_z over the range in which they are compared."""
-    omega_z = np.linspace(*rb.LINE_RANGE, LINE_POINTS)
-    return np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in rb.published_lines(case)])
 
 
 def _from_posterior(

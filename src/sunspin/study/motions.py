@@ -14,12 +14,12 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.cases import Case
-from sunspin.infer.lines import point_at
-from sunspin.infer.scan import below
 from sunspin.measure.panels import panel_power
 from sunspin.motion import gyrostat
+from sunspin.motion.kernel import Rows, run_rows
 from sunspin.motion.propagate import propagate
 from sunspin.study import rebound as rb
+from sunspin.study.candidates import Chain
 from sunspin.study.descent import Descent
 from sunspin.study.level_set import LevelSet
 from sunspin.study.outcomes import outcomes
@@ -27,13 +27,12 @@ from sunspin.study.row import Row
 from sunspin.study.scenario import case_scenario
 from sunspin.study.twin_data import generator
 from sunspin.study.twin_philae import State, collision
-from sunspin.study.worth import CONFIDENCE, Worth
 
 STEP_S = 1.0
 """Between instants of a candidate: at the fastest, half a radian."""
 
 DESCENT_STEP_S = 20.0
-LINE_POINTS = 26
+DIRECTION_ERROR = 1e-4
 SPREAD_MOTIONS = 150
 """Motions drawn from the confidence region, beside those of least and most speed and momentum, which are its edges."""
 
@@ -52,16 +51,17 @@ class Motions:
 
 
 def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None = None) -> Motions:
-    """From the results of the parts before: `level_set`, and where there are any `descent` and `worth`."""
+    """From the results of the parts before: `level_set`, `candidates`, and where there is one `descent`."""
     scan: LevelSet = done["level_set"]
+    chain: Chain = done["candidates"]
     descent: Descent | None = done.get("descent")
-    worth: Worth | None = done["worth"][1] if "worth" in done else None
-    starts = chosen(case, scan)
     blows = {"Truth": rb.twin_file(case).get("seed", seed)} if scan.truth else {}
-    found = {name: landing(case, start, about, blows.get(name, seed)) for name, (start, about) in starts.items()}
+    found = {
+        name: landing(chain.rebound, start, about, blows.get(name, seed)) for name, (start, about) in chosen(chain, scan).items()
+    }
     if descent is not None:
         found["Descent"] = descent_motion(case, descent)
-    return Motions(found, speeds(case, scan, descent, worth, seed, workers))
+    return Motions(found, speeds(chain, descent, seed, workers))
 
 
 def rows(_: Motions) -> list[Row]:
@@ -69,43 +69,42 @@ def rows(_: Motions) -> list[Row]:
     return []
 
 
-def chosen(case: Case, scan: LevelSet) -> dict[str, tuple[np.ndarray, str]]:
-    """Name -> (rate in rad/s at the first sample, why this one)."""
-    period = case.published["romap_period_before"].value
-    found = {}
-    best = np.unravel_index(int(np.nanargmin(scan.twin.emd.values)), scan.twin.emd.shape)
+def chosen(chain: Chain, scan: LevelSet) -> dict[str, tuple[Rows, str]]:
+    """Name -> (one state at the candidates' instant, why this one)."""
+    rebound, found = chain.rebound, {}
     if scan.truth:
-        found["Truth"] = (scan.truth["omega_B"], "the motion from which the synthetic telemetry was made")
-    axes = [scan.twin.emd[dim].values for dim in scan.twin.emd.dims]
+        found["Truth"] = (rebound.states(scan.truth["omega_B"]), "the motion from which the synthetic telemetry was made")
+    best = int(np.argmin(scan.scan.emd))
     found["Best fit"] = (
-        np.array([axis[i] for axis, i in zip(axes, best, strict=True)]),
-        f"the grid point whose heights of the Sun fit this telemetry best (EMD {float(scan.twin.emd.min()):.4f})",
+        scan.scan.table.rows.start.take(np.array([best])),
+        f"the grid point whose heights of the Sun fit this telemetry best (EMD {scan.scan.smallest:.4f})",
     )
-    omega_z = np.linspace(*rb.LINE_RANGE, LINE_POINTS)
-    for k, (point, direction) in enumerate(rb.published_lines(case)):
-        starts = point_at(point, direction, 2, omega_z)
-        speed = [np.linalg.norm(_run(case, start, [0.0, rb.window_s(case)])["omega_B"].values[-1]) for start in starts]
-        at = int(np.argmin(np.abs(np.array(speed) - 2 * np.pi / period)))
-        found[f"Line L{k + 1}"] = (
-            starts[at],
-            f"the point of the paper's line L{k + 1} that comes nearest to one turn in {period:g} s at the collision, as the "
-            f"magnetometer saw (here {2 * np.pi / speed[at]:.1f} s)",
+    speed = chain.chosen.speed_touchdown
+    for name, at in (("Slowest", np.argmin(speed)), ("Middle", np.argsort(speed)[len(speed) // 2]), ("Fastest", np.argmax(speed))):
+        found[f"{name} candidate"] = (
+            chain.chosen.states.take(np.array([at])),
+            f"{name.lower()} of {chain.chosen.about}: {speed[at]:.3f} rad/s just after the touchdown",
         )
     return found
 
 
-def _run(case: Case, start: np.ndarray, t: Any) -> xr.Dataset:
-    return propagate(case.vehicle, start, rb.first_sun(case), rb.nominal_speed(case.vehicle), t, rtol=1e-9)
+def _run(case: Case, start: Rows, t: Any) -> xr.Dataset:
+    return propagate(case.vehicle, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0], t, rtol=1e-9)
 
 
-def landing(case: Case, start: np.ndarray, about: str, seed: int) -> xr.Dataset:
+def instant_s(rebound: rb.Rebound) -> float:
+    """The candidates' instant, s from the epoch of the case."""
+    return rebound.case.require_timeline().event("collision").t_s - rebound.window_s
+
+
+def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
     """One motion from the first touchdown over the collision to the second, time in s from the case's epoch."""
-    timeline = case.require_timeline()
-    seconds = {name: timeline.event(name).t_s for name in ("first_sample_after_touchdown", "collision", "second_touchdown")}
-    first, blow_s, end = seconds.values()
-    back = np.arange(0.0, -rb.after_touchdown_s(case) - 1e-6, -STEP_S)
+    case = rebound.case
+    first, blow_s = instant_s(rebound), case.require_timeline().event("collision").t_s
+    end = case.require_timeline().event("second_touchdown").t_s
+    back = np.arange(0.0, -rebound.lead_s - 1e-6, -STEP_S)
     forth = np.arange(0.0, blow_s - first + 1e-6, STEP_S)
-    state = State(first, start, rb.first_sun(case), np.array(rb.nominal_speed(case.vehicle)))
+    state = State(first, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
     _, after, blow = collision(case, state, generator(seed, 3))
     beyond = np.arange(0.0, end - blow_s + 1e-6, STEP_S)
     before = [_run(case, start, back).isel(time=slice(None, 0, -1)), _run(case, start, forth)]
@@ -146,13 +145,13 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
     return _with_panels(case, data, "the spin about z that fits the directions of the descent, wheel held by its motor", [], [])
 
 
-def _spread(case: Case, points: np.ndarray, seed: int) -> np.ndarray:
-    """Some of the points (n, 3), and those of least and most angular speed and momentum."""
-    momentum = gyrostat.total_momentum(case.vehicle, points, np.tile(rb.nominal_speed(case.vehicle), (len(points), 1)))
-    sizes = np.linalg.norm(points, axis=1), np.linalg.norm(momentum, axis=1)
+def _spread(case: Case, states: Rows, seed: int) -> Rows:
+    """Some of the states (n), and those of least and most angular speed and momentum."""
+    momentum = gyrostat.total_momentum(case.vehicle, states.omega_B, states.wheel_speed_rad_s)
+    sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
     edges = [f(size) for size in sizes for f in (np.argmin, np.argmax)]
-    pick = generator(seed, 4).choice(len(points), min(SPREAD_MOTIONS, len(points)), replace=False)
-    return points[np.unique([*edges, *pick])]
+    pick = generator(seed, 4).choice(len(states), min(SPREAD_MOTIONS, len(states)), replace=False)
+    return states.take(np.unique([*edges, *pick]))
 
 
 def descent_span(case: Case, descent: Descent) -> tuple[float, float]:
@@ -172,41 +171,39 @@ def _with_panels(case: Case, run: xr.Dataset, about: str, event_s: list[float], 
     return run
 
 
-def speeds(
-    case: Case, scan: LevelSet, descent: Descent | None, worth: Worth | None, seed: int, workers: int | None = None
-) -> xr.Dataset:
+def speeds(chain: Chain, descent: Descent | None, seed: int, workers: int | None = None) -> xr.Dataset:
     """Angular speed against time for sets of motions: slowest, median and fastest of each set; and after the collision.
 
-    Sets: "lines", evenly along the paper's lines over the compared range; "region", drawn evenly from the level set that holds the
-    truth with the confidence that `worth` calibrated (absent without it). Each motion of a set counts as much as another: none is
-    preferred by the data. After the collision: `AFTER_LEVELS` over simulated collisions of the set.
+    Sets: "candidates", those from which everything follows; "recipe", the paper's own set of this telemetry. Each motion of a set
+    counts as much as another. After the collision: `AFTER_LEVELS` over simulated collisions of the set.
     """
-    omega_z = np.linspace(*rb.LINE_RANGE, LINE_POINTS)
-    sets = {"lines": np.concatenate([point_at(point, along, 2, omega_z) for point, along in rb.published_lines(case)])}
-    if worth is not None:
-        factor = worth.twins["lines"].threshold(CONFIDENCE, True)[0]
-        points = below(scan.twin.emd, factor * float(scan.twin.emd.min()))
-        sets["region"] = _spread(case, points, seed)
-    timeline = case.require_timeline()
-    first, blow = (timeline.event(name).t_s for name in ("first_sample_after_touchdown", "collision"))
+    case, rebound, timeline = chain.case, chain.rebound, chain.case.require_timeline()
+    sets = {"candidates": chain.chosen, "recipe": chain.recipe}
+    first, blow = instant_s(rebound), timeline.event("collision").t_s
     t = np.append(np.arange(0.0, blow - first, SPREAD_STEP_S), blow - first)
-    scenario = case_scenario(case)
-    before, after = [], []
-    for starts in sets.values():
-        run = np.array([np.linalg.norm(_run(case, start, t)["omega_B"].values, axis=1) for start in starts])
+    scenario = case_scenario(case, rebound)
+    before, after, count = [], [], []
+    for candidates in sets.values():
+        states = _spread(case, candidates.states, seed)
+        run = np.linalg.norm(run_rows(case.vehicle, states, t[1:], direction_error=DIRECTION_ERROR).omega_B, axis=2)
+        run = np.concatenate([np.linalg.norm(states.omega_B, axis=1)[:, None], run], axis=1)
         before.append(np.quantile(run, [0.0, 0.5, 1.0], axis=0))
-        hit = outcomes(case.vehicle, starts, "off", COLLISIONS, seed, scenario=scenario, workers=workers)["omega_after_B"].values
-        after.append(np.nanquantile(np.linalg.norm(hit, axis=1), AFTER_LEVELS))
+        hit = outcomes(case.vehicle, candidates.dataset(), "off", COLLISIONS, seed, scenario=scenario, workers=workers)
+        after.append(np.nanquantile(np.linalg.norm(hit["omega_after_B"].values, axis=1), AFTER_LEVELS))
+        count.append(len(states))
     names = list(sets)
     data = xr.Dataset(
         {
             "speed": (("set", "level", "time"), np.array(before), {"units": "rad/s"}),
             "speed_after_collision": (("set", "level"), np.array(after), {"units": "rad/s"}),
-            "motions": ("set", [len(s) for s in sets.values()], {"units": "1"}),
+            "motions": ("set", count, {"units": "1"}),
         },
         coords={"set": names, "level": ["low", "middle", "high"], "time": ("time", t + first, {"units": "s"})},
-        attrs={"epoch_utc": timeline.epoch_utc, "confidence": CONFIDENCE, "seed": seed, "collisions": COLLISIONS},
-    )
+        attrs={
+            "epoch_utc": timeline.epoch_utc, "seed": seed, "collisions": COLLISIONS, "chain": chain.name,
+            "about_candidates": chain.chosen.about, "about_recipe": chain.recipe.about,
+        },
+    )  # fmt: skip
     if descent is None:
         return data
     begin, end = descent_span(case, descent)

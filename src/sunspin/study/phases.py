@@ -13,6 +13,8 @@ from scipy.special import ndtri
 from sunspin.cases import Case
 from sunspin.measure.health import explanations, noise_alone, panel_health
 from sunspin.measure.sun import SunStatus, is_reconstructed, sun_directions
+from sunspin.study.carries import whole_panels
+from sunspin.study.rebound import case_seconds
 from sunspin.study.row import Row, published_row, source_of
 from sunspin.timeline import utc_seconds
 
@@ -21,10 +23,6 @@ CHECKING_PANELS = 3
 
 SHADOWED = ("deployment", "rest")
 """Phases of which the paper says that Delta is large."""
-
-
-LEFT_OUT = ("deployment", "settling", "rest")
-"""Phases whose samples the paper leaves out of its statistics of Delta."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ def _statistics(name: str, sun: xr.Dataset, member: np.ndarray) -> PhaseStatisti
 
 def rows(result: Phases) -> list[Row]:
     """Figures of sections 2.1, 3.1 and 4 on the telemetry beside ours."""
-    return [*_measure_rows(result), *_delta_rows(result), *_pattern_rows(result), *_health_rows(result)]
+    return [*_measure_rows(result), *_delta_rows(result), *_pattern_rows(result), *_health_rows(result), *_sampling_rows(result)]
 
 
 def _twin(r: Phases, text: str) -> str:
@@ -171,10 +169,10 @@ def _pattern_rows(r: Phases) -> list[Row]:
 
 def _measure_rows(r: Phases) -> list[Row]:
     case, sun = r.case, r.sun
-    kept = is_reconstructed(sun["status"])
-    if "phase" in sun.coords:
-        kept &= ~np.isin(sun["phase"].values, LEFT_OUT)
+    kept = is_reconstructed(sun["status"]) & whole_panels(case, sun)
     delta = sun["delta"].values[kept]
+    if not delta.size:
+        return []
     checked = sun["delta"].values[kept & (sun["n_lit"].values > CHECKING_PANELS)]
     low, high = _largest_of(checked) if checked.size else (np.nan, np.nan)
     largest = case.published["delta_max"]
@@ -183,12 +181,14 @@ def _measure_rows(r: Phases) -> list[Row]:
         published_row(
             case, "delta_mean", float(delta.mean()), 0.002,
             f"{chosen}{delta.size} directions, {delta.size - checked.size} of them from exactly three panels, whose Delta is 0",
+            sigma=float(delta.std() / np.sqrt(delta.size)),
         ),
         Row(
             "delta_max", largest.what, largest.value, float(delta.max()), "1", high - low if checked.size else None,
             bool(low <= largest.value <= high) if checked.size else None,
             f"noise of one size (half a Gaussian of this mean) makes the largest of {checked.size} {low:.3f} to {high:.3f} in nine "
             "of ten data sets; the published one is compared with this range", source_of(largest.place),
+            low=low if checked.size else None, high=high if checked.size else None,
         ),
     ]  # fmt: skip
 
@@ -214,5 +214,38 @@ def _health_rows(r: Phases) -> list[Row]:
         Row(
             "shadowed_panel", case.published["shadowed_panel"].what, [["1"]], explained, "1", 0,
             bool(explained == [["1"]]), note, "paper, section 4",
+        ),
+        _rotation_row(r, note),
+    ]  # fmt: skip
+
+
+def _rotation_row(r: Phases, note: str) -> Row:
+    """Whether turning panel 1 to the Sun was a risk: what the samples at rest say of it."""
+    needed = [pattern for pattern in r.health["impossible"] if explanations(r.case.vehicle, [pattern]) == [("1",)]]
+    count = sum(r.health["impossible"][pattern] for pattern in needed)
+    told = f"{count} samples whose lit pattern asks for panel 1 and nothing else, and which give nothing from it"
+    return Row(
+        "panel_1_rotation", "samples that speak for a dead panel 1: was it a risk to turn it to the Sun?", "risky", count, "1", None,
+        count > 0,
+        f"{told}; criterion: at least one. A dead panel and a shadowed one read alike, so the risk was real; panel 1 worked when the "
+        "lander woke up, so it had been in shadow" + (f"; {note}" if note else ""), "paper, section 4",
+    )  # fmt: skip
+
+
+def _sampling_rows(r: Phases) -> list[Row]:
+    """How often the file samples: between first touchdown and collision, and from there to the second touchdown."""
+    time = r.sun["time"].values
+    touchdown, collision, second = (
+        case_seconds(r.case, r.sun, name) for name in ("first_touchdown", "collision", "second_touchdown")
+    )
+    flight, note = (time >= touchdown) & (time < collision), "synthetic telemetry, made so" if r.synthetic else "the telemetry"
+    several = flight.sum() > 1
+    interval = float(np.median(np.diff(time[flight]))) / 60 if several else None
+    return [
+        published_row(
+            r.case, "sampling_interval", interval, 0.3 if several else None, f"median between first touchdown and collision; {note}"
+        ),
+        published_row(
+            r.case, "samples_after_collision", int(np.count_nonzero((time >= collision) & (time < second))), 0.0, note,
         ),
     ]  # fmt: skip

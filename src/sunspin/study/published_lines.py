@@ -17,7 +17,6 @@ from sunspin.infer.lines import point_at
 from sunspin.infer.table import Table, make_table
 from sunspin.study import landing
 from sunspin.study import rebound as rb
-from sunspin.study.candidates import on_published_lines
 from sunspin.study.outcomes import outcomes
 from sunspin.study.row import Row, interval, published_row
 from sunspin.study.scenario import Scenario, paper_scenario
@@ -75,7 +74,7 @@ def compute(
     slow = replace(fast, collision_speed_m_s=case.published["landing_speed"].value)
 
     def collide(scenario: Scenario) -> dict[str, xr.Dataset]:
-        starts = on_published_lines(case)
+        starts = rb.published_candidates(case)
         return {
             name: outcomes(case.vehicle, starts, name, runs, seed, scenario=scenario, workers=workers) for name in ("off", "held")
         }

@@ -28,6 +28,9 @@ from sunspin.vehicle import Vehicle
 LINE_RANGE = (-0.2, 0.3)
 """omega_z (rad/s) over which fitted and published lines are compared."""
 
+LINE_POINTS = 51
+"""Candidates on each of the published lines: 0.01 rad/s apart in omega_z."""
+
 POOL_RANGE = (-0.15, 0.3)
 """omega_z (rad/s) of the points of the published lines whose r_z make up their common distribution."""
 
@@ -49,6 +52,12 @@ def published_lines(case: Case) -> list[tuple[np.ndarray, np.ndarray]]:
         point, direction = (np.array(part) for part in case.published[name].value)
         lines.append((point, direction / np.linalg.norm(direction)))
     return lines
+
+
+def published_candidates(case: Case) -> np.ndarray:
+    """Rates (n, 3) in rad/s along the paper's lines, in equal steps of omega_z over the range in which they are compared."""
+    omega_z = np.linspace(*LINE_RANGE, LINE_POINTS)
+    return np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in published_lines(case)])
 
 
 def window_s(case: Case) -> float:
@@ -106,14 +115,9 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
     start, end = (case_seconds(case, sun, name) for name in ("first_touchdown", "collision"))
     time = sun["time"].values
     part = sun.isel(time=np.flatnonzero((time >= start) & (time < end)))
-    told = is_reconstructed(part["status"])
-    if part.sizes["time"] == 0 or not told.any():
+    if part.sizes["time"] == 0:
         raise TelemetryError(
-            sentence(
-                "no sample between first touchdown and collision gives a direction of the Sun",
-                got=f"{part.sizes['time']} samples there",
-                do="check the times and the columns of the telemetry",
-            )
+            sentence("there is no sample between first touchdown and collision", do="check the times of the telemetry")
         )
     part = part.assign_coords(utc_s=("time", part["time"].values, {"units": "s", "long_name": "time since the epoch"}))
     return part.assign_coords(time=part["time"] - part["time"].values[0])
@@ -188,7 +192,13 @@ def momentum_angles(vehicle: Vehicle, rows: Rows) -> tuple[np.ndarray, np.ndarra
 def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
     """The first rebound in the Sun directions of the whole landing (`sun_directions`)."""
     samples = rebound_samples(case, sun)
-    first = int(np.flatnonzero(is_reconstructed(samples["status"]))[0])
+    told = is_reconstructed(samples["status"])
+    if not told.any():
+        raise TelemetryError(
+            sentence("no sample between first touchdown and collision gives a direction of the Sun", got=f"{len(told)} samples there",
+                     do="check the columns of the telemetry")
+        )  # fmt: skip
+    first = int(np.flatnonzero(told)[0])
     shift = utc_seconds(case.require_timeline().epoch_utc, sun.attrs["epoch_utc"])
     touchdown, collision = (case.require_timeline().event(name).t_s + shift for name in ("first_touchdown", "collision"))
     instant = float(samples["utc_s"].values[first])

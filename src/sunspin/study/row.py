@@ -46,7 +46,8 @@ class Row:
     low, high : interval of ours: over the chosen candidates ("candidates") or from the noise ("data")
     prior_low, prior_high : the same over all that was possible before the data, where the row depends on candidates
     informative : False where the data leave nearly all that was possible
-    chain : what made ours: "telemetry", the candidates ("scan", "posterior", "published", a file's name) or "none"
+    chain : what made ours: "telemetry", the candidates ("scan", "posterior", "published", a file's name) or "none"; where a row
+        does not say, it is that of its part's section
     holds : for the other kinds, whether the two figures agree (a figure put in comes back, a statement of the paper stands)
     weak : of a statement: hardly more than a matter of wording
     sentence, other_reading, changes : of a statement: what the paper says, how else it could be read, what it changes
@@ -68,7 +69,7 @@ class Row:
     prior_low: Any = None
     prior_high: Any = None
     informative: bool = True
-    chain: str = "telemetry"
+    chain: str = ""
     holds: bool | None = None
     weak: bool = False
     sentence: str = ""

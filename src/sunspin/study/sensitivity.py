@@ -126,18 +126,18 @@ def _map_rows(r: Sensitivity) -> list[Row]:
             "E_map_rates", "Fig. 8 A: smallest and largest E, valleys crossed along omega_x, omega_y (0.05 by 0.03 rad/s)",
             "complex shape", [float(rates.min()), float(rates.max()), *valleys_crossed(rates)], "1", None, None,
             f"{against}{r.n_samples} directions, {rates.size} motions; the box is {from_lines[0]:.2f} rad/s from the nearest line",
-            "paper, section 2.3, Fig. 8 A",
+            "paper, section 2.3, Fig. 8 A", chain="telemetry",
         ),
         Row(
             "E_map_parameters", "Fig. 8 B: smallest and largest E, valleys crossed along mu_0, theta_xx",
             "complex shape", [float(parameters.min()), float(parameters.max()), *valleys_crossed(parameters)], "1", None, None,
             f"{against}the range of mu_0 leaves out the lander's {outside:.3g} N m; what is called theta_xx runs from theta_yy to "
             f"theta_xx; the rate is {from_lines[1]:.2f} rad/s from the nearest line and outside the box of panel A",
-            "paper, section 2.3, Fig. 8 B",
+            "paper, section 2.3, Fig. 8 B", chain="telemetry",
         ),
         Row(
             "E_study_bound", "E below which the direction at the start, quoted with a length of 0.9646, does not let it fall",
-            0.0, bound, "1", None, None,
+            "not considered", bound, "1", None, None,
             f"used as quoted: its length is {r.start_length:.4f}; made a unit vector it is {_angle_between_starts(case):.1f} deg "
             "from the first direction used in the scan", "paper, section 2.3, direct fitting",
         ),
@@ -181,10 +181,10 @@ def _change_rows(r: Sensitivity) -> list[Row]:
             "compared with the smallest EMD of the paper's scan", "paper, section 2.3",
         ),
         Row(
-            "phase_growth", "power of time with which the direction error grows: rates, mu_0", [1.0, 2.0],
+            "phase_growth", "power of time with which the direction error grows: rates, mu_0", "accumulating phase shifts",
             [float(powers.mean()), float(friction.mean())], "1", 0.3,
             bool(np.abs(powers - 1).max() < 0.3 and np.abs(friction - 2).max() < 0.3),
-            "accumulating phase shifts, as the paper says: linear where a frequency is off, not exponential; after 45 min the "
+            "criterion: 1 and 2 within 0.3, linear where a frequency is off and not exponential; after 45 min the "
             f"largest error from 1 % of an input, if it grew on so, is {min(at_end):.0f} to {max(at_end):.0f} rad, per rad/s of a "
             f"rate {min(per_rate):.0f} to {max(per_rate):.0f} rad", "paper, section 2.3",
         ),

@@ -32,6 +32,7 @@ from sunspin.measure.sun import SunStatus, is_reconstructed, signals, sun_direct
 from sunspin.motion import kernel as k
 from sunspin.study import rebound as rb
 from sunspin.study.worth import CONFIDENCE, check_confidence
+from sunspin.vehicle import Vehicle
 
 SHIPPED = "threshold.json"
 """The calibration of the case's own telemetry, which comes with the case."""
@@ -132,22 +133,27 @@ def calibrate(
     rebound: rb.Rebound, table: Table, twins: int = TWINS, seed: int = 0, workers: int | None = None, progress: bool = False
 ) -> Calibration:
     """Repeat the method on synthetic rebounds like the data; `table` of the scan from the same first direction."""
-    found = _drawn(rebound, twins, seed)
-    rows = _TwinDistances(table, [z for _, z in found])
+    found = [(truth, seen[:, 2]) for truth, seen in alike_rebounds(rebound, twins, seed)]
+    rows = TargetRows(table, [z for _, z in found])
     smallest = ensemble(rows, workers=workers, chunk=2, progress=progress, label="calibration of the threshold")["emd_min"]
     truth = np.array([omega for omega, _ in found])
     vehicle, mask = rebound.case.vehicle, reconstructible_mask(rebound.case.vehicle)
-    hist, _ = histograms(vehicle, rebound.states(truth), rebound.window_s, mask)
-    reached = [distances_to(hist[i : i + 1], target_segments(z))[0][0] for i, (_, z) in enumerate(found)]
-    ratio = np.array([1.0 if np.isnan(value) else value for value in reached]) / smallest
+    ratio = reached(vehicle, rebound.states(truth), rebound.window_s, mask, [z for _, z in found]) / smallest
     return Calibration(
         key_of(rebound, table), seed, ratio, smallest, np.array([z.size for _, z in found]), "made for these data"
     )
 
 
+def reached(vehicle: Vehicle, states: k.Rows, window_s: float, mask: k.Mask, targets: list[np.ndarray]) -> np.ndarray:
+    """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen."""
+    hist, _ = histograms(vehicle, states, window_s, mask)
+    each = [distances_to(hist[i : i + 1], target_segments(target))[0][0] for i, target in enumerate(targets)]
+    return np.where(np.isnan(each), 1.0, each)
+
+
 @dataclass(frozen=True)
-class _TwinDistances:
-    """Row -> smallest EMD of the table to the z components of one synthetic rebound."""
+class TargetRows:
+    """Row -> smallest EMD of a table to one target: the components that one synthetic rebound measured."""
 
     table: Table
     z: list[np.ndarray]
@@ -166,22 +172,22 @@ class _TwinDistances:
         return {"emd_min": np.array([self.table.distances(self.z[i])[fine].min() for i in index])}
 
 
-def _drawn(rebound: rb.Rebound, twins: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Truths (3) and measured z of synthetic rebounds like the data; of others if too few are like them."""
+def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """True rates (3) and measured directions (n, 3) of synthetic rebounds like the data; of others if too few are like them."""
     wanted, apart = rebound.z.size, max(2.0, ALIKE * rebound.z.size)
     alike: list[tuple[np.ndarray, np.ndarray]] = []
     others: list[tuple[np.ndarray, np.ndarray]] = []
     for block in range(MAX_BLOCKS):
-        for truth, z in _block(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed):
-            (alike if abs(z.size - wanted) <= apart else others).append((truth, z))
+        for truth, seen in _block(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed):
+            (alike if abs(len(seen) - wanted) <= apart else others).append((truth, seen))
         if len(alike) >= twins:
             return alike[:twins]
-    others.sort(key=lambda one: abs(one[1].size - wanted))
+    others.sort(key=lambda one: abs(len(one[1]) - wanted))
     return (alike + others)[:twins]
 
 
 def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Truth and measured z components of the synthetic rebounds `index`: each draws from its own generator."""
+    """True rate and measured directions of the synthetic rebounds `index`: each draws from its own generator."""
     case, vehicle = rebound.case, rebound.case.vehicle
     generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))) for i in index]
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
@@ -198,10 +204,10 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[tuple[
     power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0)
     seen = sun_directions(vehicle, power.reshape(-1, power.shape[-1]), noise=sigma, lit_threshold=threshold)
     told = is_reconstructed(seen["status"]).reshape(power.shape[:2])
-    z = seen["sun_B"].values[:, 2].reshape(power.shape[:2])
-    first = rebound.sun_B[2] / np.linalg.norm(rebound.sun_B)
+    directions = seen["sun_B"].values.reshape(*power.shape[:2], 3)
+    first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
     for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
-        yield truth[i], np.concatenate([[first], z[i, told[i]]])
+        yield truth[i], np.concatenate([first, directions[i, told[i]]])
 
 
 def to_json(found: Calibration) -> str:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from sunspin.cases import Case
-from sunspin.infer.scan import below
 from sunspin.study import rebound as rb
 from sunspin.study.row import Row
 from sunspin.study.worth import CONFIDENCE, Share, Twins, Worth
@@ -17,28 +14,6 @@ from sunspin.study.worth import CONFIDENCE, Share, Twins, Worth
 SECTION = "paper, sections 2.3 and 3.2; not considered there"
 
 KINDS = {"lines": "truth on the published lines", "grid": "truth anywhere in the scanned box"}
-
-
-@dataclass(frozen=True)
-class Applied:
-    """The calibrated thresholds on one scan: for each of "absolute" and "relative" (threshold on EMD, points, smallest speed)."""
-
-    absolute: tuple[float, int, float]
-    relative: tuple[float, int, float]
-    whose: str
-
-
-def apply(case: Case, worth: Worth, volume: xr.DataArray, whose: str, confidence: float = CONFIDENCE) -> Applied:
-    """Level sets of a scan (`scan`) at the calibrated thresholds, run back to the touchdown."""
-    lines = worth.twins["lines"]
-
-    def at(relative: bool) -> tuple[float, int, float]:
-        level = lines.threshold(confidence, relative)[0] * (float(volume.min()) if relative else 1.0)
-        points = below(volume, level)
-        speeds = np.linalg.norm(rb.at_touchdown(case, points, rb.nominal_speed(case.vehicle)[0]), axis=1)
-        return level, len(points), float(speeds.min()) if len(points) else float("nan")
-
-    return Applied(at(False), at(True), whose)
 
 
 def _middle(values: np.ndarray) -> list[float]:
@@ -52,12 +27,12 @@ def _range(values: np.ndarray, digits: int = 3) -> str:
     return f"median {middle:.{digits}f}, 5 to 95 % {low:.{digits}f} to {high:.{digits}f}"
 
 
-def rows(case: Case, worth: Worth, applied: list[Applied], confidence: float = CONFIDENCE) -> list[Row]:
-    """Rows of the method's worth; `applied`: the thresholds on scans of the run that shows the rows."""
+def rows(case: Case, worth: Worth, confidence: float = CONFIDENCE) -> list[Row]:
+    """Rows of the method's worth."""
     how = f"synthetic: {worth.twins['lines'].n} twins of each kind on {worth.grid_points} grid points; `{worth.command}`"
     return [
         *_data_rows(case, worth, how), *_line_rows(worth, how), *_set_rows(case, worth, confidence, how),
-        *_bound_rows(case, worth, applied, confidence, how),
+        *_bound_rows(case, worth, confidence, how),
     ]  # fmt: skip
 
 
@@ -81,19 +56,19 @@ def _line_rows(worth: Worth, how: str) -> list[Row]:
     near = [Share(int((t.twin["truth_to_line"] <= 0.03).sum()), t.n) for t in (lines, grid)]
     return [
         Row(
-            "worth_line_angle", "how far the four lines turn from one data set to another: 5, 50, 95 % of the angle", 0.0,
+            "worth_line_angle", "how far the four lines turn from one data set to another: 5, 50, 95 % of the angle", "not considered",
             np.degrees(_middle(lines.twin["line_angle"])).tolist(), "deg", None, None,
             f"against the published lines, on which the truth lies; four lines could be fitted in {fitted} of the twins, the other "
             f"sets have fewer than 8 points; {how}", SECTION,
         ),
         Row(
-            "worth_line_distance", "how far they move: 5, 50, 95 % of the mean distance", 0.0,
+            "worth_line_distance", "how far they move: 5, 50, 95 % of the mean distance", "not considered",
             _middle(lines.twin["line_distance"]), "rad/s", None, None,
             f"over omega_z in {list(rb.LINE_RANGE)} rad/s; points in the set: "
             f"{_range(lines.twin['points'], 0)}", SECTION,
         ),
         Row(
-            "worth_truth_on_line", "how often the truth is within two grid steps (0.03 rad/s) of a fitted line", 1.0,
+            "worth_truth_on_line", "how often the truth is within two grid steps (0.03 rad/s) of a fitted line", "not considered",
             near[0].value, "1", None, None,
             f"{near[0]}; {KINDS['grid']}: {near[1]}; distance of the truth from the nearest point of the set "
             f"{_range(lines.twin['truth_to_set'])} rad/s", SECTION,
@@ -130,7 +105,7 @@ f"nine of ten; for the published smallest EMD {other}", SECTION,
     return found
 
 
-def _bound_rows(case: Case, worth: Worth, applied: list[Applied], confidence: float, how: str) -> list[Row]:
+def _bound_rows(case: Case, worth: Worth, confidence: float, how: str) -> list[Row]:
     lines, grid = worth.twins["lines"], worth.twins["grid"]
     published = case.published["rate_at_touchdown_min"].value
     held = {name: _holds(lines, name) for name in ("bound_set", "bound_lines")}
@@ -152,7 +127,6 @@ def _bound_rows(case: Case, worth: Worth, applied: list[Applied], confidence: fl
         enough = "no threshold kept does" if direct is None else (
             f"{direct:.4g} does, median bound {lines.at(direct, relative)['speed'][1]:.3f} rad/s")  # fmt: skip
         kind = "relative" if relative else "absolute"
-        told = "; ".join(_told(one, kind) for one in applied)
         found.append(
             Row(
                 f"worth_bound_{100 * confidence:g}_{kind}",
@@ -162,7 +136,7 @@ def _bound_rows(case: Case, worth: Worth, applied: list[Applied], confidence: fl
                 f"a bound on the true speed in {region['holds']} of the twins (threshold {region['threshold']:.4g}; median "
                 f"{between} over "
                 f"the threshold's own 95 % interval); for the bound "
-                f"alone to hold in {confidence:.0%}, {enough}" + (f"; {told}" if told else "")
+                f"alone to hold in {confidence:.0%}, {enough}"
                 + ("; the smaller of the two regions" if relative == best else ""), SECTION,
             )
         )  # fmt: skip
@@ -173,11 +147,6 @@ def _holds(twins: Twins, name: str) -> Share:
     bound = twins.twin[name]
     known = np.isfinite(bound)
     return Share(int((bound[known] <= twins.twin["truth_touchdown_speed"][known]).sum()), int(known.sum()))
-
-
-def _told(one: Applied, kind: str) -> str:
-    level, points, speed = getattr(one, kind)
-    return f"{one.whose}: EMD < {level:.4f}, {points} points, {speed:.3f} rad/s"
 
 
 def sentences(worth: Worth, confidence: float = CONFIDENCE) -> list[str]:

@@ -10,11 +10,21 @@ import numpy as np
 import xarray as xr
 
 from sunspin.study import rebound as rb
+from sunspin.study.candidates import Chain
 from sunspin.study.level_set import LevelSet
+from sunspin.study.published_lines import PublishedLines
 from sunspin.study.reproduce import Reproduction
 from sunspin.study.worth import CONFIDENCE, Worth
 from sunspin.tell import figures as fig
-from sunspin.tell import figures_descent, figures_health, figures_outcomes, figures_precession, figures_sensitivity, figures_worth
+from sunspin.tell import (
+    figures_candidates,
+    figures_descent,
+    figures_health,
+    figures_outcomes,
+    figures_precession,
+    figures_sensitivity,
+    figures_worth,
+)
 from sunspin.tell.results import Picture
 
 
@@ -103,38 +113,56 @@ def _sensitivity(result: Reproduction, part: Any) -> Iterator[Sheet]:
 
 
 def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Sheet]:
-    lines, note, clean, twin = rb.published_lines(part.case), _note(result), part.clean, part.twin
+    lines, note, near = rb.published_lines(part.case), _note(result), part.near
     synthetic = " (synthetic)" if part.synthetic else ""
+    yield Sheet(
+        "fig09_telemetry", lambda: fig.level_set_figure(
+            near.points, near.lines, lines,
+            f"EMD < {near.factor:g} EMD_min, target: this telemetry{synthetic}", part.truth.get("omega_B")),
+        "Near-minimum points in rate space for the telemetry",
+        f"The paper's recipe on this telemetry (paper, Fig. 9): {len(near.points)} points, smallest EMD {part.scan.smallest:.4f}; "
+        f"{part.lines_found} of the four printed lines (dashed) come out of them." + note,
+    )  # fmt: skip
+    measured = "measured" + (" (synthetic telemetry)" if part.synthetic else "")
+    pooled = result.parts["published_lines"].pooled
+    shown = {f"L{k + 1} as published": z for k, z in enumerate(pooled)}
+    yield Sheet(
+        "distributions", lambda: fig.distributions_figure(part.measured_z, measured, shown, "What the EMD compares"),
+        "Cumulative distributions of the z component",
+        "Measured z components, and motions begun on the printed lines: these four are nearly one distribution (EMD to "
+        f"their mean at most {max(rb.pooled_spread(pooled)):.4f}), which is why a line cannot be narrowed to a point."
+        + note,
+    )  # fmt: skip
+
+
+def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
+    lines, clean = rb.published_lines(part.case), part.clean
     yield Sheet(
         "fig09_lines", lambda: fig.level_set_figure(
             clean.points, clean.lines, lines,
-            f"EMD < {clean.factor:g} EMD_min, target: common distribution of the published lines"),
+            f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines"),
         "Near-minimum points in rate space along four lines",
-        f"Near-minimum set against the published lines' own distribution (paper, Fig. 9): {len(clean.points)} points. "
-        "The paper's factor of 1.1 would leave a handful of points, the minimum against so clean a target being "
-        f"{float(clean.emd.min()):.4f}.",
+        f"No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {len(clean.points)} points at "
+        f"{clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the minimum "
+        f"against so clean a target being {float(clean.emd.min()):.4f}.",
     )  # fmt: skip
     yield Sheet(
         "thresholds", lambda: fig.thresholds_figure(part.thresholds, clean.factor),
         "Size of the near-minimum set and distance of its lines against the factor",
-        "What the factor does: points in the set, and how far its four lines are from the published ones. Dashed: the factor "
+        "What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor "
         "used above. Fewer points than four lines need have no line.",
     )  # fmt: skip
+    smallest = float(np.linalg.norm(part.on_lines_touchdown, axis=1).min())
     yield Sheet(
-        "fig09_telemetry", lambda: fig.level_set_figure(
-            twin.points, twin.lines, lines,
-            f"EMD < {twin.factor:g} EMD_min, target: this telemetry{synthetic}", part.truth.get("omega_B")),
-        "Near-minimum points in rate space for the telemetry",
-        f"The same against this telemetry: {len(twin.points)} points, smallest EMD {float(twin.emd.min()):.4f}." + note,
+        "fig12_lines", lambda: fig.backward_figure(part.near_touchdown, part.on_lines_touchdown, smallest),
+        "Body rates at the first touchdown of motions on the printed lines",
+        "No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).",
     )  # fmt: skip
-    measured = "measured" + (" (synthetic telemetry)" if part.synthetic else "")
-    pooled = {f"L{k + 1} as published": z for k, z in enumerate(part.pooled)}
     yield Sheet(
-        "distributions", lambda: fig.distributions_figure(part.measured_z, measured, pooled, "What the EMD compares"),
-        "Cumulative distributions of the z component",
-        "Measured z components, and motions begun on the published lines: these four are nearly one distribution (EMD to "
-        f"their mean at most {max(rb.pooled_spread(part.pooled)):.4f}), which is why a line cannot be narrowed to a point."
-        + note,
+        "fig13_lines", lambda: figures_outcomes.sun_height_figure(part.runs),
+        "Densities of the z component after the collision for motions on the printed lines, wheel off and held",
+        f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated collisions of "
+        "motions on the printed lines; each area is 1.",
     )  # fmt: skip
 
 
@@ -156,31 +184,33 @@ def _precession(_: Reproduction, part: Any) -> Iterator[Sheet]:
     )  # fmt: skip
 
 
-def _touchdown(_: Reproduction, part: Any) -> Iterator[Sheet]:
-    smallest = float(np.linalg.norm(part.published_B, axis=1).min())
+def _touchdown(result: Reproduction, part: Chain) -> Iterator[Sheet]:
     yield Sheet(
-        "fig12_touchdown", lambda: fig.backward_figure(part.omega_B, part.published_B, smallest),
-        "Body rates at the first touchdown", "Rates at the first touchdown, by running backward (paper, Fig. 12).",
+        "fig12_touchdown", lambda: figures_candidates.draw(part, result.synthetic),
+        "Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box",
+        f"What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the heights of "
+        f"the Sun see, over {part.chosen.about}; grey: all that was possible." + _note(result),
     )  # fmt: skip
 
 
-def _landing(_: Reproduction, part: Any) -> Iterator[Sheet]:
-    runs = next(iter(part.paper.values())).sizes["run"]
+def _landing(result: Reproduction, part: Any) -> Iterator[Sheet]:
+    runs = next(iter(part.chosen.paper.values())).sizes["run"]
+    about = part.chain.chosen.about
     yield Sheet(
-        "fig13_after_collision", lambda: figures_outcomes.sun_height_figure(part.paper),
+        "fig13_after_collision", lambda: figures_outcomes.sun_height_figure(part.chosen.paper),
         "Densities of the z component between collision and second touchdown, wheel off and held",
-        f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of motions that begin on the "
-        "published lines; each area is 1. `sunspin outcomes philae` runs more of them, and other commands to the wheel.",
+        f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1." +
+        _note(result),
     )  # fmt: skip
     yield Sheet(
         "strategies", lambda: figures_outcomes.strategies_figure(part.strategies),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
-        "What other commands to the wheel would have done (paper, section 4), from the same draws.",
+        f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}." + _note(result),
     )  # fmt: skip
     yield Sheet(
         "collision", lambda: figures_outcomes.collision_figure(part.collision),
         "Simulated collisions against the trajectory kernel's speeds",
-        "The simulated collisions against what the trajectory kernel and the magnetometer say of them.",
+        "The simulated collisions against what the trajectory kernel and the magnetometer say of them." + _note(result),
     )  # fmt: skip
 
 
@@ -193,7 +223,7 @@ def _health(result: Reproduction, part: Any) -> Iterator[Sheet]:
 
 
 def _worth(_: Reproduction, part: Any) -> Iterator[Sheet]:
-    case, worth, _applied = part
+    case, worth = part
     yield worth_sheet(worth, case.published)
 
 
@@ -217,6 +247,7 @@ SHEETS: tuple[tuple[str, Callable[[Reproduction, Any], Iterator[Sheet]]], ...] =
     ("precession", _precession),
     ("touchdown", _touchdown),
     ("landing", _landing),
+    ("published_lines", _published_lines),
     ("phases", _health),
     ("worth", _worth),
 )

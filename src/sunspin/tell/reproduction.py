@@ -12,17 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from sunspin.cases import Case, load_case
+from sunspin.errors import InputError, sentence
 from sunspin.measure.telemetry import read_telemetry
 from sunspin.study import rebound as rb
-from sunspin.study import worth_told
-from sunspin.study.reproduce import Reproduction, compute, titles
-from sunspin.study.row import STATEMENT, Row
-from sunspin.tell.headline import headline
+from sunspin.study import touchdown, worth_told
+from sunspin.study.reproduce import SECTIONS, Options, Reproduction, compute, require_wheel, sections, titles, with_vehicle
+from sunspin.study.row import Row
+from sunspin.tell.headline import headline, score
 from sunspin.tell.pictures import draw
 from sunspin.tell.report import write_report
-from sunspin.tell.results import CITE, Picture, results_folder, write_run
+from sunspin.tell.results import CITE, Picture, results_folder, write_run, write_whole
 from sunspin.tell.stored import store
-from sunspin.tell.text import number_text
+from sunspin.vehicle import load_vehicle
 
 FIGURES = "The figures of the paper"
 
@@ -48,64 +49,115 @@ def reproduce(
     out: str | Path = "results",
     telemetry: str | Path | None = None,
     *,
+    vehicle: str | Path | None = None,
+    candidates: str = "scan",
+    calibrate: int | None = None,
     seed: int = 0,
     workers: int | None = None,
     coarser: int = 1,
     progress: bool = False,
 ) -> Written:
-    """Run the Philae study and write figures, `summary.json`, NetCDF files and `report.html` to a folder.
+    """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
+
+    Every conclusion follows from the telemetry given: its noise and lit threshold, its first direction after the touchdown, its
+    scan, and the motions that the scan leaves.
 
     Parameters
     ----------
     out : path
         Results folder; made if it is not there, refused if it holds anything but an earlier run of this command.
     telemetry : path, optional
-        A file with the columns of the case's telemetry; default: the synthetic one that comes with the package.
+        A file with the columns of the case's telemetry; default: the synthetic one that comes with the package. The file that
+        was used is written to the folder as `telemetry.csv`, to copy and change.
+    vehicle : path, optional
+        A vehicle file for another body with one wheel and legs; default: Philae's.
+    candidates : "scan", "posterior", "published" or a file
+        Motions from which the touchdown, the collision and what follows are computed: the 90 % set of the scan, draws of the
+        posterior (minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, omega_y,
+        omega_z in rad/s.
+    calibrate : int, optional
+        Synthetic flights of known truth from which the set's threshold is calibrated for these data; default: the shipped
+        calibration where it fits them, else 60. Zero: none, and no conclusion where none fits.
     seed, workers, progress
-        Random choices of the line fit, threads, progress bar.
+        All random choices, threads, progress bar.
     coarser : int
         Use every n-th point of the scan's grid, for a quick look.
     """
     began = time.perf_counter()
-    case = load_case("philae")
-    if telemetry is not None:
-        case = rb.with_telemetry(case, read_telemetry(telemetry, case.vehicle))
+    case = _case(telemetry, vehicle)
+    options = Options(candidates, calibrate, seed, coarser, workers, progress)
+    source = _source(case, telemetry)
+    if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
+        raise InputError(
+            sentence("the telemetry lies in the results folder, which is written anew", do="copy it to another place first",
+                     where=str(telemetry))
+        )  # fmt: skip
     folder = results_folder(out, "reproduce")
-    result = compute(case, seed=seed, coarser=coarser, workers=workers, progress=progress)
+    result = compute(case, options)
     pictures = draw(result, folder)
     store(result, folder)
-    by_part = {titles()[name]: rows for name, rows in result.rows_by_part.items()} | {FIGURES: figure_rows(pictures)}
+    write_whole(folder / f"telemetry{source.suffix or '.csv'}", lambda part: part.write_bytes(source.read_bytes()))
+    by_part = {name: rows for name, rows in result.rows_by_part.items()} | {FIGURES: figure_rows(pictures)}
+    heading, section = titles(), sections()
+    counts = result.counts()
     summary = {
         "version": metadata.version("sunspin"),
         "title": "How Philae tumbled",
         "seed": seed,
         "synthetic_telemetry": result.synthetic,
         "seconds": round(time.perf_counter() - began, 1),
+        "chain": candidates,
+        "carries": result.parts["carries"].first_line,
+        "noise": result.noise.told,
+        "calibration": None if result.chain is None or result.chain.calibration is None else result.chain.calibration.told,
         "missing": result.missing,
         "headline": headline(result),
         "conclusions": conclusions(result),
-        "command": _command(telemetry, seed, coarser),
-        "inputs": _inputs(case),
+        "score": score(result),
+        "counts": counts["telemetry"] | {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]},
+        "command": _command(telemetry, vehicle, options),
+        "inputs": _inputs(case, vehicle),
         "cite": CITE,
-        "figures": [asdict(row) | {"part": part} for part, rows in by_part.items() for row in rows],
-    }
-    write_run(folder, summary, case.name, case.telemetry, pictures)
+        "figures": [
+            asdict(row) | {"part": heading.get(name, name), "section": SECTIONS[section.get(name, "paper")]}
+            for name, rows in by_part.items() for row in rows
+        ],
+    }  # fmt: skip
+    write_run(folder, summary, case.name if vehicle is None else vehicle, case.telemetry, pictures)
     return Written(folder, write_report(folder, ours=True), summary)
 
 
-def _command(telemetry: str | Path | None, seed: int, coarser: int) -> str:
-    words = ["sunspin", "reproduce", "--seed", str(seed)]
-    words += [] if telemetry is None else ["--telemetry", str(telemetry)]
-    return shlex.join(words + ([] if coarser == 1 else ["--coarser", str(coarser)]))
+def _case(telemetry: str | Path | None, vehicle: str | Path | None) -> Case:
+    """The case with the vehicle and the telemetry given; both refused before any work."""
+    case = load_case("philae")
+    if vehicle is not None:
+        craft = load_vehicle(vehicle)
+        require_wheel(craft)
+        return with_vehicle(case, craft, read_telemetry(_source(case, telemetry), craft))
+    return case if telemetry is None else rb.with_telemetry(case, read_telemetry(telemetry, case.vehicle))
 
 
-def _inputs(case: Case) -> list[dict[str, str]]:
+def _source(case: Case, telemetry: str | Path | None) -> Path:
+    return case.folder / "telemetry.csv" if telemetry is None else Path(telemetry)
+
+
+def _command(telemetry: str | Path | None, vehicle: str | Path | None, options: Options) -> str:
+    words = ["sunspin", "reproduce", "--seed", str(options.seed)]
+    for name, value in (("telemetry", telemetry), ("vehicle", vehicle), ("calibrate", options.twins)):
+        words += [] if value is None else [f"--{name}", str(value)]
+    words += [] if options.source == "scan" else ["--candidates", options.source]
+    return shlex.join(words + ([] if options.coarser == 1 else ["--coarser", str(options.coarser)]))
+
+
+def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
     """The files that the study was made from, with their hashes."""
     said = case.telemetry.attrs
     found = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}]
-    for name in ("vehicle.toml", "timeline.toml", "published.toml"):
-        digest = hashlib.sha256((case.folder / name).read_bytes()).hexdigest()
-        found.append({"what": name.removesuffix(".toml"), "file": name, "sha256": digest})
+    paths = {"vehicle": case.folder / "vehicle.toml" if vehicle is None else Path(vehicle)}
+    paths |= {name: case.folder / f"{name}.toml" for name in ("timeline", "published")}
+    for name, path in paths.items():
+        file = path if path.is_file() else case.folder / "vehicle.toml"  # a vehicle may be named after a built-in case
+        found.append({"what": name, "file": path.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()})
     return found
 
 
@@ -116,42 +168,54 @@ def figure_rows(pictures: list[Picture]) -> list[Row]:
         mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.path.name)]
         ours = ", ".join(p.path.name for p in mine) or ("not drawn" if number > 2 else "not drawn: a picture of the lander")
         note = " ".join(p.caption for p in mine)
-        found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}"))
+        found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}",
+                         kind="not_comparable"))  # fmt: skip
     return found
 
 
 def conclusions(result: Reproduction) -> list[str]:
-    """What was found, in a few sentences; what could not be computed."""
-    lowest, scan = result.row("rate_at_touchdown_min"), result.parts["level_set"]
-    found = [
-        f"After its first touchdown Philae turned at {number_text(lowest.ours)} rad/s or faster (published: "
-        f"{number_text(lowest.published)}), if its motion lay on one of the four published lines; {lowest.note}.",
-    ]
-    if distances := [deviation["mean"] for deviation in scan.clean.deviation]:
-        found.append(
-            f"The lines follow from the model: against the lines' own distribution of r_z the scan finds four lines that are "
-            f"{min(distances):.3f} to {max(distances):.3f} rad/s from the published ones on average (grid step "
-            f"{result.case.published['scan_step'].value} rad/s)."
-        )
-    sentence = (
-        f"Against the {scan.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the "
-        f"smallest "
-        f"EMD is {float(scan.twin.emd.min()):.4f}, with {len(scan.twin.points)} grid points within {scan.twin.factor} times it"
-    )
-    if scan.truth:
-        sentence += (
-            f"; the true motion behind the synthetic telemetry reaches {scan.truth['emd']:.4f}, so this set alone is "
-            "no confidence region"
-        )
-    found.append(sentence + ".")
+    """What follows from the telemetry, in a few sentences; what the printed lines give without any; what could not be computed."""
+    found = [result.parts["carries"].first_line, f"Readings: {result.noise.told}.", *_of_scan(result)]
+    if result.chain is not None:
+        found += touchdown.sentences(result.chain)
+    found += _of_lines(result)
     if "worth" in result.parts:
         found += worth_told.sentences(result.parts["worth"][1])
-    wrong = [row for row in result.rows if row.agrees is False]
-    apart = [row for row in wrong if not row.id.startswith(STATEMENT)]
+    apart = [row for row in result.rows if row.agrees is False]
     if apart:
         found.append("Not as published: " + "; ".join(f"{row.what} ({row.source.removeprefix('paper, ')})" for row in apart) + ".")
-    found.append(
-        f"{len(wrong) - len(apart)} statements of the paper contradict its own figures or public facts; the last table has each "
-        "with the recomputed value and what it changes."
-    )
+    found += [f"{line}." for line in score(result)]
     return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
+
+
+def _of_scan(result: Reproduction) -> list[str]:
+    if "level_set" not in result.parts:
+        return []
+    part = result.parts["level_set"]
+    text = (
+        f"Against the {part.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the smallest "
+        f"EMD is {part.scan.smallest:.4f}; {len(part.near.points)} grid points lie within {part.near.factor} times it, and "
+        f"{part.lines_found} of the four printed lines come out of them"
+    )
+    if part.truth:
+        text += f". The true motion behind the synthetic telemetry reaches {part.truth['emd']:.4f}"
+    chain = result.chain
+    if chain is not None and chain.calibration is not None:
+        text += f". A {chain.calibration.told}; that set holds {chain.share:.0%} of the scanned box".replace("A ", "For 90 %: ", 1)
+    return [text + "."]
+
+
+def _of_lines(result: Reproduction) -> list[str]:
+    """What the printed lines give, which no telemetry changes."""
+    part, lowest = result.parts["published_lines"], result.row("rate_at_touchdown_min_lines")
+    found = [
+        f"Without telemetry: motions on the four printed lines turn at {number_text(lowest.ours)} rad/s or faster after the first "
+        f"touchdown (published: {number_text(lowest.published)}; {number_text(lowest.low, 4)} to {number_text(lowest.high, 4)} with the "
+        "first sample's time and the wheel's speed uncertain)."
+    ]
+    if distances := [deviation["mean"] for deviation in part.clean.deviation]:
+        found.append(
+            f"Against those lines' own distribution of r_z the scan finds four lines that are {min(distances):.3f} to "
+            f"{max(distances):.3f} rad/s from the printed ones on average (grid step {result.case.published['scan_step'].value} rad/s)."
+        )
+    return found

@@ -29,11 +29,11 @@ def store(result: Reproduction, folder: Path) -> None:
 def datasets(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
     """File name -> data."""
     parts = result.parts
-    found = [*_scans(result), ("touchdown", _touchdown(parts["touchdown"]))]
+    found = [*_scans(result), *_touchdown(result)]
     if "sensitivity" in parts:
         found += [("map_rates", parts["sensitivity"].rates.to_dataset()), ("map_parameters", _parameters(parts["sensitivity"]))]
     if "landing" in parts:
-        found += [(f"outcomes-{name}", runs) for name, runs in parts["landing"].paper.items()]
+        found += [(f"outcomes-{name}", runs) for name, runs in parts["landing"].chosen.paper.items()]
         found.append(("strategies", parts["landing"].strategies))
     if "motions" in parts:
         found += [(f"motion-{_file(name)}", run.assign_attrs(title=name)) for name, run in parts["motions"].candidates.items()]
@@ -46,32 +46,47 @@ def _file(name: str) -> str:
 
 
 def _scans(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
-    scan, found = result.parts["level_set"], []
-    lines = rb.published_lines(result.case)
-    for name, family, about in (
-        ("scan_telemetry", scan.twin, "against the directions of this telemetry"),
-        ("scan_published_lines", scan.clean, "against the common distribution of the published lines"),
-    ):
+    """The scan of the telemetry, and that of the printed lines' distribution."""
+    found, lines = [], rb.published_lines(result.case)
+    families = [("scan_published_lines", result.parts["published_lines"].clean, "against the common distribution of the printed lines")]
+    scan = result.parts.get("level_set")
+    if scan is not None:
+        families.insert(0, ("scan_telemetry", scan.near, "against the directions of this telemetry"))
+    for name, family, about in families:
         data = family.emd.to_dataset()
         if family.lines is not None:
             data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
         data["near_minimum"] = (("near_point", "rate_axis"), family.points, {"units": "rad/s", "factor": family.factor})
         data["published_point"] = (("published_line", "rate_axis"), np.array([p for p, _ in lines]), {"units": "rad/s"})
         data["published_direction"] = (("published_line", "rate_axis"), np.array([d for _, d in lines]), {"units": "1"})
-        if scan.truth and family is scan.twin:
+        if name == "scan_telemetry" and scan is not None and scan.truth:
             data["truth"] = ("rate_axis", scan.truth["omega_B"], {"units": "rad/s"})
         found.append((name, data.assign_attrs(about=about)))
     return found
 
 
-def _touchdown(part: Any) -> xr.Dataset:
-    return xr.Dataset(
-        {
-            "omega_B": (("point", "axis"), part.omega_B, {"units": "rad/s"}),
-            "published_B": (("published", "axis"), part.published_B, {"units": "rad/s"}),
-        },
-        coords={"axis": ["x", "y", "z"]},
+MOST_CANDIDATES = 20_000
+"""Candidates that are written: an even draw where there are more."""
+
+
+def _touchdown(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
+    """Rates at the touchdown of the printed lines' set; the candidates with their speeds and angles."""
+    lines = result.parts["published_lines"]
+    data = {
+        "omega_B": (("point", "axis"), lines.near_touchdown, {"units": "rad/s"}),
+        "published_B": (("published", "axis"), lines.on_lines_touchdown, {"units": "rad/s"}),
+    }
+    found = [("touchdown", xr.Dataset(data, coords={"axis": ["x", "y", "z"]}))]
+    if result.chain is None:
+        return found
+    chosen = result.chain.chosen
+    every = -(-len(chosen) // MOST_CANDIDATES)
+    table = chosen.dataset().assign(
+        speed_touchdown=("candidate", chosen.speed_touchdown, {"units": "rad/s", "long_name": "just after the first touchdown"}),
+        theta=("candidate", chosen.theta, {"units": "rad", "long_name": "angle from the momentum to the z axis"}),
+        alpha=("candidate", chosen.alpha, {"units": "rad", "long_name": "angle from the momentum to the Sun"}),
     )
+    return [*found, ("candidates", table.isel(candidate=slice(None, None, every)))]
 
 
 def _parameters(part: Any) -> xr.Dataset:

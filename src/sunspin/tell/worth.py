@@ -51,7 +51,7 @@ def worth(
     folder = None if out is None else results_folder(out, "worth")  # refused before the work, not after it
     study.check_confidence(twins, confidence)
     found = study.compute(known, twins, **options)
-    rows, told = worth_told.rows(known, found, [], confidence), worth_told.sentences(found, confidence)
+    rows, told = worth_told.rows(known, found, confidence), worth_told.sentences(found, confidence)
     summary = {
         "version": metadata.version("sunspin"), "synthetic_telemetry": True, "title": "What the answer is worth",
         "command": found.command, "seed": found.seed,

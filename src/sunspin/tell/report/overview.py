@@ -76,38 +76,26 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
     }  # fmt: skip
     return Plot(
         "speed", data, layout,
-        "How fast Philae turned, against time: one slow turn in 8.5 minutes during the descent, then after the first touchdown a "
-        "broad "
-        "band of faster rates that holds until the collision, and again after it until the second touchdown. The numbers are in "
-        "the "
-        "table below the picture.",
+        "How fast Philae turned, against time: the descent as a line, then after the first touchdown the band of rates that fit, up "
+        "to the collision, and again after it until the second touchdown. The numbers are in the table below the picture.",
         _caption(speed), 430, narrow=narrow,
         numbers=Table(["when", "what", "angular speed (rad/s)", "one turn takes"], numbers, "The picture in numbers", closed=True),
     )  # fmt: skip
 
 
 def _caption(speed: xr.Dataset) -> str:
-    text = (
-        "How fast Philae turned. Dark band: every motion on the four lines that the paper finds, from the slowest to the fastest, "
-        "and "
-        "their median. "
-    )
-    if "region" in speed["set"].values:
-        text += (
-            f"Pale band: the {float(speed.attrs.get('confidence', 0.9)):.0%} confidence region of this run, calibrated on "
-            f"synthetic "
-            "flights; every motion in it fits, none is preferred. "
-        )
-    return text + (
-        "After the collision: 95 % of the simulated collisions of the same motions. Diamonds: what the magnetometer said, which "
-        "was not "
-        "used."
+    said = speed.attrs
+    return (
+        f"How fast Philae turned. Pale band: {said.get('about_candidates', 'the candidates')}, from the slowest to the fastest; every "
+        "motion in it fits, none is preferred, and the heights of the Sun bound it from below only: above it ends where the scan ends. "
+        f"Dark band and line: {said.get('about_recipe', 'the paper recipe')}, and their median. After the collision: 95 % of the "
+        "simulated collisions of the same motions. Diamonds: what the magnetometer said, which was not used."
     )
 
 
 STYLE = {
-    "region": ("@blue:0.16", "all that fits (90 % region)"),
-    "lines": ("@blue:0.45", "on the paper's four lines"),
+    "candidates": ("@blue:0.16", "all that fits"),
+    "recipe": ("@blue:0.45", "the paper's recipe on this telemetry"),
 }
 
 
@@ -116,7 +104,7 @@ def _bands(speed: xr.Dataset, epoch: str, at: dict[str, float]) -> tuple[list[di
     numbers: list[list[str]] = []
     t = speed["time"].values
     after = np.array([at["collision"], at["second_touchdown"]])
-    for name in ("region", "lines"):
+    for name in STYLE:
         if name not in speed["set"].values:
             continue
         colour, label = STYLE[name]
@@ -131,7 +119,7 @@ def _bands(speed: xr.Dataset, epoch: str, at: dict[str, float]) -> tuple[list[di
                 "fill": "toself", "fillcolor": colour, "line": {"width": 0, "color": colour}, "name": label, "legendgroup": name,
                 "showlegend": k == 0, "xaxis": "x2", "yaxis": "y", "hoverinfo": "skip",
             })  # fmt: skip
-        if name == "lines":
+        if name == "recipe":
             for k, (x, y) in enumerate([(t, before["middle"]), (after, np.full(2, then["middle"]))]):
                 data.append({
                     "type": "scatter", "mode": "lines", "x": clock(x, epoch), "y": packed(y), "line": {"width": 2,
