@@ -76,7 +76,8 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
     }  # fmt: skip
     return Plot(
         "speed", data, layout,
-        "How fast Philae turned, against time: the descent as a line, then after the first touchdown the band of rates that fit, up "
+        "How fast Philae turned, against time: the descent as a line, then after the first touchdown the band of rates that "
+        "fit, up "
         "to the collision, and again after it until the second touchdown. The numbers are in the table below the picture.",
         _caption(speed), 430, narrow=narrow,
         numbers=Table(["when", "what", "angular speed (rad/s)", "one turn takes"], numbers, "The picture in numbers", closed=True),
@@ -86,8 +87,10 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
 def _caption(speed: xr.Dataset) -> str:
     said = speed.attrs
     return (
-        f"How fast Philae turned. Pale band: {said.get('about_candidates', 'the candidates')}, from the slowest to the fastest; every "
-        "motion in it fits, none is preferred, and the heights of the Sun bound it from below only: above it ends where the scan ends. "
+        f"How fast Philae turned. Pale band: {said.get('about_candidates', 'the candidates')}, from the slowest to the "
+        "fastest; every "
+        "motion in it fits, none is preferred, and the heights of the Sun bound it from below only: above it ends where the "
+        "scan ends. "
         f"Dark band and line: {said.get('about_recipe', 'the paper recipe')}, and their median. After the collision: 95 % of the "
         "simulated collisions of the same motions. Diamonds: what the magnetometer said, which was not used."
     )
