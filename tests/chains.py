@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from sunspin.cases import Case, load_case
@@ -58,3 +59,16 @@ def chain_of(telemetry: xr.Dataset | None = None, source: str = "scan", coarser:
     except SunspinError as error:
         why = str(error)
     return Found(case, looked, scan, chain, why)
+
+
+def chain_on_the_lines(case: Case) -> candidates.Chain:
+    """The printed lines as candidates, a coarse grid as the box and some of it as the paper's own set."""
+    rebound = rb.rebound_of(case, sun_directions(case.vehicle, case.telemetry))
+    grid = np.stack(np.meshgrid(*rb.grid(case, 15).values(), indexing="ij"), axis=-1).reshape(-1, 3)
+    lines = rb.published_candidates(case)
+    sets = {"set": ("published", lines), "box": ("scan", grid), "recipe": ("scan", lines[::7])}
+    chosen, box, recipe = (
+        candidates.described(rebound, name, chain, f"{name} of the test", rebound.states(points), 0)
+        for name, (chain, points) in sets.items()
+    )
+    return candidates.Chain(case, rebound, chosen, box, recipe, None, float("nan"), 0.02)

@@ -42,7 +42,7 @@ TAKEN = {
     "kernel_speed_before_landing": "second touchdown",
     "kernel_speed_after_landing": "nothing",
     "kernel_path_length": "see the contradictions: speed at the collision",
-    "kernel_straight_path": "see the contradictions: speed at the collision",
+    "trajectory_straight_path": "see the contradictions: speed at the collision",
     "romap_period_before": "weights of the collisions, speed of a leg's end",
     "energy_absorbed": "see the contradictions",
     "trajectory_speed_after_touchdown": "see the contradictions: energy absorbed",
