@@ -13,6 +13,7 @@ CAMPAIGNS = {
     "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
     "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
+    "controls": "telemetry of landers that did something else, and of spoilt files, through the Philae study",
     "lowest": "the tests with the lowest versions of the dependencies",
 }
 

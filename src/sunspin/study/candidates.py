@@ -252,7 +252,7 @@ def _from_posterior(
     rebound: rb.Rebound, seed: int, workers: int | None, progress: bool
 ) -> tuple[Candidates, Candidates, str]:
     """Draws of the posterior of the rebound's readings; motions drawn evenly from the ball of its prior; its verdict."""
-    from sunspin.infer.posterior import posterior
+    from sunspin.infer.posterior.estimate import posterior
 
     case, times = rebound.case, rebound.samples["utc_s"].values
     tree = posterior(

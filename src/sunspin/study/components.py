@@ -94,8 +94,8 @@ def compute(
         factor = float(np.sort(ratio)[check_confidence(len(ratio), CONFIDENCE)])
         emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis])
         found[name] = float(emd.min()), factor, float(np.mean(emd < factor * emd.min()))
-    columns = [{name: values[i] for name, values in found.items()} for i in range(3)]
-    return Components(*columns, bool(rebound.samples.attrs.get("synthetic")), len(alike), len(grid))
+    emd_min, factor, share = ({name: values[i] for name, values in found.items()} for i in range(3))
+    return Components(emd_min, factor, share, bool(rebound.samples.attrs.get("synthetic")), len(alike), len(grid))
 
 
 def _distances(hist: np.ndarray, measured: np.ndarray) -> np.ndarray:

@@ -225,10 +225,10 @@ def from_json(text: str, where: str, source: str) -> Calibration:
     """What `to_json` wrote."""
     try:
         data = json.loads(text)
-        arrays = [np.array(data[name], dtype=np.float64) for name in ("ratio", "emd_min", "directions")]
-        if len({len(values) for values in arrays}) != 1 or not all(np.all(np.isfinite(values)) for values in arrays):
+        ratio, emd_min, directions = (np.array(data[name], dtype=np.float64) for name in ("ratio", "emd_min", "directions"))
+        if not len(ratio) == len(emd_min) == len(directions) or not np.all(np.isfinite([ratio, emd_min, directions])):
             raise ValueError("lists of numbers of equal length are needed")
-        return Calibration(str(data["key"]), int(data["seed"]), *arrays, source)
+        return Calibration(str(data["key"]), int(data["seed"]), ratio, emd_min, directions, source)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(sentence(f"this is no calibration of a threshold ({error})", where=where)) from None
 

@@ -1,0 +1,68 @@
+"""``python -m trust controls``."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from sunspin.cases import load_case
+from sunspin.errors import SunspinError
+from sunspin.measure.sun import sun_directions
+from sunspin.study import candidates, carries, descent, level_set, touchdown
+from sunspin.study import rebound as rb
+from sunspin.study.readings import with_own_noise
+from sunspin.study.twin_philae import philae_twin
+from trust.controls import CONTROLS
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--coarser", type=int, default=1, help="every n-th grid point of the scan")
+    parser.add_argument("--seeds", type=int, default=0, help="right files made with this many seeds instead of the controls")
+    parser.add_argument("--twins", type=int, default=60, help="synthetic flights of each calibration")
+
+
+def run(options: Any) -> int:
+    """Print what each file leaves; one if a right file is accused or a wrong one is not."""
+    case, wrong = load_case("philae"), 0
+    named = [(name, make(case)) for name, make in CONTROLS.items()]
+    if options.seeds:
+        named = [(f"seed {seed}", philae_twin(seed)) for seed in range(options.seeds)]
+    for name, telemetry in named:
+        told, concluded = _look(rb.with_telemetry(case, telemetry), options)
+        print(f"{name}: {told}", flush=True)
+        wrong += concluded is (name in NOT_CONCLUDED)
+    return 1 if wrong else 0
+
+
+NOT_CONCLUDED = ("each panel shuffled", "panels 1 and 2 exchanged")
+"""Controls from whose readings nothing may be concluded."""
+
+
+def _look(case: Any, options: Any) -> tuple[str, bool]:
+    case, _ = with_own_noise(case, carries.whole_panels(case, case.telemetry))
+    sun = sun_directions(case.vehicle, case.telemetry)
+    try:
+        fit = descent.compute(case, sun)
+    except SunspinError:
+        fit = None
+    looked = carries.compute(case, sun, fit)
+    head = f"Delta {looked.delta:.4f}, {looked.impossible} forbidden patterns of {looked.early}, "
+    head += f"descent {'ordered' if looked.descent_order else 'without order'}"
+    try:
+        scan = level_set.compute(case, sun, coarser=options.coarser)
+        chain = candidates.compute(scan.scan, looked, "scan", options.twins)
+    except SunspinError as error:
+        return f"{head}; nothing concluded: {error}", False
+    chosen = chain.chosen
+    small, large = (np.degrees(chosen.range(values)) for values in (chosen.smaller_angle, chosen.larger_angle))
+    assert chain.calibration is not None
+    return (
+        f"{head}; smallest EMD {chain.emd_min:.4f} (as large in {chain.calibration.share_as_large(chain.emd_min):.0%}), set below "
+        f"{chain.calibration.factor()[0]:.2f} times it, {chain.share:.0%} of the box; smaller angle {small[0]:.0f} to "
+        f"{small[1]:.0f} deg, "
+        f"larger {large[0]:.0f} to {large[1]:.0f}; speed at least {touchdown.lower_bound(chain):.3f} rad/s; "
+        f"{scan.lines_found} lines; "
+        f"{len(chain.recipe)} motions by the paper's recipe"
+    ), True
