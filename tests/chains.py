@@ -16,8 +16,8 @@ from sunspin.study import rebound as rb
 from sunspin.study.readings import with_own_noise
 from sunspin.study.row import Row, settled
 
-COARSER = 5
-"""21 x 21 x 9 motions."""
+COARSER = 3
+"""34 x 34 x 14 motions."""
 
 TWINS = 60
 

@@ -56,7 +56,7 @@ def _look(case: Any, options: Any) -> tuple[str, bool]:
     except SunspinError as error:
         return f"{head}; nothing concluded: {error}", False
     chosen = chain.chosen
-    small, large = (np.degrees(chosen.range(values)) for values in (chosen.smaller_angle, chosen.larger_angle))
+    small, large = (np.degrees(chosen.angle_range(values)) for values in (chosen.smaller_angle, chosen.larger_angle))
     assert chain.calibration is not None
     return (
         f"{head}; smallest EMD {chain.emd_min:.4f} (as large in {chain.calibration.share_as_large(chain.emd_min):.0%}), set below "

@@ -7,7 +7,8 @@ import pytest
 
 import sunspin as ss
 from sunspin.errors import InputError
-from sunspin.infer.table import make_table
+from sunspin.infer.rows import Start
+from sunspin.infer.table import HistogramRows, Table, make_table
 from sunspin.measure.sun import sun_directions
 from sunspin.study import carries
 from sunspin.study import rebound as rb
@@ -79,6 +80,9 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
     path = CASE.folder / th.SHIPPED
     shipped = th.from_json(path.read_text("utf-8"), str(path), "shipped with the case")
     assert shipped.n == 400 and 2.5 < shipped.factor()[0] < 3.6
+    grid = Start.on_grid(CASE.vehicle, list(rb.grid(CASE).values()), REBOUND.sun_B, rb.nominal_speed(CASE.vehicle))
+    whole = Table(HistogramRows(CASE.vehicle, grid, REBOUND.window_s), np.zeros((0, 1)), np.zeros(0))
+    assert th.key_of(REBOUND, whole) == shipped.key, "the built-in telemetry needs another calibration: threshold.ship"
     assert th.calibration(CASE, REBOUND, table, 0) is None  # another grid: another key
     monkeypatch.setattr(th, "key_of", lambda *_: shipped.key)
     assert th.calibration(CASE, REBOUND, table, 0).source == "shipped with the case"

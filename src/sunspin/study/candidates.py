@@ -60,6 +60,8 @@ class Candidates:
     speed_collision : (n_draws) rad/s just before the collision, of motions drawn evenly
     height : (n_draws, 2) rad, smallest and largest height of the Sun up to the collision, of motions drawn evenly
     probable : whether they are draws of a probability: intervals are then its 5 to 95 %, else the least and largest
+    cell_rad_s : half the diagonal of the scanned grid's cell: each motion stands for all as near as this; 0 without a grid
+    angle_cell : (n) rad by how much theta and alpha change within that cell
     """
 
     name: str
@@ -71,7 +73,9 @@ class Candidates:
     alpha: np.ndarray
     speed_collision: np.ndarray
     height: np.ndarray
-    probable: bool = False
+    probable: bool
+    cell_rad_s: float
+    angle_cell: np.ndarray
 
     def __len__(self) -> int:
         return len(self.states)
@@ -82,6 +86,17 @@ class Candidates:
             low, high = np.quantile(values, [TAIL, 1 - TAIL])
             return float(low), float(high)
         return float(values.min()), float(values.max())
+
+    def speed_range(self) -> tuple[float, float]:
+        """Least and largest angular speed (rad/s) just after the touchdown, over the cells of the grid."""
+        low, high = self.range(self.speed_touchdown)
+        return max(low - self.cell_rad_s, 0.0), high + self.cell_rad_s
+
+    def angle_range(self, values: np.ndarray) -> tuple[float, float]:
+        """Least and largest of angles (n), rad, over the cells of the grid; `values` is one of the properties below."""
+        if self.probable:
+            return self.range(values)
+        return max(float((values - self.angle_cell).min()), 0.0), min(float((values + self.angle_cell).max()), np.pi)
 
     @property
     def smaller_angle(self) -> np.ndarray:
@@ -135,20 +150,25 @@ class Chain:
 def described(
     rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, seed: int, probable: bool = False
 ) -> Candidates:
-    """Candidates with what is asked of them."""
+    """Candidates that stand for themselves alone, with what is asked of them."""
     speed = np.linalg.norm(end_rates(rebound.case.vehicle, states, -rebound.lead_s, DIRECTION_ERROR), axis=1)
     return _with_runs(rebound, name, chain, about, states, speed, seed, probable)
 
 
 def _with_runs(
-    rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, speed: np.ndarray, seed: int, probable: bool = False
-) -> Candidates:
+    rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, speed: np.ndarray, seed: int, probable: bool = False,
+    cell_rad_s: float = 0.0,
+) -> Candidates:  # fmt: skip
     """The same with the speeds at the touchdown known; runs to the collision are made for even draws only."""
     vehicle = rebound.case.vehicle
     draws = states if len(states) <= DRAWS else states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
     speed_collision = np.linalg.norm(end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR), axis=1)
     height = _heights(rebound, draws.take(np.arange(min(HEIGHT_DRAWS, len(draws)))))
-    return Candidates(name, chain, about, states, speed, *rb.momentum_angles(vehicle, states), speed_collision, height, probable)
+    theta, alpha, momentum = rb.momentum_angles(vehicle, states)
+    turn = np.linalg.eigvalsh(vehicle.require_inertia())[-1] * cell_rad_s / np.maximum(momentum, 1e-12)
+    return Candidates(
+        name, chain, about, states, speed, theta, alpha, speed_collision, height, probable, cell_rad_s, np.arctan(turn)
+    )
 
 
 def _heights(rebound: rb.Rebound, states: Rows) -> np.ndarray:
@@ -203,11 +223,13 @@ def compute(
     if source == "scan":
         _refuse_unfit(scan, found)
     start = scan.table.rows.start
+    steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
+    cell = float(np.linalg.norm(steps)) / 2
     speeds = ensemble(EndSpeedRows(case.vehicle, start, -rebound.lead_s, DIRECTION_ERROR), workers=workers)["speed"]
 
     def of(name: str, chain: str, about: str, chosen: np.ndarray) -> Candidates:
         index = np.flatnonzero(chosen & np.isfinite(scan.emd))
-        return _with_runs(rebound, name, chain, about, start.take(index), speeds[index], seed)
+        return _with_runs(rebound, name, chain, about, start.take(index), speeds[index], seed, cell_rad_s=cell)
 
     box = of("box", source, "the whole scanned box: what was possible before the data", np.ones(len(speeds), dtype=bool))
     factor = float(case.published["near_minimum_factor"].value)
@@ -261,7 +283,7 @@ def _from_posterior(
     )  # fmt: skip
     if tree.attrs["verdict_word"] == "not explained":
         raise TelemetryError(sentence("no motion explains the readings of the rebound", got=tree.attrs["verdict"]))
-    drawn = tree["posterior"]
+    drawn = tree["posterior"].to_dataset()
     omega, sun, speeds = (
         drawn[name].values.reshape(-1, drawn[name].shape[-1]) for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
     )

@@ -123,8 +123,8 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
     return part.assign_coords(time=part["time"] - part["time"].values[0])
 
 
-SAME_DIRECTION = 1e-3
-"""A first direction this close (rad) to the published one is the published one: it is printed to four digits."""
+SAME_SIGMAS = 4.0
+"""A direction this near (its own sigma) to the published first one is that direction."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,9 @@ class Rebound:
     Attributes
     ----------
     samples : Dataset of `sun_directions`, time in s from its first sample
-    first : number of the first sample that gives a direction: the instant of the candidates
-    sun_B : (3,) direction of the Sun then
+    first : number of the sample at whose instant the candidates stand
+    sun_B : (3,) direction of the Sun then: the published one where the file holds it, else the first that the file gives
+    published_start : whether it is the published one
     covariance : (3, 3) of that direction from the noise
     lead_s : s from the touchdown to that instant
     window_s : s from that instant to the collision
@@ -146,6 +147,7 @@ class Rebound:
     first: int
     sun_B: np.ndarray
     covariance: np.ndarray
+    published_start: bool
     lead_s: float
     window_s: float
 
@@ -167,8 +169,7 @@ class Rebound:
     @property
     def as_published(self) -> bool:
         """Whether motions begin where the paper's do: same direction, same window."""
-        same = np.linalg.norm(self.sun_B - first_sun(self.case)) < SAME_DIRECTION
-        return bool(same and abs(self.window_s - window_s(self.case)) < 1.0)
+        return self.published_start and abs(self.window_s - window_s(self.case)) < 1.0
 
     def states(self, omega_B: np.ndarray) -> Rows:
         """Initial states of motions with these rates (n, 3) in rad/s at the candidates' instant."""
@@ -178,35 +179,45 @@ class Rebound:
 
 
 
-def momentum_angles(vehicle: Vehicle, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n) in rad between the momentum H and the body's z axis (theta), and between H and the Sun (alpha).
+def momentum_angles(vehicle: Vehicle, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles (n) in rad between the momentum H and the body's z axis (theta), and between H and the Sun (alpha); |H| (n), N m s.
 
     alpha never changes in free flight; theta is constant for a body symmetric about z, and wanders by some degrees for Philae.
     """
     momentum = gyrostat.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
     across = np.linalg.norm(np.cross(momentum, rows.sun_B), axis=1)
     along = np.einsum("ni,ni->n", momentum, rows.sun_B)
-    return np.arctan2(np.hypot(momentum[:, 0], momentum[:, 1]), momentum[:, 2]), np.arctan2(across, along)
+    theta = np.arctan2(np.hypot(momentum[:, 0], momentum[:, 1]), momentum[:, 2])
+    return theta, np.arctan2(across, along), np.linalg.norm(momentum, axis=1)
 
 
 def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
-    """The first rebound in the Sun directions of the whole landing (`sun_directions`)."""
+    """The first rebound in the Sun directions of the whole landing (`sun_directions`).
+
+    The paper states the first direction after the touchdown. Where the file holds it, within its error, the candidates stand at
+    the first sample with that direction, whichever sample gave it: so nothing that follows from the heights of the Sun uses the
+    order of the samples. Another lander begins at the first direction that its file gives.
+    """
     samples = rebound_samples(case, sun)
     told = is_reconstructed(samples["status"])
     if not told.any():
         raise TelemetryError(
-            sentence("no sample between first touchdown and collision gives a direction of the Sun", got=f"{len(told)} "
-                "samples there",
-                     do="check the columns of the telemetry")
+            sentence(
+                "no sample between first touchdown and collision gives a direction of the Sun", got=f"{len(told)} samples there",
+                do="check the columns of the telemetry",
+            )
         )  # fmt: skip
-    first = int(np.flatnonzero(told)[0])
+    own = samples["sun_B"].values
+    apart = np.linalg.norm(own - first_sun(case) / np.linalg.norm(first_sun(case)), axis=1) / samples["sigma_rad"].values
+    nearest = int(np.nanargmin(np.where(told, apart, np.inf)))
+    published = bool(apart[nearest] < SAME_SIGMAS)
+    first = 0 if published else int(np.flatnonzero(told)[0])
     shift = utc_seconds(case.require_timeline().epoch_utc, sun.attrs["epoch_utc"])
     touchdown, collision = (case.require_timeline().event(name).t_s + shift for name in ("first_touchdown", "collision"))
     instant = float(samples["utc_s"].values[first])
-    direction = samples["sun_B"].values[first]
-    if np.linalg.norm(direction - first_sun(case)) < SAME_DIRECTION:
-        direction = first_sun(case)
-    return Rebound(case, samples, first, direction, samples["sun_cov_B"].values[first], instant - touchdown, collision - instant)
+    direction, which = (first_sun(case), nearest) if published else (own[first], first)
+    covariance = samples["sun_cov_B"].values[which]
+    return Rebound(case, samples, first, direction, covariance, published, instant - touchdown, collision - instant)
 
 
 def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:

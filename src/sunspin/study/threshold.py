@@ -101,18 +101,25 @@ class Calibration:
 
 
 def key_of(rebound: rb.Rebound, table: Table) -> str:
-    """The hash of all that a calibration depends on: vehicle, sample times, which gave directions, noise, first direction, scan."""
+    """The hash of all that a calibration depends on: vehicle, times of the samples that can be read, how many gave directions,
+    noise, brightness, first direction, scan.
+    """
     sun, start = rebound.samples.attrs, table.rows.start
     return fingerprint(
         {
             "study": "threshold of a level set, truths even in the scanned box", "vehicle": plain(rebound.case.vehicle),
-            "times": np.round(rebound.t_s, 3).tolist(), "told": rebound.told.tolist(), "noise": float(sun["noise"]),
+            "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(), "directions": rebound.z.size, "noise": float(sun["noise"]),
             "lit_threshold": float(sun["lit_threshold"]), "scale": _scale(rebound), "sun_B": np.round(rebound.sun_B, 4).tolist(),
             "window_s": round(rebound.window_s, 3), "lead_s": round(rebound.lead_s, 3), "target_weights": None,
             "axes": [np.round(axis, 6).tolist() for axis in (start.omega_x, start.omega_y, start.omega_z)],
             "mask": plain(reconstructible_mask(rebound.case.vehicle)), "bins": BINS, "emd_error": k.EMD_ERROR, "alike": ALIKE,
         }
     )  # fmt: skip
+
+
+def _readable(rebound: rb.Rebound) -> np.ndarray:
+    """Numbers of the samples that can be read."""
+    return np.flatnonzero(rebound.samples["status"].values != SunStatus.MISSING)
 
 
 def _scale(rebound: rb.Rebound) -> float:
@@ -195,7 +202,7 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[tuple[
     sun = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in generators])
     states = rebound.states(truth)
     states = k.Rows(states.omega_B, sun / np.linalg.norm(sun, axis=1, keepdims=True), states.wheel_speed_rad_s)
-    readable = np.flatnonzero(rebound.samples["status"].values != SunStatus.MISSING)
+    readable = _readable(rebound)
     later = readable[readable > rebound.first]
     run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=DIRECTION_ERROR)
     sigma, threshold = (float(rebound.samples.attrs[name]) for name in ("noise", "lit_threshold"))

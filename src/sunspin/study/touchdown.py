@@ -22,8 +22,8 @@ HEIGHT_DEG = 7.0
 """How far the mean height of the Sun may be from the published one: a tenth of the published range, which is "roughly"."""
 
 HALF_DIGIT = 0.00005
-STILL_DEG = 10.0
-"""A smaller angle that may be below this leaves a lander that does not tumble visibly: its Sun hardly changes height."""
+STILL_DEG = 20.0
+"""A smaller angle that lies below this leaves a lander that does not tumble visibly: its Sun hardly changes height."""
 
 
 def compute(chain: Chain) -> Chain:
@@ -33,7 +33,7 @@ def compute(chain: Chain) -> Chain:
 
 def lower_bound(chain: Chain) -> float:
     """Angular speed (rad/s) after the first touchdown above which all candidates, or 95 % of the draws, turn."""
-    return chain.chosen.range(chain.chosen.speed_touchdown)[0]
+    return chain.chosen.speed_range()[0]
 
 
 def rows(chain: Chain) -> list[Row]:
@@ -44,7 +44,7 @@ def rows(chain: Chain) -> list[Row]:
 def _speed_rows(chain: Chain) -> list[Row]:
     case, chosen, box = chain.case, chain.chosen, chain.box
     recipe = float(chain.recipe.speed_touchdown.min())
-    ours, possible = chosen.range(chosen.speed_touchdown), box.range(box.speed_touchdown)
+    ours, possible = chosen.speed_range(), box.speed_range()
     bounded = bool(ours[0] > possible[0] + LEAST_STEP_RAD_S)
     smallest = published_row(
         case, "rate_at_touchdown_min", recipe, None,
@@ -82,10 +82,10 @@ def _above_note(chain: Chain) -> str:
 def _angle_rows(chain: Chain) -> list[Row]:
     found = []
     for name, what, values in (
-        ("smaller", "smaller", lambda c: np.degrees(c.smaller_angle)), ("larger", "larger", lambda c: np.degrees(c.larger_angle)),
+        ("smaller", "smaller", lambda c: c.smaller_angle), ("larger", "larger", lambda c: c.larger_angle),
     ):  # fmt: skip
-        ours, possible = chain.chosen.range(values(chain.chosen)), chain.box.range(values(chain.box))
-        recipe = [float(f(values(chain.recipe))) for f in (np.min, np.max)]
+        ours, possible = (_degrees(c.angle_range(values(c))) for c in (chain.chosen, chain.box))
+        recipe = [float(np.degrees(f(values(chain.recipe)))) for f in (np.min, np.max)]
         row = Row(
             f"angle_{name}", f"the {what} of the angles from the momentum to the z axis and to the Sun", "not "
                 "stated", recipe, "deg",
@@ -95,6 +95,10 @@ def _angle_rows(chain: Chain) -> list[Row]:
         )  # fmt: skip
         found.append(over_candidates(row, chain.name, ours, possible))
     return found
+
+
+def _degrees(pair: tuple[float, float]) -> tuple[float, float]:
+    return float(np.degrees(pair[0])), float(np.degrees(pair[1]))
 
 
 def _height_row(chain: Chain) -> Row:
@@ -119,8 +123,8 @@ def sentences(chain: Chain) -> list[str]:
     """What the heights of the Sun say, one-sided, in words."""
     chosen, box = chain.chosen, chain.box
     level = "with a probability of 95 %" if chosen.probable else f"{CONFIDENCE:.0%}"
-    small, possible = chosen.range(np.degrees(chosen.smaller_angle)), box.range(np.degrees(box.smaller_angle))
-    large = chosen.range(np.degrees(chosen.larger_angle))
+    small, possible = (_degrees(c.angle_range(c.smaller_angle)) for c in (chosen, box))
+    large = _degrees(chosen.angle_range(chosen.larger_angle))
     found = []
     if small[1] < 0.9 * possible[1] or small[0] > possible[0] + 1:
         parts = [f"above {small[0]:.0f} degrees"] if small[0] >= 1 else []
@@ -128,13 +132,13 @@ def sentences(chain: Chain) -> list[str]:
         found.append(
             "The smaller of the angles from the momentum to the body's z axis and to the Sun is "
             f"{' and '.join(parts) or 'unknown'}, "
-            f"{level}" + ("; the momentum lies nearly along z or along the Sun." if small[1] < STILL_DEG else ".")
+            f"{level}" + (f"; the momentum lies within {small[1]:.0f} degrees of z or of the Sun." if small[1] < STILL_DEG else ".")
         )
     else:
         found.append("The heights of the Sun leave the angles from the momentum to the z axis and to the Sun nearly open.")
     found[-1] = found[-1].removesuffix(".") + f"; the larger is between {large[0]:.0f} and {large[1]:.0f} degrees."
-    slow, fast = chosen.range(chosen.speed_touchdown)
-    least = box.range(box.speed_touchdown)[0]
+    slow, fast = chosen.speed_range()
+    least = box.speed_range()[0]
     bound = (
         f"Just after the touchdown it turned at {slow:.2g} rad/s or faster, {level}"
         if slow > least + LEAST_STEP_RAD_S else "Just after the touchdown it may have stood still: no lower bound on its "

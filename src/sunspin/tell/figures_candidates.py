@@ -20,8 +20,8 @@ def draw(chain: Chain, synthetic: bool) -> Figure:
     _densities(speed, chain, lambda c: c.speed_touchdown)
     published = float(chain.case.published["rate_at_touchdown_min"].value)
     speed.axvline(published, color=COLOURS[1], ls="--", lw=1.2, label=f"published lower bound {published} rad/s")
-    low = chain.chosen.range(chain.chosen.speed_touchdown)[0]
-    speed.axvline(low, color=COLOURS[2], lw=1.4, label=f"least of these candidates {low:.3f} rad/s")
+    low = chain.chosen.speed_range()[0]
+    speed.axvline(low, color=COLOURS[2], lw=1.4, label=f"lower bound from these candidates {low:.3f} rad/s")
     speed.set(xlabel="angular speed just after the first touchdown (rad/s)", ylabel="density (s/rad)")
     speed.legend(fontsize=7)
     for name, candidates, colour, size in (

@@ -35,12 +35,12 @@ def _rebound(result: Reproduction) -> str:
     chain = result.chain
     if chain is None:
         return f"What it did after the first touchdown cannot be concluded: {_why(result)}."
-    slow, fast = chain.chosen.range(chain.chosen.speed_touchdown)
+    slow, fast = chain.chosen.speed_range()
     if chain.name == "published":
         return "After the first touchdown it is taken to move as on the paper's printed lines, whatever this telemetry says."
     if chain.chosen.probable:
         return f"Just after the first touchdown it turned at {slow:.3g} to {fast:.3g} rad/s, {CONFIDENCE:.0%}."
-    if slow <= chain.box.range(chain.box.speed_touchdown)[0] + touchdown.LEAST_STEP_RAD_S:
+    if slow <= chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
         return "After the first touchdown it need not have tumbled at all: a lander at rest fits as well."
     return (
         f"After the first touchdown it turned, once in {turn_text(slow)} or faster ({CONFIDENCE:.0%}); how much faster the heights "
