@@ -14,7 +14,6 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
-BENCH = sorted((ROOT / "bench").rglob("*.py")) + sorted((ROOT / "trust").rglob("*.py"))
 
 
 def contracts(package: Path) -> subprocess.CompletedProcess:
@@ -48,11 +47,6 @@ def test_the_import_contracts_would_notice(module, line, contract, tmp_path):
     assert done.returncode == 1, done.stderr
     broken = re.sub(r"\s+", " ", done.stdout.split("Broken contracts")[1])
     assert contract in broken
-
-
-@pytest.mark.parametrize("path", SOURCES + TESTS + BENCH, ids=lambda path: str(path.relative_to(ROOT)))
-def test_files_are_short(path):
-    assert len(path.read_text("utf-8").splitlines()) <= 400
 
 
 def test_no_comparison_without_assert():

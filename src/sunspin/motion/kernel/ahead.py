@@ -9,6 +9,8 @@ loaded, and give the same bits in the first run as in the next.
 from __future__ import annotations
 
 import atexit
+import contextlib
+import fcntl
 import os
 import subprocess
 import sys
@@ -17,6 +19,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
+from typing import IO
 
 import numpy as np
 
@@ -85,12 +88,22 @@ def _path(module: ModuleType) -> Path:
 def main() -> None:
     """In the other process: compile the generated module at the first path, then begin afresh with the rest.
 
-    What is compiled may hang, in its last bits, on what the process has compiled before.
+    What is compiled may hang, in its last bits, on what the process has compiled before. Of several processes that want the
+    same kernel one compiles it and the others wait for it.
     """
     path, *rest = sys.argv[1:]
-    compile_run(loaded(Path(path).stem, path))
+    with open(path, "rb") as file:
+        _wait_for_others(file)
+        if not is_kept(Path(path)):
+            compile_run(loaded(Path(path).stem, path))
     if rest:
         os.execv(sys.executable, _command(rest))
+
+
+def _wait_for_others(file: IO) -> None:
+    """Lock a generated module until the file is closed; on a file system without locks go on, and compile it twice."""
+    with contextlib.suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_EX)
 
 
 def compile_run(module: ModuleType) -> None:
