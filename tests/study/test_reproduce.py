@@ -27,13 +27,19 @@ def without(*phases: str) -> xr.Dataset:
     return data.isel(time=np.flatnonzero(~np.isin(data["phase"].values, phases)))
 
 
-@pytest.fixture
-def quick(monkeypatch):
-    monkeypatch.setattr(rp, "PARTS", tuple(part for part in rp.PARTS if part.name in QUICK))
-    return lambda case: rp.compute(case, coarser=25)
+def quick(case):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rp, "PARTS", tuple(part for part in rp.PARTS if part.name in QUICK))
+        return rp.compute(case, coarser=25)
 
 
-def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
+@pytest.fixture(scope="module")
+def found():
+    """The quick parts on the telemetry as it ships."""
+    return quick(CASE)
+
+
+def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so():
     found = quick(rb.with_telemetry(CASE, without("descent", "deployment")))
     assert list(found.missing) == ["descent"] and "no sample before the first touchdown" in found.missing["descent"]
     assert set(found.rows_by_part) == set(QUICK) - {"descent"}
@@ -46,18 +52,17 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     assert all(sheet.alt and sheet.caption for sheet in sheets)
 
 
-def test_figures_that_the_twin_was_made_from_are_told_apart(quick):
-    found = quick(CASE)
+def test_figures_that_the_twin_was_made_from_are_told_apart(found):
     made = {row.id for row in found.rows if row.by_construction}
     assert {"delta_mean", "descent_rate_cubic", "samples_after_collision", "spin_down_coefficients"} <= made
     assert made <= set(rp.MADE_OF) | set(rp.MADE_OF_ALWAYS) <= {row.id for row in found.rows}
     assert not {"wheel_stop", "rate_at_touchdown_min", "line_L1_distance", "descent_behind"} & made
 
 
-def test_no_tolerance_admits_anything(quick):
+def test_no_tolerance_admits_anything(found):
     """A tolerance of half of the figure or more would pass nearly whatever this run found."""
     loose = set()
-    for row in quick(CASE).rows:
+    for row in found.rows:
         if row.agrees and row.tolerance and isinstance(row.ours, float) and row.published and not row.id.startswith(STATEMENT):
             loose |= {row.id} if row.tolerance >= abs(row.published) / 2 else set()
     assert not loose
@@ -73,12 +78,12 @@ def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
     assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith("not drawn: a picture")
 
 
-def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
+def test_telemetry_without_the_first_rebound_is_refused_at_once():
     with pytest.raises(TelemetryError, match="between first touchdown and collision"):
         quick(rb.with_telemetry(CASE, without("first_rebound")))
 
 
-def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
+def test_a_case_without_twins_says_how_to_make_them(monkeypatch):
     monkeypatch.setattr(rp.worth, "SHIPPED", "nothing.json")
     inputs = rp.Inputs(CASE, rp.sun_directions(CASE.vehicle, CASE.telemetry), done={"level_set": None})
     with pytest.raises(InputError, match="sunspin worth"):

@@ -9,7 +9,6 @@ loaded, and give the same bits in the first run as in the next.
 from __future__ import annotations
 
 import atexit
-import contextlib
 import fcntl
 import os
 import subprocess
@@ -32,6 +31,9 @@ _ready: set[Path] = set()
 """Modules known to be on disk with their machine code: a kernel is asked for before every piece of a run."""
 
 POLL_S = 0.05
+
+WAIT_S = 120.0
+"""Another process that has not compiled a kernel in this time is stopped or starved."""
 
 
 def compile_ahead(structures: Iterable[c.Structure]) -> None:
@@ -101,9 +103,17 @@ def main() -> None:
 
 
 def _wait_for_others(file: IO) -> None:
-    """Lock a generated module until the file is closed; on a file system without locks go on, and compile it twice."""
-    with contextlib.suppress(OSError):
-        fcntl.flock(file, fcntl.LOCK_EX)
+    """Lock a generated module until the file is closed. On a file system without locks, and after a while, go on: the kernel is
+    then compiled twice, which costs time and nothing else."""
+    end = time.monotonic() + WAIT_S
+    while time.monotonic() < end:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            time.sleep(POLL_S)
+        except OSError:
+            return
 
 
 def compile_run(module: ModuleType) -> None:
