@@ -17,10 +17,10 @@ from corrupted import BYTES, CELLS
 from sunspin import cli
 
 MAKERS = {
-    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng),
-    "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng),
-    "wheel, MET, Parquet": lambda folder, rng: satellites.wheeled(folder, rng),
-    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(folder, rng, form="netcdf", speed=False),
+    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=30),
+    "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng, n=24),
+    "wheel, MET, Parquet": lambda folder, rng: satellites.wheeled(folder, rng, n=20),
+    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(folder, rng, n=20, form="netcdf", speed=False),
 }
 
 
@@ -72,7 +72,7 @@ def test_every_command_on_another_satellite(maker, tmp_path):
 
 
 def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
-    craft = satellites.four_faces(tmp_path, np.random.default_rng(1))
+    craft = satellites.four_faces(tmp_path, np.random.default_rng(1), n=30)
     about = json.loads(fine(sunspin("rates", craft.vehicle, craft.telemetry, "--json")))
     first, second = about["passes"][0]["modes"][:2]
     assert first["weight"] == pytest.approx(0.5, abs=0.02) and second["weight"] == pytest.approx(0.5, abs=0.02)
@@ -117,6 +117,14 @@ def test_corrupted_files_give_a_sentence_and_never_a_traceback(tmp_path):
 
 
 def test_rates_of_corrupted_files(tmp_path):
+    """Eight samples to a file, as no rate is looked at; the test below has more."""
+    few = {"four": lambda folder, rng: satellites.four_faces(folder, rng, n=8)}
+    count, refused = campaign(tmp_path, few, 16, 2, ("rates",))
+    assert 0.3 * count < refused < count
+
+
+@pytest.mark.long
+def test_rates_of_more_corrupted_files(tmp_path):
     few = {name: SMALL[name] for name in ("four", "wheel csv")}
     count, refused = campaign(tmp_path, few, 16, 2, ("rates",))
     assert 0.3 * count < refused < count

@@ -14,10 +14,11 @@ from sunspin.infer.rates.state import Motion
 
 
 @pytest.mark.evidence("rates", "modelled", "twins that turn by 5 to 30 deg/s, no largest rate told")
+@pytest.mark.parametrize("twins", [1, pytest.param(2, marks=pytest.mark.long)])
 @pytest.mark.parametrize("kind", [Kind(1.0, "long", False, "directions"), Kind(2.0, "sphere", True, "panels"),
                                   Kind(10.0, "triaxial", False, "directions")])  # fmt: skip
-def test_the_true_motion_of_a_fast_tumble_is_found(kind):
-    found = tally(kind, 2, seed=11)
+def test_the_true_motion_of_a_fast_tumble_is_found(kind, twins):
+    found = tally(kind, twins, seed=11)
     assert found.listed == found.count and found.wrong == 0
     assert found.decided == found.count
 
