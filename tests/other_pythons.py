@@ -60,7 +60,7 @@ def environment(program: str, version: str) -> Path:
 def main() -> int:
     failed = []
     for version in named():
-        if version == "%d.%d" % sys.version_info[:2]:
+        if version == f"{sys.version_info.major}.{sys.version_info.minor}":
             continue
         program = interpreter(version)
         if program is None:

@@ -57,7 +57,7 @@ def test_every_command_on_another_satellite(maker, tmp_path):
     files = craft.vehicle, craft.telemetry
     assert "samples" in fine(sunspin("check", *files))
     fine(sunspin("sun", *files, "--out", tmp_path / "sun"))
-    about = json.loads(fine(sunspin("rates", *files, "--json", "--out", tmp_path / "rates")))
+    about = json.loads(fine(sunspin("rates", *files, "--max-rate", 5, "--json", "--out", tmp_path / "rates")))
     assert sum(about["samples"].values()) == len(craft.truth["time"])
     with xr.open_dataset(tmp_path / "rates" / "rates.nc", engine="h5netcdf") as result:
         result = result.load()
@@ -73,7 +73,7 @@ def test_every_command_on_another_satellite(maker, tmp_path):
 
 def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
     craft = satellites.four_faces(tmp_path, np.random.default_rng(1), n=30)
-    about = json.loads(fine(sunspin("rates", craft.vehicle, craft.telemetry, "--json")))
+    about = json.loads(fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--json")))
     first, second = about["passes"][0]["modes"][:2]
     assert first["weight"] == pytest.approx(0.5, abs=0.02) and second["weight"] == pytest.approx(0.5, abs=0.02)
     mirror = np.array(first["omega_deg_s"]) * [-1, -1, 1]  # the Sun's height above these faces is told but for its sign
@@ -123,7 +123,7 @@ def test_rates_of_corrupted_files(tmp_path):
     assert 0.3 * count < refused < count
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_rates_of_more_corrupted_files(tmp_path):
     few = {name: SMALL[name] for name in ("four", "wheel csv")}
     count, refused = campaign(tmp_path, few, 16, 2, ("rates",))
@@ -132,7 +132,7 @@ def test_rates_of_more_corrupted_files(tmp_path):
 
 def test_corrupted_results_are_refused_by_export(tmp_path):
     craft = satellites.four_faces(tmp_path, np.random.default_rng(0), n=20)
-    fine(sunspin("rates", craft.vehicle, craft.telemetry, "--out", tmp_path / "rates"))
+    fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--out", tmp_path / "rates"))
     original = (tmp_path / "rates" / "rates.nc").read_bytes()
     refused = 0
     for i in range(14):
