@@ -51,7 +51,11 @@ def fine_or_a_sentence(arguments, told):
     return code
 
 
-@pytest.mark.parametrize("maker", MAKERS)
+LONG = ("four faces, Unix ms, counts", "wheel, MET, NetCDF, no tachometer")
+"""What is theirs alone has quick tests elsewhere: mirror images below, tables of other kinds in tests/measure."""
+
+
+@pytest.mark.parametrize("maker", [pytest.param(m, marks=[pytest.mark.long] if m in LONG else []) for m in MAKERS])
 def test_every_command_on_another_satellite(maker, tmp_path):
     craft = MAKERS[maker](tmp_path, np.random.default_rng(3))
     files = craft.vehicle, craft.telemetry
@@ -116,8 +120,9 @@ def test_corrupted_files_give_a_sentence_and_never_a_traceback(tmp_path):
     assert 0.3 * count < refused < count  # the campaign does corrupt, and does not refuse what can be read
 
 
+@pytest.mark.long
 def test_rates_of_corrupted_files(tmp_path):
-    """Eight samples to a file, as no rate is looked at; the test below has more."""
+    """Eight samples to a file, as no rate is looked at; the test below has more, and `trust` sends such files in every run."""
     few = {"four": lambda folder, rng: satellites.four_faces(folder, rng, n=8)}
     count, refused = campaign(tmp_path, few, 16, 2, ("rates",))
     assert 0.3 * count < refused < count
@@ -131,7 +136,7 @@ def test_rates_of_more_corrupted_files(tmp_path):
 
 
 def test_corrupted_results_are_refused_by_export(tmp_path):
-    craft = satellites.four_faces(tmp_path, np.random.default_rng(0), n=20)
+    craft = satellites.four_faces(tmp_path, np.random.default_rng(0), n=12)
     fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--out", tmp_path / "rates"))
     original = (tmp_path / "rates" / "rates.nc").read_bytes()
     refused = 0
