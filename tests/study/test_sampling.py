@@ -56,6 +56,7 @@ def test_two_minutes_leave_one_motion(craft):
     assert often["motions"] == 1 and often["weight_of_true"] > 0.99
 
 
+@pytest.mark.long
 def test_regular_seven_and_a_half_minutes_leave_several_motions(craft):
     """Of the twin of the test above, whose third part of samples cannot tell turns between them apart."""
     seldom = sampling.neighbours_left(craft, 450.0, False, 0, 0, 1)
