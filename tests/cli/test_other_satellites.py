@@ -51,8 +51,8 @@ def fine_or_a_sentence(arguments, told):
     return code
 
 
-LONG = ("four faces, Unix ms, counts", "wheel, MET, NetCDF, no tachometer")
-"""What is theirs alone has quick tests elsewhere: mirror images below, tables of other kinds in tests/measure."""
+LONG = ("four faces, Unix ms, counts", "wheel, MET, Parquet", "wheel, MET, NetCDF, no tachometer")
+"""What is theirs alone has quick tests elsewhere: tables in tests/measure, wheels and mirror images in tests/infer."""
 
 
 @pytest.mark.parametrize("maker", [pytest.param(m, marks=[pytest.mark.long] if m in LONG else []) for m in MAKERS])
@@ -75,6 +75,7 @@ def test_every_command_on_another_satellite(maker, tmp_path):
         fine(sunspin("export", tmp_path / "rates", "--format", form, "--out", tmp_path / form))
 
 
+@pytest.mark.long
 def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
     craft = satellites.four_faces(tmp_path, np.random.default_rng(1), n=30)
     about = json.loads(fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--json")))
