@@ -8,12 +8,17 @@ OUT ?= results
 BENCH ?=
 EVIDENCE := build/evidence.json
 
-.PHONY: help reproduce test test-slow docs bench calibrate lint lock clean
+TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
+# as many workers as cores, four at most
+SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
+
+.PHONY: help reproduce test test-all test-slow docs bench calibrate lint contracts style types lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
-	@echo "make test        import contracts, lint, types, tests and documentation"
-	@echo "make test-slow   the long tests"
+	@echo "make test        import contracts, lint, types, tests and documentation, about 4 minutes on two cores"
+	@echo "make test-all    make test, the tests marked long, a smoke test on other versions of Python; within 15 minutes"
+	@echo "make test-slow   the campaigns marked slow"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
 	@echo "make calibrate   is the posterior right? 170 twins of Philae into $(OUT)/calibration, about 20 min; resumable"
@@ -34,22 +39,38 @@ $(READY): requirements.lock pyproject.toml
 reproduce: $(READY)
 	$(BIN)/sunspin reproduce --out $(OUT)
 
-lint: $(READY)
+lint: contracts style types
+
+contracts: $(READY)
 	$(BIN)/lint-imports --no-cache
+
+style: $(READY)
 	$(BIN)/ruff check --no-cache src tests bench docs examples trust
+
+types: $(READY)
 	$(BIN)/basedpyright
 
-test: lint
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile -m "not slow" --evidence=$(EVIDENCE)
+# The checker of types keeps one core busy, so the other one meanwhile reads the documents; after the tests only the page that
+# shows what they have reached is read again.
+test: $(READY)
+	@$(MAKE) --no-print-directory -j2 --output-sync=target types contracts style docs
+	$(TESTS) $(SPREAD)
 	@$(MAKE) --no-print-directory docs
 
-# adds what the long tests show to what `make test` has shown
+test-all: test
+	$(TESTS) $(SPREAD) -m "long and not slow"
+	@$(MAKE) --no-print-directory docs
+	$(BIN)/python tests/other_pythons.py
+
+# adds what the campaigns show to what `make test` has shown
 test-slow: $(READY)
-	$(BIN)/python -m pytest -m slow --evidence=$(EVIDENCE)
+	$(TESTS) -m slow
 	@$(MAKE) --no-print-directory docs
 
+# pages that were read before are not read again, nor their warnings given: after a failure all are
 docs: $(READY)
-	$(BIN)/python -m sphinx -W --keep-going -q -b html -D evidence_file=$(abspath $(EVIDENCE)) docs build/site
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -D evidence_file=$(abspath $(EVIDENCE)) docs build/site \
+	  || { rm -rf build/site/.doctrees; exit 1; }
 	@echo "Documentation: build/site/index.html"
 
 bench: $(READY)

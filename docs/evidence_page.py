@@ -124,7 +124,7 @@ def _section(name: str, about: str, items: list[Declared], runs: dict) -> list[s
 def _reached(item: Declared, run: dict | None) -> str:
     """What a run gave: figures where the test recorded some, else that it passed, or why it did not run."""
     if run is None:
-        return "not run (a long test)" if "slow" in item.marks else "not run"
+        return "not run (a long test)" if {"slow", "long"} & set(item.marks) else "not run"
     if run["failed"]:
         return "**fails**"
     if not run["passed"]:

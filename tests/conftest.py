@@ -20,10 +20,21 @@ def data_dir() -> Path:
     return folder
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Compiled kernels stay out of the user's cache, unless one is named; processes that share the tests share them."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"
-    folder.mkdir(exist_ok=True)
-    os.environ.setdefault("SUNSPIN_CACHE", str(folder))
+def kernel_cache() -> Path:
+    """Compiled kernels of tests: one folder of this user beside the program's own, so that they are compiled once a machine.
+
+    A kernel is kept under the hash of its source and its compiler, so an edit to the physics never meets an older one.
+    """
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(base) / "sunspin" / "tests"
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass
+    return Path(__file__).parents[1] / "build" / "test-kernels"
+
+
+# before any test is imported; workers of pytest-xdist and the programs that tests start take it over
+os.environ.setdefault("SUNSPIN_CACHE", str(kernel_cache()))

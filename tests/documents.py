@@ -6,7 +6,8 @@
 - ``toml``, ``csv`` whose first line is ``# file: NAME``: written to that file.
 
 In what is printed, ``...`` stands for anything, within a line or for lines. A block that cannot run here says so to its reader, in
-the line above it: ``*Not run by the tests: reason.*`` A block below ``<!-- slow -->`` runs with the long tests only.
+the line above it: ``*Not run by the tests: reason.*`` A block below ``<!-- long -->`` or ``<!-- slow -->`` runs with the tests of
+that mark only.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from click.testing import CliRunner
 
 ROOT = Path(__file__).parents[1]
 NOT_RUN = re.compile(r"\*Not run by the tests: .{10,}\.\*")
+MARKS = {"<!-- long -->": "long", "<!-- slow -->": "slow"}
 LANGUAGES = {"python", "console", "text", "toml", "csv", "html"}
 
 
@@ -34,7 +36,7 @@ class Block(NamedTuple):
     text: str
     line: int
     skipped: bool
-    slow: bool
+    mark: str
     printed: str | None
 
 
@@ -61,7 +63,7 @@ def blocks(text: str) -> list[Block]:
         if fence[2] == "text" and after:
             found[-1] = found[-1]._replace(printed=body)
         elif not fence[2].startswith("{"):
-            found.append(Block(fence[2], body, at + 1, bool(NOT_RUN.search(above)), above == "<!-- slow -->", None))
+            found.append(Block(fence[2], body, at + 1, bool(NOT_RUN.search(above)), MARKS.get(above, ""), None))
         after, above = fence[2] == "python", ""
         at = end + 1
     return found

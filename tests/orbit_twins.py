@@ -141,13 +141,16 @@ def motion(body: Body, orbit: Orbit, omega_B: np.ndarray, t: np.ndarray, rng: np
     return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True), solved.y[4:].T
 
 
+ORBIT_S = 5700.0
+
+
 def times(rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """One to three passes of 5 to 10 min, an orbit apart, beacons up to 45 s apart; and how far apart."""
     interval = float(10 ** rng.uniform(0.3, 1.65))
     passes = []
     for k in range(int(rng.integers(1, 4))):
         n = int(rng.uniform(300, 600) / interval)
-        passes.append(5700.0 * k + np.concatenate([[0.0], np.cumsum(interval * rng.uniform(0.9, 1.1, max(n, 9)))]))
+        passes.append(ORBIT_S * k + np.concatenate([[0.0], np.cumsum(interval * rng.uniform(0.9, 1.1, max(n, 9)))]))
     return np.concatenate(passes), interval
 
 
@@ -200,9 +203,11 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, 
     return vehicle, xr.Dataset(variables, {"time": t, "panel": list(vehicle.panel_names)}, attrs), run, about
 
 
-def judge(seed: int, i: int) -> dict[str, Any]:
-    """What `rates` says of each pass of a twin, and how far the truth is from the nearest of its motions."""
+def judge(seed: int, i: int, orbits: int | None = None) -> dict[str, Any]:
+    """What `rates` says of each pass of a twin (of the first orbits), and how far the truth is from the nearest of its motions."""
     vehicle, data, run, about = make(seed, i)
+    if orbits is not None:
+        data = data.isel(time=data["time"].values < ORBIT_S * orbits)
     return about | told(vehicle, data, lambda result: {
         "noise": result.attrs["acceleration_noise"], "passes": [judged(result, run, k) for k in range(result.sizes["pass_id"])],
     })  # fmt: skip

@@ -14,26 +14,31 @@ RUNS = ("python", "console")
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 
 
-def runnable(name: str, slow: bool) -> list[Block]:
-    return [block for block in BLOCKS[name] if not block.skipped and (slow or not block.slow)]
+LAYERS = ("", "long", "slow")
+
+
+def runnable(name: str, mark: str) -> list[Block]:
+    """Blocks of a page with this mark, and those that cost less, which they may build on."""
+    layers = LAYERS[: LAYERS.index(mark) + 1]
+    return [block for block in BLOCKS[name] if not block.skipped and block.mark in layers]
 
 
 def cases() -> list:
     found = []
     for name in PAGES:
         run = [block for block in BLOCKS[name] if block.language in RUNS and not block.skipped]
-        if any(not block.slow for block in run):
-            found.append(pytest.param(name, False, id=name))
-        if any(block.slow for block in run):
-            found.append(pytest.param(name, True, id=f"{name}-whole", marks=pytest.mark.slow))
+        for mark in LAYERS:
+            if any(block.mark == mark for block in run):
+                marks = [getattr(pytest.mark, mark)] if mark else []
+                found.append(pytest.param(name, mark, id=f"{name}-{mark}" if mark else name, marks=marks))
     return found
 
 
-@pytest.mark.parametrize(("name", "slow"), cases())
-def test_a_page_can_be_followed(name, slow, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("name", "mark"), cases())
+def test_a_page_can_be_followed(name, mark, tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     reader = Reader(PAGES[name], tmp_path)
-    for block in runnable(name, slow):
+    for block in runnable(name, mark):
         reader.follow(block)
 
 

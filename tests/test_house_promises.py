@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import sunspin as ss
+from sources import nodes, tree
 
 ROOT = Path(__file__).parents[1]
 PYTHON = [path for part in ("src", "tests", "trust", "bench") for path in sorted((ROOT / part).rglob("*.py"))]
@@ -30,7 +31,7 @@ def test_docstrings_of_the_public_face_name_shapes_and_units(name):
 
 
 def calls(path: Path):
-    return (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Call))
+    return (node for node in nodes(path) if isinstance(node, ast.Call))
 
 
 def name_of(call: ast.Call) -> str:
@@ -52,7 +53,7 @@ def test_no_module_draws_random_numbers_when_it_is_imported():
     """Nor is there a generator that all share: what is drawn would hang on who came before."""
     drawn = {"default_rng", "RandomState", "SeedSequence", "Random", "seed"}
     for path in PYTHON:
-        for node in ast.parse(path.read_text("utf-8")).body:
+        for node in tree(path).body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
                 continue
             found = [call for call in ast.walk(node) if isinstance(call, ast.Call) and name_of(call) in drawn]
@@ -78,9 +79,8 @@ def test_no_file_format_of_ours_can_carry_code():
     for path in PYTHON:
         if "src" not in path.parts:
             continue
-        tree = ast.parse(path.read_text("utf-8"))
-        names = {alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-        names |= {(node.module or "").split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        names = {alias.name.split(".")[0] for node in nodes(path) if isinstance(node, ast.Import) for alias in node.names}
+        names |= {(node.module or "").split(".")[0] for node in nodes(path) if isinstance(node, ast.ImportFrom)}
         assert not names & {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}, path
         assert not [call for call in calls(path) if any(k.arg == "allow_pickle" for k in call.keywords)], path
         assert not [call for call in calls(path) if name_of(call) in ("read_pickle", "to_pickle", "full_load", "unsafe_load")], path

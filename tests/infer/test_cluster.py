@@ -121,7 +121,7 @@ class Deadly(Waves):
 def test_rows_that_kill_every_worker_are_given_up(client):
     with pytest.raises(ss.InputError, match="smaller chunk"):
         ensemble(Deadly(), scheduler=client)
-    client.wait_for_workers(2, timeout=30)
+    client.wait_for_workers(2, timeout=120)
     assert same(ensemble(ROWS, scheduler=client))
 
 

@@ -45,12 +45,13 @@ def irregular(rng, n, usual):
     return np.concatenate([[0.0], np.cumsum(usual * rng.uniform(0.7, 1.3, n - 1))])
 
 
-@pytest.mark.evidence("rates", "modelled", "twelve tumbling twins with albedo")
-def test_rates_from_powers_with_albedo_cover_the_truth(reached):
-    """Twelve tumbling cubes seen every 20 s with Earth's light on dark faces: the truth lies where the sigmas say."""
+@pytest.mark.evidence("rates", "modelled", "four tumbling twins with albedo, and twelve")
+@pytest.mark.parametrize("twins", [4, pytest.param(12, marks=pytest.mark.long)])
+def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
+    """Tumbling cubes seen every 20 s with Earth's light on dark faces: the truth lies where the sigmas say."""
     rng = np.random.default_rng(8)
     square = []
-    for _ in range(12):
+    for _ in range(twins):
         data, run = twin(CUBE, 0.03 * rng.normal(size=3), irregular(rng, 12, 20.0), rng)
         result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.15)
         assert result["weight"].values[0, 0] > 0.5

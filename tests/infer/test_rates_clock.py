@@ -14,25 +14,37 @@ from sunspin.vehicle.sensors import Clock
 
 
 @pytest.mark.evidence("rates", "modelled", "twins whose gyro or quaternion lags, and the same without a lag")
-@pytest.mark.parametrize("kind", ["gyro", "attitude"])
-def test_a_lateness_is_found_with_its_sigma(kind, reached):
-    for seed, late in ((101, 5.0), (102, -4.0), (101, 0.0)):
-        data, run = twin(kind, late, np.random.default_rng(seed))
-        result = ss.rates(craft(kind, Clock(0.0, 5.0)), data, max_rate_rad_s=0.15)
-        found, sigma = result.attrs["sensors_late_s"], result.attrs["sensors_late_sigma_s"]
-        assert abs(found - late) < 3.5 * sigma and sigma < 1.5
-        assert "late (vehicle file and data)" in result.attrs["verdict"]
-        truth = run["omega_B"].sel(time=result["time"]).values
-        assert np.abs(result["omega_mean_B"].values[0, 0] - truth.mean(axis=0)).max() < np.radians(0.1)
-        reached(f"lateness found where it was {late} s", found, "s")
+@pytest.mark.parametrize(
+    ("kind", "seed", "late"),
+    [
+        ("attitude", 102, -4.0),
+        *(pytest.param(*case, marks=pytest.mark.long)
+          for case in (("gyro", 101, 5.0), ("gyro", 102, -4.0), ("gyro", 101, 0.0),
+                       ("attitude", 101, 5.0), ("attitude", 101, 0.0))),
+    ],
+)  # fmt: skip
+def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
+    data, run = twin(kind, late, np.random.default_rng(seed))
+    result = ss.rates(craft(kind, Clock(0.0, 5.0)), data, max_rate_rad_s=0.15)
+    found, sigma = result.attrs["sensors_late_s"], result.attrs["sensors_late_sigma_s"]
+    assert abs(found - late) < 3.5 * sigma and sigma < 1.5
+    assert "late (vehicle file and data)" in result.attrs["verdict"]
+    truth = run["omega_B"].sel(time=result["time"]).values
+    assert np.abs(result["omega_mean_B"].values[0, 0] - truth.mean(axis=0)).max() < np.radians(0.1)
+    reached(f"lateness found where it was {late} s", found, "s")
 
 
-@pytest.mark.parametrize("kind", ["gyro", "attitude"])
-def test_a_lateness_that_nobody_spoke_of_is_suspected_and_none_where_there_is_none(kind):
+@pytest.mark.parametrize("kind", ["gyro", pytest.param("attitude", marks=pytest.mark.long)])
+def test_a_lateness_that_nobody_spoke_of_is_suspected(kind):
     late, _ = twin(kind, 5.3, np.random.default_rng(101))
-    prompt, _ = twin(kind, 0.0, np.random.default_rng(101))
     said = ss.rates(craft(kind, None), late, max_rate_rad_s=0.15).attrs
     assert "SEEM LATE" in said["verdict"] and said["sensors_late_s"] == pytest.approx(5.3, abs=1.5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["gyro", "attitude"])
+def test_no_lateness_is_suspected_where_there_is_none(kind):
+    prompt, _ = twin(kind, 0.0, np.random.default_rng(101))
     silent = ss.rates(craft(kind, None), prompt, max_rate_rad_s=0.15).attrs
     assert "late" not in silent["verdict"].lower() and np.isnan(silent["sensors_late_s"])
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import clock_twins
 import orbit_twins
 import strange_rates
 from coverage_twins import CUBE, albedo, twin
@@ -17,7 +18,8 @@ from sunspin.infer.rates.earth import differing, with_beam
 from sunspin.infer.rates.light import earth_lit, sun_measured
 from sunspin.infer.rates.motion import Body, Ends, step, turn, turn_between
 from sunspin.infer.rates.observe import observations, passes
-from sunspin.infer.rates.state import Motion, Observations, Track
+from sunspin.infer.rates.smooth import field_sigmas
+from sunspin.infer.rates.state import FIELD_TURN_RATE, Motion, Observations, Track
 
 EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
 """rad; that of the Earth's disk from 550 km."""
@@ -108,10 +110,12 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
     ("i", "without"),
     [
         pytest.param(13, (torque, "prior_sigma", lambda noise: 0.0), id="torque"),
-        pytest.param(8, (estimate, "with_drift", lambda o: o), id="field"),
+        pytest.param(8, (estimate, "with_drift", lambda o: o), id="field", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.long
 def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(i, without, monkeypatch, reached):
+    """All passes of a twin, and the control: the same without the unknown."""
     found = orbit_twins.judge(0, i)["passes"]
     pulls = np.array([part["pulls"] for part in found])
     reached("distance of mean rates", pulls, "sigmas", limit=3.0)
@@ -120,7 +124,14 @@ def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(i, without
     assert max(max(part["pulls"]) for part in orbit_twins.judge(0, i)["passes"]) > pulls.max() + 1
 
 
+@pytest.mark.parametrize("i", [pytest.param(13, id="torque"), pytest.param(8, id="field", marks=pytest.mark.long)])
+def test_what_changes_alike_for_minutes_is_told_in_one_orbit(i):
+    found = orbit_twins.judge(0, i, orbits=1)["passes"]
+    assert found and all(part["word"] == "decided" and max(part["pulls"]) < 3.0 for part in found)
+
+
 @pytest.mark.evidence("rates", "modelled", "CubeSats in orbit under the Earth's light; half as good where it is taken for noise")
+@pytest.mark.long
 def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
     """Five faces, 2 deg/s, light of the Earth of 0.11 of full Sun."""
     miss = np.array([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]])
@@ -131,15 +142,39 @@ def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
     assert np.max([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]]) > 2 * miss.max()
 
 
+@pytest.mark.long
 def test_a_long_body_of_unknown_inertia_seen_by_the_sun_alone_is_not_told_without_a_warning():
     """A 3U CubeSat at 3.4 deg/s, 12 s between samples: the search, which takes it for a sphere, ends elsewhere."""
     told = orbit_twins.judge(2, 12)
     assert not told["inertia"] and "GIVE ITS INERTIA" in told["verdict"]
 
 
+@pytest.mark.long
 def test_noise_that_the_file_does_not_state_is_not_taken_for_the_earths_light():
     """Noise of 4.6 % beside light of the Earth: held for its light alone, no motion seemed to fit."""
     assert strange_rates.judge(0, 55)["word"] == "decided"
+
+
+def test_a_unit_of_the_fields_turning_is_what_a_turning_field_leaves():
+    """A field in N that changes by one sigma of an unknown leaves residuals between neighbours, which that unknown takes away."""
+    data, _ = clock_twins.twin("field", 0.0, np.random.default_rng(4), samples=9)
+    o = field.with_drift(observations(clock_twins.craft("field", None), data)[0])
+    assert field.count(o) == 6 and o.field_turn_rate == field.LEFT * FIELD_TURN_RATE
+    attitude = Rotation.random(len(o), random_state=2).as_matrix()
+    relative = attitude[1:] @ attitude[:-1].swapaxes(1, 2)
+    strength, spacing = np.median(np.linalg.norm(o.field, axis=1)), np.diff(o.t_s)[:, None]
+    for j in range(6):
+        change = o.field_unknowns[:-1, j] * spacing
+        at = np.array([0.6, 0.0, 0.8]) + np.concatenate([np.zeros((1, 3)), np.cumsum(change, axis=0)])
+        seen = replace(o, field=np.einsum("nij,nj->ni", attitude, at))
+        left = (np.einsum("nij,nj->ni", relative, seen.field[:-1]) - seen.field[1:]) / field_sigmas(seen)[:, None]
+        assert np.abs(left).max() > 1e-2
+        gained = field.gained(seen, Track(attitude[None], np.zeros((1, len(o), 3))))[0, ..., j]
+        np.testing.assert_allclose(left + gained, 0, atol=1e-12)
+    # even over the pass, one component each: as strong a turn as FIELD_TURN_RATE in three axes together
+    assert np.linalg.norm(o.field_unknowns[:, :3].sum(axis=1), axis=1) == pytest.approx(FIELD_TURN_RATE * strength, rel=1e-12)
+    middle = o.t_s - o.t_s.mean()
+    assert o.field_unknowns[:, 3, 0] == pytest.approx(o.field_unknowns[:, 0, 0] * FIELD_TURN_RATE * middle, rel=1e-12)
 
 
 def test_no_magnetometer_no_field():

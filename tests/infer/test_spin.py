@@ -61,15 +61,16 @@ def test_the_global_minimum_is_that_of_a_dense_search():
     assert abs(rates[np.argmin(direct)] - fit.coefficients[0]) < 2e-5
 
 
-def test_errors_are_calibrated():
-    """Over 80 twins the chi-square of the four coefficients has mean 4 within its own scatter."""
+@pytest.mark.parametrize("twins", [30, pytest.param(80, marks=pytest.mark.long)])
+def test_errors_are_calibrated(twins):
+    """Over so many twins the chi-square of the four coefficients has mean 4 within its own scatter."""
     found = []
-    for seed in range(80):
+    for seed in range(twins):
         t, seen = samples(100 + seed, n=60)
         fit = fit_spin(t, seen, rate_range=(0.008, 0.016))
         off = fit.coefficients - CUBIC
         found.append(off @ np.linalg.solve(fit.covariance, off))
-    assert np.mean(found) == pytest.approx(4.0, abs=3 * np.sqrt(8 / 80))
+    assert np.mean(found) == pytest.approx(4.0, abs=3 * np.sqrt(8 / twins))
 
 
 def test_irregular_times_single_out_the_true_rate():

@@ -21,7 +21,7 @@ def cube() -> Vehicle:
 
 
 def test_small_twins_are_recalled_and_resumed(tmp_path):
-    options = {"max_rate": 0.2, "samples": 12, "interval_s": 20.0, "workers": 2, "vehicle": cube()}
+    options = {"max_rate": 0.1, "samples": 12, "interval_s": 20.0, "workers": 2, "vehicle": cube()}
     first = calibrate(tmp_path, "unknown", 1, **options)
     files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json")}
     rows = calibrate(tmp_path, "unknown", 2, **options)

@@ -44,6 +44,7 @@ def truth_of(omega, found):
     return min(theta[0], alpha[0]), max(theta[0], alpha[0]), float(np.linalg.norm(back["omega_B"].values[-1]))
 
 
+@pytest.mark.long
 @pytest.mark.evidence("reproduce", "verified", "motions that made the telemetry")
 @pytest.mark.parametrize(
     ("name", "omega"),
@@ -92,6 +93,7 @@ def test_any_two_exchanged_panels_are_noticed(first, second):
     assert not carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None).one_sun
 
 
+@pytest.mark.long
 def test_shuffled_samples_take_the_descent_and_cannot_move_the_scan(found):
     """EMD does not use the order of samples: its rows are those of the right file, and the first line says why."""
     mixed, right = found("samples shuffled"), found("as it is")
@@ -114,12 +116,14 @@ def test_a_telemetry_that_no_motion_makes_is_refused(quick):
     assert one.chain is None and "no motion of the model fits" in one.why
 
 
+@pytest.mark.long
 def test_the_published_lines_are_candidates_only_when_asked_for(found):
     one = chain_of(controls.with_motion(CASE, controls.STILL), "published", coarser=10)
     assert one.chain.name == "published" and "whatever this telemetry says" in one.chain.chosen.about
     assert {row.chain for row in one.rows.values() if row.depends == "candidates"} == {"published"}
 
 
+@pytest.mark.long
 def test_candidates_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
@@ -140,6 +144,7 @@ def test_without_a_calibration_nothing_is_concluded(quick):
     assert one.chain is None and "not calibrated for these data" in one.why
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_right_files_are_not_accused(seed):
     """Of 20 seeds none was (docs/validation); three here."""

@@ -68,6 +68,7 @@ def test_figures_that_were_put_in_are_told_apart_and_neither_agree_nor_differ(ow
     assert not {"wheel_stop", "rate_at_touchdown_min", "line_L1_distance", "descent_behind"} & put_in
 
 
+@pytest.mark.long
 def test_with_measured_telemetry_they_are_tests(quick):
     data = CASE.telemetry.copy()
     data.attrs = {key: value for key, value in CASE.telemetry.attrs.items() if key != "synthetic"}
@@ -103,6 +104,7 @@ def test_what_needs_no_telemetry_does_not_change_with_it(quick, own):
         assert "four lines" not in text
 
 
+@pytest.mark.long
 def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
     found = quick(rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)))
     assert found.chain is None and "touchdown" in found.missing

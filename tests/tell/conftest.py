@@ -70,7 +70,7 @@ SAMPLES = 16
 """Lines of the telemetry that are kept: `rates` takes the longer the more samples there are."""
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """One Chromium for all tests; where there is none they are skipped, but in CI (environment variable CI) they fail."""
     if found() is None:

@@ -9,6 +9,7 @@ loaded, and give the same bits in the first run as in the next.
 from __future__ import annotations
 
 import atexit
+import fcntl
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
+from typing import IO
 
 import numpy as np
 
@@ -29,6 +31,9 @@ _ready: set[Path] = set()
 """Modules known to be on disk with their machine code: a kernel is asked for before every piece of a run."""
 
 POLL_S = 0.05
+
+WAIT_S = 120.0
+"""Another process that has not compiled a kernel in this time is stopped or starved."""
 
 
 def compile_ahead(structures: Iterable[c.Structure]) -> None:
@@ -85,12 +90,30 @@ def _path(module: ModuleType) -> Path:
 def main() -> None:
     """In the other process: compile the generated module at the first path, then begin afresh with the rest.
 
-    What is compiled may hang, in its last bits, on what the process has compiled before.
+    What is compiled may hang, in its last bits, on what the process has compiled before. Of several processes that want the
+    same kernel one compiles it and the others wait for it.
     """
     path, *rest = sys.argv[1:]
-    compile_run(loaded(Path(path).stem, path))
+    with open(path, "rb") as file:
+        _wait_for_others(file)
+        if not is_kept(Path(path)):
+            compile_run(loaded(Path(path).stem, path))
     if rest:
         os.execv(sys.executable, _command(rest))
+
+
+def _wait_for_others(file: IO) -> None:
+    """Lock a generated module until the file is closed. On a file system without locks, and after a while, go on: the kernel is
+    then compiled twice, which costs time and nothing else."""
+    end = time.monotonic() + WAIT_S
+    while time.monotonic() < end:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            time.sleep(POLL_S)
+        except OSError:
+            return
 
 
 def compile_run(module: ModuleType) -> None:

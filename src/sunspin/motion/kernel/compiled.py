@@ -157,7 +157,8 @@ def _private_folder() -> Path:
 @lru_cache(maxsize=32)
 def kernel(structure: c.Structure) -> ModuleType:
     """The module with the compiled function `run` for this structure."""
-    return module_of(source(structure), " ".join((metadata.version("numba"), *target())))
+    compiler = (str(sys.implementation.cache_tag), metadata.version("numba"), *target())
+    return module_of(source(structure), " ".join(compiler))
 
 
 def module_of(text: str, compiler: str) -> ModuleType:

@@ -1,0 +1,78 @@
+"""Imports and smoke tests on the versions of Python that pyproject.toml names and that are not the one of this run.
+
+`make test-all` runs it. A version that the machine does not have is named and passed over; one that it has must pass. Each gets an
+environment of its own below build/, with the locked versions of what the package and these tests need and nothing else.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+TOOLS = ("hatchling", "editables", "pytest", "hypothesis")
+SMOKE = (
+    "tests/test_imports.py", "tests/test_vehicle.py", "tests/measure/test_sun.py", "tests/motion/test_propagate.py",
+    "tests/motion/test_impact.py", "tests/infer/test_metrics.py", "tests/cli/test_cli_border.py", "tests/test_golden.py",
+)  # fmt: skip
+"""One file of each layer; the last compiles a kernel and runs it."""
+
+
+def named() -> list[str]:
+    """The versions of the classifiers, as "3.12"."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    return [found[1] for text in project["classifiers"] if (found := re.search(r":: (3\.\d+)$", text))]
+
+
+def interpreter(version: str) -> str | None:
+    """A Python of this version that starts: the one on the path, else one of pyenv."""
+    kept = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
+    for program in (shutil.which(f"python{version}"), *map(str, reversed(kept))):
+        if program and says(program) == version:
+            return program
+    return None
+
+
+def says(program: str) -> str:
+    code = "import ensurepip, sys, venv; print('%d.%d' % sys.version_info[:2])"
+    done = subprocess.run([program, "-c", code], capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+def environment(program: str, version: str) -> Path:
+    """The interpreter of an environment for this version, built anew when the lock or pyproject.toml change."""
+    home = ROOT / "build" / f"python{version}"
+    python, ready = home / "bin" / "python", home / ".ready"
+    wanted = b"".join((ROOT / name).read_bytes() for name in ("requirements.lock", "pyproject.toml"))
+    if not (ready.is_file() and ready.read_bytes() == wanted):
+        subprocess.run([program, "-m", "venv", "--clear", home], check=True)
+        pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-c", ROOT / "requirements.lock"]
+        subprocess.run([*pip, *TOOLS], check=True)
+        subprocess.run([*pip, "--no-build-isolation", "--editable", ROOT], check=True)
+        ready.write_bytes(wanted)
+    return python
+
+
+def main() -> int:
+    failed = []
+    for version in named():
+        if version == f"{sys.version_info.major}.{sys.version_info.minor}":
+            continue
+        program = interpreter(version)
+        if program is None:
+            print(f"Python {version}: not on this machine, nothing was tried", flush=True)
+            continue
+        print(f"Python {version}: {program}", flush=True)
+        python = environment(program, version)
+        done = subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *SMOKE], cwd=ROOT)
+        failed += [version] if done.returncode else []
+    print(f"Python {', '.join(failed)}: smoke tests failed" if failed else "Other versions of Python: nothing failed")
+    return len(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
