@@ -68,7 +68,8 @@ def _angles(axes: Any, chain: Chain) -> None:
         axes.plot(*_pair(candidates), marker, ms=size, mew=0, color=colour, label=label, rasterized=True)
     ends = np.degrees([np.max(angle) for angle in (chain.box.smaller_angle, chain.box.larger_angle)])
     axes.set(
-        xlim=(0, ends[0] + 2), ylim=(0, 1.3 * ends[1]), xticks=range(0, int(ends[0]) + 2, 15), yticks=range(0, int(ends[1]) + 16, 30),
+        xlim=(0, ends[0] + 2), ylim=(0, 1.3 * ends[1]),
+        xticks=range(0, int(ends[0]) + 2, 15), yticks=range(0, int(ends[1]) + 16, 30),
         xlabel="smaller of the angles from the momentum to z and to the Sun (deg)", ylabel="larger of the two (deg)",
     )  # fmt: skip
     legend = axes.legend(fontsize=8, loc="upper left")

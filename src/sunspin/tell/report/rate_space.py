@@ -60,7 +60,7 @@ def lines(results: Results) -> Section | None:
             "label": _label(name, scan), "show": list(range(first, len(data))),
             "text": " ".join(part for part in (text, told, _said(results, name)) if part),
         })  # fmt: skip
-        tables += _line_table(scan, str(scan.attrs.get("about", name)))
+        tables += _line_table(scan, _label(name, scan))
     if not data:
         return None
     for k, trace in enumerate(data):
@@ -213,7 +213,7 @@ def _line_table(scan: xr.Dataset, about: str) -> list[Table]:
         [str(k + 1), number_text(np.round(p, 4).tolist()), number_text(np.round(d, 4).tolist()), str(int(c))]
         for k, (p, d, c) in enumerate(zip(scan["point"].values, scan["direction"].values, scan["count"].values, strict=True))
     ]
-    return [Table(["family", "point (rad/s)", "direction (1)", "motions"], rows, f"Fitted lines, scan {about}", closed=True)]
+    return [Table(["family", "point (rad/s)", "direction (1)", "motions"], rows, f"Fitted lines. {about}", closed=True)]
 
 
 def maps(results: Results) -> Section | None:
@@ -284,9 +284,9 @@ def _flat(results: Results) -> list[Plot]:
         }  # fmt: skip
         low, high = float(np.nanmin(field)), float(np.nanmax(field))
         found.append(Plot(
-            f"map-{name}", [trace], layout, f"Map of E over {x} and {y}: many slanted, narrow valleys between {low:.2f} and "
-            f"{high:.2f}.",
-            f"E over {xt} and {yt}; darker is worse, and a perfect fit is 0, far below the smallest value here, {low:.2f}."
+            f"map-{name}", [trace], layout,
+            f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: in valleys a motion fits better than its neighbours.",
+            f"E over {xt} and {yt}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
             + (" Synthetic telemetry." if results.synthetic else ""), 420, narrow={"margin.l": 58, "font.size": 11},
         ))  # fmt: skip
     return found
