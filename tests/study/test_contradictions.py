@@ -171,7 +171,7 @@ def test_the_path_and_the_straight_line_are_those_of_the_kernel(data_dir):
     place = 1e3 * kernel_states(data_dir)[:2757, :3]
     path, straight = np.linalg.norm(np.diff(place, axis=0), axis=1).sum(), np.linalg.norm(place[-1] - place[0])
     assert path == pytest.approx(CASE.published["kernel_path_length"].value, abs=0.5)
-    assert straight == pytest.approx(CASE.published["kernel_straight_path"].value, abs=0.5)
+    assert straight == pytest.approx(CASE.published["trajectory_straight_path"].value, abs=0.5)
 
 
 def kernel_states(data_dir):

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from chains import chain_on_the_lines
 from sunspin.study import collision as co
 from sunspin.study import landing as la
 from sunspin.study import strategies as st
+from sunspin.study.rebound import published_candidates
+from sunspin.study.row import settled
 from sunspin.study.scenario import case_scenario
 from sunspin.study.tally import estimate
 from sunspin.tell import figures_outcomes as figures
@@ -15,7 +18,7 @@ from sunspin.tell import figures_outcomes as figures
 @pytest.fixture(scope="module")
 def landing():
     case = ss.load_case("philae")
-    return la.compute(case, la.published_candidates(case), n=1500, seed=2, workers=2)
+    return la.compute(case, chain_on_the_lines(case), n=1500, seed=2, workers=2)
 
 
 def test_strategies_share_their_draws_and_differ_only_in_the_wheel(landing):
@@ -38,7 +41,7 @@ def test_the_table_can_be_printed(landing):
 
 def test_no_delay_is_off_at_touchdown_and_a_long_one_is_held():
     case = ss.load_case("philae")
-    options = {"candidates": la.published_candidates(case), "n": 60, "seed": 5}
+    options = {"candidates": published_candidates(case), "n": 60, "seed": 5}
     runs = {s: ss.outcomes(case.vehicle, strategy=s, **options) for s in ("off", "delay:0", "held", "delay:1e6", "delay:3000")}
     for a, b in (("off", "delay:0"), ("held", "delay:1e6")):
         assert np.array_equal(runs[a]["contact_speed"].values, runs[b]["contact_speed"].values)
@@ -104,21 +107,26 @@ def test_weighted_median_by_repetition():
 
 
 def test_rows_say_what_is_reproduced_and_what_is_not(landing):
-    rows = {row.id: row for row in la.rows(landing)}
-    assert rows["leg_tip_speed"].agrees and rows["leg_tip_speed"].ours == pytest.approx(0.559, abs=1e-3)
+    rows = {row.id: settled(row) for row in la.rows(landing)}
+    assert rows["leg_tip_speed"].holds and rows["leg_tip_speed"].ours == pytest.approx(0.559, abs=1e-3)
     assert "0.775" in rows["leg_tip_speed"].note and "1.02" in rows["leg_tip_speed"].note
-    assert rows["rz_range_wheel_off"].agrees and rows["rz_density_area"].agrees
-    off, held = rows["rz_often_negative"].ours
-    assert 0.36 < off < 0.42 and 0.06 < held < 0.09
-    for name in ("rz_min_wheel_held", "rate_at_collision", "path_length", "landing_speed", "final_friction_torque"):
-        assert rows[name].agrees is False, name
-    assert all(row.note or row.agrees for row in rows.values())
+    assert rows["rz_density_area"].holds
+    off = rows["rz_often_negative"]
+    assert 0.36 < off.low < off.high < 0.42 and off.prior_low > off.high and off.informative and off.agrees
+    assert rows["rz_rare_wheel_held"].informative and rows["rz_rare_wheel_held"].agrees  # 3 to 4 % of the time
+    # all that is possible is reached with the wheel off, whatever the candidates: such a row can neither agree nor differ
+    assert not rows["rz_range_wheel_off"].informative and rows["rz_range_wheel_off"].agrees is None
+    for name in ("path_length", "landing_speed", "final_friction_torque"):
+        assert rows[name].holds is False and rows[name].kind == "arithmetic" and rows[name].agrees is None, name
+    assert rows["romap_period_after"].kind == "not_comparable"
+    assert {row.chain for row in rows.values()} == {"published", "none"}
+    assert all(row.note or row.holds for row in rows.values())
     assert len(rows) == len(la.rows(landing))
 
 
 def test_figures_have_units_on_every_axis(landing):
     for figure in (
-        figures.sun_height_figure(landing.paper_small),
+        figures.sun_height_figure(landing.chosen.paper),
         figures.strategies_figure(landing.strategies),
         figures.distributions_figure(landing.strategy_runs, 0.56),
         figures.delay_figure(landing.delays[0]),

@@ -13,7 +13,7 @@ from sunspin.errors import InputError, MotionError
 from sunspin.infer.end_rates import end_rates
 from sunspin.infer.ensemble import ensemble
 from sunspin.infer.metrics import emd
-from sunspin.infer.scan import below, near_minimum, scan
+from sunspin.infer.scan import scan
 from sunspin.infer.table import make_table
 from sunspin.motion.kernel import Rows
 from sunspin.motion.propagate import propagate
@@ -162,7 +162,7 @@ def test_the_bound_is_looked_up_from_where_it_holds_for_good():
 def test_the_shipped_study_says_what_its_rows_say(reached):
     worth = wo.shipped(CASE)
     assert worth.command == "sunspin worth --twins 400 --seed 0" and set(worth.twins) == {"lines", "grid"}
-    rows = {row.id: row for row in worth_told.rows(CASE, worth, [])}
+    rows = {row.id: row for row in worth_told.rows(CASE, worth)}
     lines = worth.twins["lines"]
     assert rows["worth_truth_in_set"].ours == pytest.approx(np.mean(lines.ratio < 1.1))
     assert 0.01 < rows["worth_truth_in_set"].ours < 0.1 and 2.3 < rows["worth_factor_90"].ours < 3.0
@@ -172,15 +172,6 @@ def test_the_shipped_study_says_what_its_rows_say(reached):
     assert wo.to_json(again) == wo.to_json(worth)
     with pytest.raises(InputError, match="no result of `sunspin worth`"):
         wo.from_json("{}", "here")
-
-
-def test_calibrated_thresholds_on_a_scan(table):
-    volume = table.volume(np.linspace(0.1, 0.9, 16))
-    applied = worth_told.apply(CASE, wo.shipped(CASE), volume, "this")
-    level, points, speed = applied.absolute
-    assert points == int((volume.values < level).sum()) and (points == 0) == np.isnan(speed)
-    assert len(below(volume, np.inf)) == volume.size and len(below(volume, 0.0)) == 0
-    np.testing.assert_array_equal(below(volume, 1.5 * float(volume.min())), near_minimum(volume, 1.5))
 
 
 def test_the_command_writes_a_study_that_can_be_read_again(tmp_path):

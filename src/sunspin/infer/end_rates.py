@@ -17,8 +17,12 @@ RATE_DIRECTION_ERROR = 1e-9
 """Direction error (rad) at the end that sets the step: rates err by about as much, relatively."""
 
 
-def end_rates(vehicle: Vehicle, states: k.Rows, duration_s: float) -> np.ndarray:
+def end_rates(
+    vehicle: Vehicle, states: k.Rows, duration_s: float, direction_error: float = RATE_DIRECTION_ERROR
+) -> np.ndarray:
     """Body rates (n, 3) in rad/s, B, when each of the states (n) has coasted for `duration_s` (negative: backward).
+
+    `direction_error` (rad) of the Sun at the end sets the step.
 
     Raises
     ------
@@ -27,7 +31,7 @@ def end_rates(vehicle: Vehicle, states: k.Rows, duration_s: float) -> np.ndarray
     """
     if len(states) == 0:
         return np.zeros((0, 3))
-    run = k.run_rows(vehicle, states, float(duration_s), direction_error=RATE_DIRECTION_ERROR)
+    run = k.run_rows(vehicle, states, float(duration_s), direction_error=direction_error)
     if np.any(run.outcome != k.Outcome.FINE):
         raise MotionError(sentence("a motion could not be followed", got=k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))]))
     return run.omega_B[:, 0]
@@ -40,6 +44,7 @@ class EndSpeedRows:
     vehicle: Vehicle
     start: Start
     duration_s: float
+    direction_error: float = RATE_DIRECTION_ERROR
 
     outputs = {"speed": ("float64", ())}
 
@@ -50,9 +55,9 @@ class EndSpeedRows:
     def identity(self) -> dict[str, Any]:
         return {
             **code(), "rows": "angular speed at the end", "vehicle": plain(self.vehicle), "start": plain(self.start),
-            "duration_s": float(self.duration_s), "direction_error": RATE_DIRECTION_ERROR,
+            "duration_s": float(self.duration_s), "direction_error": self.direction_error,
         }  # fmt: skip
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        omega = end_rates(self.vehicle, self.start.take(index), self.duration_s)
+        omega = end_rates(self.vehicle, self.start.take(index), self.duration_s, self.direction_error)
         return {"speed": np.linalg.norm(omega, axis=1)}

@@ -33,8 +33,11 @@ from sunspin.study.worth import CONFIDENCE
 CHAINS = ("scan", "posterior", "published")
 """Sources of candidates; anything else names a file."""
 
-DRAWS = 20_000
+DRAWS = 10_000
 """Motions drawn evenly from a set where each costs a run to the collision."""
+
+DIRECTION_ERROR = 1e-5
+"""Error (rad) of directions at the touchdown and at the collision: angular speeds then err by far less than the grid's step."""
 
 HEIGHT_DRAWS = 2_000
 
@@ -129,9 +132,11 @@ class Chain:
         return self.chosen.chain
 
 
-def described(rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, seed: int, probable: bool = False) -> Candidates:
+def described(
+    rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, seed: int, probable: bool = False
+) -> Candidates:
     """Candidates with what is asked of them."""
-    speed = np.linalg.norm(end_rates(rebound.case.vehicle, states, -rebound.lead_s), axis=1)
+    speed = np.linalg.norm(end_rates(rebound.case.vehicle, states, -rebound.lead_s, DIRECTION_ERROR), axis=1)
     return _with_runs(rebound, name, chain, about, states, speed, seed, probable)
 
 
@@ -141,7 +146,7 @@ def _with_runs(
     """The same with the speeds at the touchdown known; runs to the collision are made for even draws only."""
     vehicle = rebound.case.vehicle
     draws = states if len(states) <= DRAWS else states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
-    speed_collision = np.linalg.norm(end_rates(vehicle, draws, rebound.window_s), axis=1)
+    speed_collision = np.linalg.norm(end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR), axis=1)
     height = _heights(rebound, draws.take(np.arange(min(HEIGHT_DRAWS, len(draws)))))
     return Candidates(name, chain, about, states, speed, *rb.momentum_angles(vehicle, states), speed_collision, height, probable)
 
@@ -198,7 +203,7 @@ def compute(
     if source == "scan":
         _refuse_unfit(scan, found)
     start = scan.table.rows.start
-    speeds = ensemble(EndSpeedRows(case.vehicle, start, -rebound.lead_s), workers=workers)["speed"]
+    speeds = ensemble(EndSpeedRows(case.vehicle, start, -rebound.lead_s, DIRECTION_ERROR), workers=workers)["speed"]
 
     def of(name: str, chain: str, about: str, chosen: np.ndarray) -> Candidates:
         index = np.flatnonzero(chosen & np.isfinite(scan.emd))
@@ -213,7 +218,8 @@ def compute(
         assert found is not None
         level = found.factor()[0]
         inside = scan.emd < level * scan.smallest
-        about = f"the {CONFIDENCE:.0%} set of the scan: EMD below {level:.3g} times the smallest, {inside.mean():.0%} of the scanned box"
+        held = f"{inside.mean():.0%} of the scanned box"
+        about = f"the {CONFIDENCE:.0%} set of the scan: EMD below {level:.3g} times the smallest, {held}"
         chosen, share = of("set", source, about, inside), float(inside.mean())
     elif source == "posterior":
         chosen, box, verdict = _from_posterior(rebound, seed, workers, progress)
@@ -266,7 +272,8 @@ def _from_posterior(
     direction = rng.standard_normal((DRAWS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = rebound.states(direction * radius * np.cbrt(rng.random(DRAWS))[:, None])
-    before = described(rebound, "box", "posterior", f"even in the ball of {radius:g} rad/s of the posterior's prior", ball, seed, True)
+    before = described(rebound, "box", "posterior", f"even in the ball of {radius:g} rad/s of the posterior's "
+        "prior", ball, seed, True)
     return described(rebound, "set", "posterior", about, states, seed, True), before, str(tree.attrs["verdict"])
 
 

@@ -138,7 +138,8 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     if not delta <= limit:
         reasons.append(f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample")
     if impossible > MOST_IMPOSSIBLE * int(early.sum()):
-        reasons.append(f"{impossible} of {int(early.sum())} samples before the second touchdown have a lit pattern that no Sun makes")
+        reasons.append(f"{impossible} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "
+            "Sun makes")
     if told.sum() < LEAST_TOLD:
         reasons.append(f"only {int(told.sum())} samples between first touchdown and collision give a direction")
     return Carries(
@@ -184,7 +185,8 @@ def rows(r: Carries) -> list[Row]:
             "carries_delta", "mean misfit Delta: does one Sun explain the readings?", published["delta_mean"].value, r.delta, "1",
             None, None,
             f"{whose}: {r.directions} directions; above {published['delta_max'].value}, the paper's largest of a single sample, "
-            "nothing is concluded", "paper, section 2.1", kind="not_comparable", holds=bool(r.delta <= published["delta_max"].value),
+            "nothing is concluded", "paper, section "
+                "2.1", kind="not_comparable", holds=bool(r.delta <= published["delta_max"].value),
         ),
     ]  # fmt: skip
     if r.descent_E is not None:
@@ -201,7 +203,8 @@ def rows(r: Carries) -> list[Row]:
         Row(
             "carries_rebound_order", "rebound: share of random orders whose successive directions are as near or nearer",
             "not considered", r.chance, "1", None, None,
-            f"{whose}: {np.degrees(r.neighbours_rad):.0f} degrees between successive directions in the mean; two minutes apart they "
+            f"{whose}: {np.degrees(r.neighbours_rad):.0f} degrees between successive directions in the mean; two minutes "
+            "apart they "
             "need not be nearer than chance. EMD does not use the order: rows that rest on it cannot move when samples are "
             "exchanged", "paper, section 2.3", kind="not_comparable",
         )

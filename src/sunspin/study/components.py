@@ -24,10 +24,10 @@ from sunspin.study.worth import CONFIDENCE, check_confidence
 from sunspin.vehicle import Vehicle
 
 TWINS = 60
-COARSER = 4
-"""Every fourth grid point: what is compared is three sets on one grid."""
+COARSER = 5
+"""Every fifth grid point: what is compared is three sets on one grid."""
 
-STEP_S = 2.0
+STEP_S = 4.0
 """Between instants of a simulated track, which counts as the time that a component spends in a bin."""
 
 DIRECTION_ERROR = 1e-2
@@ -89,9 +89,8 @@ def compute(
     found: dict[str, tuple[float, float, float]] = {}
     for axis, name in enumerate("xyz"):
         scan, true = (np.ascontiguousarray(hist[part, axis]) for part in (slice(None, len(grid)), slice(len(grid), None)))
-        ratio = [
-            _distances(true[i : i + 1], seen[:, axis])[0] / _distances(scan, seen[:, axis]).min() for i, (_, seen) in enumerate(alike)
-        ]
+        targets = [seen[:, axis] for _, seen in alike]
+        ratio = [_distances(true[i : i + 1], z)[0] / _distances(scan, z).min() for i, z in enumerate(targets)]
         factor = float(np.sort(ratio)[check_confidence(len(ratio), CONFIDENCE)])
         emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis])
         found[name] = float(emd.min()), factor, float(np.mean(emd < factor * emd.min()))

@@ -168,7 +168,7 @@ def collision_rows(case: Case, found: Lines) -> list[Row]:
     published = {key: figure.value for key, figure in case.published.items()}
     slow, fast, rate = published["landing_speed"], published["collision_speed"], published["rate_at_collision"]
     kernel, path, straight = (
-        published["kernel_speed_before"], published["kernel_path_length"], published["kernel_straight_path"]
+        published["kernel_speed_before"], published["kernel_path_length"], published["trajectory_straight_path"]
     )  # fmt: skip
     longest = max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     turn = 2 * np.pi / published["romap_period_before"]

@@ -226,10 +226,12 @@ def _sample_rows(r: Descent) -> list[Row]:
         ),
         published_row(case, "nz_descent", float(z.mean()), 0.01, _twin(r, f"standard deviation {z.std():.3f}")),
         Row(
-            "descent_behind", "share of samples whose being reconstructible or not the fit predicts", "gaps where the Sun is behind", agreed,
+            "descent_behind", "share of samples whose being reconstructible or not the fit predicts", "gaps where the Sun is "
+                "behind", agreed,
             "1", None,
             agreed >= 0.95,
-            f"criterion: at least 95 %; {int((dark & ~r.predicted).sum())} of {int(dark.sum())} samples without a direction are predicted to have none, "
+            f"criterion: at least 95 %; {int((dark & ~r.predicted).sum())} of {int(dark.sum())} samples without a direction "
+            "are predicted to have none, "
             f"{int((r.told & ~r.predicted).sum())} of {int(r.told.sum())} with one likewise", "paper, Fig. 10",
         ),
     ]  # fmt: skip

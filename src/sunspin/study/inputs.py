@@ -42,7 +42,7 @@ TAKEN = {
     "kernel_speed_before_landing": "second touchdown",
     "kernel_speed_after_landing": "nothing",
     "kernel_path_length": "see the contradictions: speed at the collision",
-    "kernel_straight_path": "see the contradictions: speed at the collision",
+    "trajectory_straight_path": "see the contradictions: speed at the collision",
     "romap_period_before": "weights of the collisions, speed of a leg's end",
     "energy_absorbed": "see the contradictions",
     "trajectory_speed_after_touchdown": "see the contradictions: energy absorbed",
@@ -101,7 +101,8 @@ def _stated_rows(result: Taken) -> list[Row]:
     away = case.published["trajectory_distance"].value
     return [
         published_row(
-            case, "descent_duration", between("separation", "first_touchdown") / 3600, 0.1, "Table 1, separation to first touchdown",
+            case, "descent_duration", between("separation", "first_touchdown") / 3600, 0.1, "Table 1, separation to first "
+                "touchdown",
             kind="arithmetic", chain="none",
         ),
         published_row(
@@ -181,7 +182,8 @@ def _checked(result: Taken) -> list[Row]:
             "published path over published speed: they agree with each other", kind="arithmetic", chain="none",
         ),
         published_row(
-            case, "rate_at_touchdown_min_rounded", bound, 0.01, "on the published lines, as in section 3.2", kind="arithmetic", chain="none",
+            case, "rate_at_touchdown_min_rounded", bound, 0.01, "on the published lines, as in section "
+                "3.2", kind="arithmetic", chain="none",
         ),
     ]  # fmt: skip
     if case.vehicle.antenna is not None:

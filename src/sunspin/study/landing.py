@@ -81,7 +81,8 @@ def compute(case: Case, chain: Chain, *, n: int = RUNS, seed: int = 0, **options
     chain : Chain
         Candidates, box and recipe.
     n : int
-        Runs of Fig. 13 and of the collision; strategies get a fifth, each delay a tenth.
+        Runs of Fig. 13 and of the collision for the chosen candidates, half as many for the others; strategies get a fifth, each
+        delay a tenth.
     options
         workers, progress, scheduler.
     """
@@ -90,20 +91,20 @@ def compute(case: Case, chain: Chain, *, n: int = RUNS, seed: int = 0, **options
     def runs(of: Candidates, strategy: str, count: int, scenario: Scenario, craft: Vehicle = vehicle) -> xr.Dataset:
         return outcomes(craft, of.dataset(), strategy, count, seed, scenario=scenario, **options)
 
-    def shares(of: Candidates) -> Shares:
-        paper, true = ({name: runs(of, name, count, s) for name in ("off", "held")} for s, count in ((as_paper, n), (real, fifth)))
-        return Shares(paper, true)
+    def shares(of: Candidates, count: int, true: dict[str, xr.Dataset] | None = None) -> Shares:
+        paper = {name: runs(of, name, count, as_paper) for name in ("off", "held")}
+        return Shares(paper, {name: runs(of, name, fifth, real) for name in ("off", "held")} if true is None else true)
 
-    fifth, tenth = max(n // 5, 1), max(n // 10, 1)
+    half, fifth, tenth = max(n // 2, 1), max(n // 5, 1), max(n // 10, 1)
     motions = chain.chosen.dataset()
     table, by_name = st.compare(vehicle, motions, st.STRATEGIES, fifth, seed, real, **options)
     search = st.best_delay(vehicle, motions, n=tenth, seed=seed, scenario=real, **options)
     return Landing(
         case=case,
         chain=chain,
-        chosen=shares(chain.chosen),
-        box=shares(chain.box),
-        recipe=shares(chain.recipe),
+        chosen=shares(chain.chosen, n, {name: by_name[name] for name in ("off", "held")}),
+        box=shares(chain.box, half),
+        recipe=shares(chain.recipe, half),
         collision=co.condition(case, runs(chain.chosen, "off", n, real)),
         strategies=table,
         strategy_runs=by_name,
@@ -199,8 +200,9 @@ def _sun_rows(landing: Landing) -> list[Row]:
         ),
         _share(
             landing, _judged(
-                landing, "rz_rare_wheel_held", case.published["rz_rare_wheel_held"].what, recipe["held"]["rz_time_below_-0.2"].value,
-                "1", f"share of the time below -0.2 with the wheel held; criterion for rarely: at most {RARELY:.0%}; {whose}, in "
+                landing, "rz_rare_wheel_held", case.published["rz_rare_wheel_held"].what,
+                recipe["held"]["rz_time_below_-0.2"].value, "1", "share of the time below -0.2, wheel held; criterion for "
+                    f"rarely: at most {RARELY:.0%}; {whose}, in "
                 f"{held['rz_ever_below_-0.2']} of whose runs r_z goes there at some time", "rarely below -0.2",
             ), "rz_time_below_-0.2", "held", bool(rare.value <= RARELY),
         ),
@@ -231,7 +233,8 @@ def _collision_rows(landing: Landing) -> list[Row]:
     slowest = found.facts["speed_after"] / max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     rate = published_row(
         case, "rate_at_collision", float(chain.recipe.speed_collision.mean()), None,
-        f"ours: mean by the paper's recipe; low and high: over {chain.chosen.about}, mean {chain.chosen.speed_collision.mean():.3f}. "
+        f"ours: mean by the paper's recipe; low and high: over {chain.chosen.about}, mean "
+        f"{chain.chosen.speed_collision.mean():.3f}. "
         "The published figure is nearly what the wheel alone passes to a body at rest",
     )  # fmt: skip
     return [
@@ -344,7 +347,8 @@ def _rest_rows(landing: Landing) -> list[Row]:
         _ours(
             landing, "best_switch_off_delay", "delay of the switch-off after which a leg most often touches first",
             delay.best_s / 60, "min",
-            f"over {landing.chain.chosen.about}: probability {delay.value.max():.3f} against {delay.value[0]:.3f} at the touchdown; "
+            f"over {landing.chain.chosen.about}: probability {delay.value.max():.3f} against {delay.value[0]:.3f} at the "
+            "touchdown; "
             "not worse by two errors: "
             f"{', '.join(f'{t / 60:g}' for t in delay.as_good_s)} min; 68 % of resamplings within "
             f"{delay.spread_s[0] / 60:g} to "

@@ -100,7 +100,8 @@ def rows(result: LevelSet) -> list[Row]:
             "lines_found", "published lines that the paper's recipe finds in this telemetry", count, result.lines_found, "1", 0.0,
             result.lines_found == count,
             f"{whose}; found: a fitted line within {FOUND_RAD_S:g} rad/s (two grid steps) on average over omega_z in "
-            f"{list(rb.LINE_RANGE)}; {told}; {note}. The printed lines follow from the model and a clean distribution of r_z: see the "
+            f"{list(rb.LINE_RANGE)}; {told}; {note}. The printed lines follow from the model and a clean distribution of "
+            "r_z: see the "
             "section on the published lines", "paper, section 2.3, Fig. 9", chain="scan",
         ),
     ]  # fmt: skip

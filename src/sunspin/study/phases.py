@@ -225,9 +225,11 @@ def _rotation_row(r: Phases, note: str) -> Row:
     count = sum(r.health["impossible"][pattern] for pattern in needed)
     told = f"{count} samples whose lit pattern asks for panel 1 and nothing else, and which give nothing from it"
     return Row(
-        "panel_1_rotation", "samples that speak for a dead panel 1: was it a risk to turn it to the Sun?", "risky", count, "1", None,
+        "panel_1_rotation", "samples that speak for a dead panel 1: was it a risk to turn it to the "
+            "Sun?", "risky", count, "1", None,
         count > 0,
-        f"{told}; criterion: at least one. A dead panel and a shadowed one read alike, so the risk was real; panel 1 worked when the "
+        f"{told}; criterion: at least one. A dead panel and a shadowed one read alike, so the risk was real; panel 1 worked "
+        "when the "
         "lander woke up, so it had been in shadow" + (f"; {note}" if note else ""), "paper, section 4",
     )  # fmt: skip
 

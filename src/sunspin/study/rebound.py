@@ -195,7 +195,8 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
     told = is_reconstructed(samples["status"])
     if not told.any():
         raise TelemetryError(
-            sentence("no sample between first touchdown and collision gives a direction of the Sun", got=f"{len(told)} samples there",
+            sentence("no sample between first touchdown and collision gives a direction of the Sun", got=f"{len(told)} "
+                "samples there",
                      do="check the columns of the telemetry")
         )  # fmt: skip
     first = int(np.flatnonzero(told)[0])

@@ -275,7 +275,8 @@ def require_wheel(vehicle: Vehicle) -> None:
     vehicle.require_mass()
     if len(vehicle.wheels) != 1 or not vehicle.legs:
         raise InputError(
-            sentence("the study is of a lander with one wheel and legs", got=f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs",
+            sentence("the study is of a lander with one wheel and legs", got=f"{len(vehicle.wheels)} wheels, "
+                f"{len(vehicle.legs)} legs",
                      do="copy the vehicle file of philae and change it")
         )  # fmt: skip
 

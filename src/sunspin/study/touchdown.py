@@ -60,7 +60,8 @@ def _speed_rows(chain: Chain) -> list[Row]:
         informative=bounded,
     )  # fmt: skip
     above = over_candidates(
-        Row("rate_at_touchdown_max", f"angular speed just after the first touchdown lies below this, {CONFIDENCE:.0%}", "not stated",
+        Row("rate_at_touchdown_max", f"angular speed just after the first touchdown lies below this, {CONFIDENCE:.0%}", "not "
+            "stated",
             ours[1], "rad/s", None, None, _above_note(chain), "paper, section 3.2, not considered there", kind="not_comparable"),
         chain.name, ours, possible,
     )  # fmt: skip
@@ -86,7 +87,8 @@ def _angle_rows(chain: Chain) -> list[Row]:
         ours, possible = chain.chosen.range(values(chain.chosen)), chain.box.range(values(chain.box))
         recipe = [float(f(values(chain.recipe))) for f in (np.min, np.max)]
         row = Row(
-            f"angle_{name}", f"the {what} of the angles from the momentum to the z axis and to the Sun", "not stated", recipe, "deg",
+            f"angle_{name}", f"the {what} of the angles from the momentum to the z axis and to the Sun", "not "
+                "stated", recipe, "deg",
             None, None, f"ours: least and largest by the paper's recipe; low and high: over {chain.chosen.about}. "
             "The two angles fix where the Sun's height goes; which of them is which the heights do not tell",
             "paper, section 2.3, from the model", kind="not_comparable",
@@ -124,7 +126,8 @@ def sentences(chain: Chain) -> list[str]:
         parts = [f"above {small[0]:.0f} degrees"] if small[0] >= 1 else []
         parts += [f"below {small[1]:.0f} degrees"] if small[1] < 0.9 * possible[1] else []
         found.append(
-            f"The smaller of the angles from the momentum to the body's z axis and to the Sun is {' and '.join(parts) or 'unknown'}, "
+            "The smaller of the angles from the momentum to the body's z axis and to the Sun is "
+            f"{' and '.join(parts) or 'unknown'}, "
             f"{level}" + ("; the momentum lies nearly along z or along the Sun." if small[1] < STILL_DEG else ".")
         )
     else:
@@ -134,7 +137,8 @@ def sentences(chain: Chain) -> list[str]:
     least = box.range(box.speed_touchdown)[0]
     bound = (
         f"Just after the touchdown it turned at {slow:.2g} rad/s or faster, {level}"
-        if slow > least + LEAST_STEP_RAD_S else "Just after the touchdown it may have stood still: no lower bound on its angular speed follows"
+        if slow > least + LEAST_STEP_RAD_S else "Just after the touchdown it may have stood still: no lower bound on its "
+            "angular speed follows"
     )  # fmt: skip
     upper = f" and at {fast:.3g} rad/s or slower" if chosen.probable else "; from above the heights of the Sun bound nothing"
     return [*found, bound + upper + "."]

@@ -56,7 +56,8 @@ def _line_rows(worth: Worth, how: str) -> list[Row]:
     near = [Share(int((t.twin["truth_to_line"] <= 0.03).sum()), t.n) for t in (lines, grid)]
     return [
         Row(
-            "worth_line_angle", "how far the four lines turn from one data set to another: 5, 50, 95 % of the angle", "not considered",
+            "worth_line_angle", "how far the four lines turn from one data set to another: 5, 50, 95 % of the angle", "not "
+                "considered",
             np.degrees(_middle(lines.twin["line_angle"])).tolist(), "deg", None, None,
             f"against the published lines, on which the truth lies; four lines could be fitted in {fitted} of the twins, the other "
             f"sets have fewer than 8 points; {how}", SECTION,

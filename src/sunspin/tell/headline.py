@@ -67,8 +67,10 @@ def _how_sure(result: Reproduction) -> str:
 def _extent(chain: Chain) -> str:
     if chain.calibration is not None:
         return (
-            f"The motions that fit make up {chain.share:.0%} of those scanned: EMD below {chain.calibration.factor()[0]:.2f} times the "
-            f"smallest, a threshold that held the truth in {CONFIDENCE:.0%} of {chain.calibration.n} synthetic flights like this one."
+            f"The motions that fit make up {chain.share:.0%} of those scanned: EMD below {chain.calibration.factor()[0]:.2f} "
+            "times the "
+            f"smallest, a threshold that held the truth in {CONFIDENCE:.0%} of {chain.calibration.n} synthetic flights like "
+            "this one."
         )
     return f"Candidates: {chain.chosen.about}." + (f" {chain.verdict.rstrip('.')}." if chain.verdict else "")
 
@@ -85,7 +87,8 @@ def score(result: Reproduction) -> list[str]:
         f"Tests on this telemetry: {here['agree']} agree, {here['differ']} differ, {here['uninformative']} uninformative",
         f"Tests without telemetry (equations, printed lines): {lines['agree'] + paper['agree']} agree, "
         f"{lines['differ'] + paper['differ']} differ",
-        f"No tests: {other['put_in']} figures put in, {other['arithmetic']} of the paper's own arithmetic, {other['not_comparable']} not "
+        f"No tests: {other['put_in']} figures put in, {other['arithmetic']} of the paper's own arithmetic, "
+        f"{other['not_comparable']} not "
         "comparable",
         f"{strong} statements of the paper contradict its own figures or public facts, {weak} more are weak",
     ]
@@ -94,12 +97,14 @@ def score(result: Reproduction) -> list[str]:
 def _rests_on(result: Reproduction) -> str:
     here = result.counts()["telemetry"]
     text = (
-        f"of the paper's figures that can be tested on it {here['agree']} agree, {here['differ']} differ, and {here['uninformative']} are "
+        f"of the paper's figures that can be tested on it {here['agree']} agree, {here['differ']} differ, and "
+        f"{here['uninformative']} are "
         "uninformative, as these data leave nearly all that was possible"
     )
     if result.synthetic:
         return (
-            "The flown panel powers are not public; this run uses synthetic ones made from published facts, so it tests the method and "
+            "The flown panel powers are not public; this run uses synthetic ones made from published facts, so it tests the "
+            "method and "
             f"does not measure Philae anew: {text}."
         )
     return f"The panel powers were read from a file that does not call itself synthetic: {text}."

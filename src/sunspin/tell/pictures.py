@@ -142,8 +142,10 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
             clean.points, clean.lines, lines,
             f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines"),
         "Near-minimum points in rate space along four lines",
-        f"No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {len(clean.points)} points at "
-        f"{clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the minimum "
+        f"No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {len(clean.points)} "
+        "points at "
+        f"{clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the "
+        "minimum "
         f"against so clean a target being {float(clean.emd.min()):.4f}.",
     )  # fmt: skip
     yield Sheet(
@@ -161,7 +163,8 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
     yield Sheet(
         "fig13_lines", lambda: figures_outcomes.sun_height_figure(part.runs),
         "Densities of the z component after the collision for motions on the printed lines, wheel off and held",
-        f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated collisions of "
+        f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated "
+        "collisions of "
         "motions on the printed lines; each area is 1.",
     )  # fmt: skip
 
@@ -188,7 +191,8 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Sheet]:
     yield Sheet(
         "fig12_touchdown", lambda: figures_candidates.draw(part, result.synthetic),
         "Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box",
-        f"What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the heights of "
+        "What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the "
+        "heights of "
         f"the Sun see, over {part.chosen.about}; grey: all that was possible." + _note(result),
     )  # fmt: skip
 

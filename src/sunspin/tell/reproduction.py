@@ -23,6 +23,7 @@ from sunspin.tell.pictures import draw
 from sunspin.tell.report import write_report
 from sunspin.tell.results import CITE, Picture, results_folder, write_run, write_whole
 from sunspin.tell.stored import store
+from sunspin.tell.text import number_text
 from sunspin.vehicle import load_vehicle
 
 FIGURES = "The figures of the paper"
@@ -193,7 +194,8 @@ def _of_scan(result: Reproduction) -> list[str]:
         return []
     part = result.parts["level_set"]
     text = (
-        f"Against the {part.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the smallest "
+        f"Against the {part.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the "
+        "smallest "
         f"EMD is {part.scan.smallest:.4f}; {len(part.near.points)} grid points lie within {part.near.factor} times it, and "
         f"{part.lines_found} of the four printed lines come out of them"
     )
@@ -210,12 +212,14 @@ def _of_lines(result: Reproduction) -> list[str]:
     part, lowest = result.parts["published_lines"], result.row("rate_at_touchdown_min_lines")
     found = [
         f"Without telemetry: motions on the four printed lines turn at {number_text(lowest.ours)} rad/s or faster after the first "
-        f"touchdown (published: {number_text(lowest.published)}; {number_text(lowest.low, 4)} to {number_text(lowest.high, 4)} with the "
+        f"touchdown (published: {number_text(lowest.published)}; {number_text(lowest.low, 4)} to "
+        f"{number_text(lowest.high, 4)} with the "
         "first sample's time and the wheel's speed uncertain)."
     ]
     if distances := [deviation["mean"] for deviation in part.clean.deviation]:
         found.append(
             f"Against those lines' own distribution of r_z the scan finds four lines that are {min(distances):.3f} to "
-            f"{max(distances):.3f} rad/s from the printed ones on average (grid step {result.case.published['scan_step'].value} rad/s)."
+            f"{max(distances):.3f} rad/s from the printed ones on average (grid step "
+            f"{result.case.published['scan_step'].value} rad/s)."
         )
     return found

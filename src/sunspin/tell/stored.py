@@ -48,7 +48,8 @@ def _file(name: str) -> str:
 def _scans(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
     """The scan of the telemetry, and that of the printed lines' distribution."""
     found, lines = [], rb.published_lines(result.case)
-    families = [("scan_published_lines", result.parts["published_lines"].clean, "against the common distribution of the printed lines")]
+    families = [("scan_published_lines", result.parts["published_lines"].clean, "against the common distribution of the "
+        "printed lines")]
     scan = result.parts.get("level_set")
     if scan is not None:
         families.insert(0, ("scan_telemetry", scan.near, "against the directions of this telemetry"))
