@@ -5,30 +5,63 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from browser import HOSTILE, Browser, found
-from sunspin.study import motions
+from sunspin.cases import load_case
+from sunspin.study import carries, motions, published_lines
 from sunspin.study import reproduce as rp
 from sunspin.tell import reproduction
 
 
-@pytest.fixture(scope="session")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `sunspin reproduce` writes, from a coarse grid and few runs, without drawn figures."""
-    folder = tmp_path_factory.mktemp("study")
+@contextmanager
+def small() -> Iterator[None]:
+    """A study of few motions and runs, without drawn figures and the slowest part that the page does not draw."""
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in (
-            (motions, "SPREAD_MOTIONS", 4), (motions, "LINE_POINTS", 3), (motions, "COLLISIONS", 40), (rp, "LEAST_RUNS", 40),
-            (rp, "LANDING_RUNS", 1), (rp, "PARTS", tuple(part for part in rp.PARTS if part.name != "precession")),
-            (reproduction, "draw", lambda *_: []),
+            (motions, "SPREAD_MOTIONS", 4), (motions, "COLLISIONS", 40), (published_lines, "LINE_POINTS", 3),
+            (carries, "SHUFFLES", 3), (rp, "LEAST_RUNS", 40), (rp, "LANDING_RUNS", 1),
+            (rp, "PARTS", tuple(part for part in rp.PARTS if part.name != "precession")), (reproduction, "draw", lambda *_: []),
         ):  # fmt: skip
             patch.setattr(module, name, value)
-        reproduction.reproduce(folder, coarser=25)
+        yield
+
+
+@pytest.fixture(scope="session")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `sunspin reproduce` writes, from a coarse grid and few runs."""
+    folder = tmp_path_factory.mktemp("study")
+    with small():
+        reproduction.reproduce(folder, coarser=25, calibrate=TWINS)
     return folder
+
+
+@pytest.fixture(scope="session")
+def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same from a file that carries no conclusion: each panel's readings in random order within their phase."""
+    root = tmp_path_factory.mktemp("shuffled")
+    lines = (load_case("philae").folder / "telemetry.csv").read_text("utf-8").splitlines()
+    comments, (head, *body) = ([line for line in lines if line.startswith("#") is wanted] for wanted in (True, False))
+    table, rng = np.array([line.split(",") for line in body]), np.random.default_rng(1)
+    names = head.split(",")
+    for name in np.unique(table[:, names.index("phase")]):
+        at = np.flatnonzero(table[:, names.index("phase")] == name)
+        for k in (k for k, column in enumerate(names) if column.endswith("_W")):
+            table[at, k] = table[rng.permutation(at), k]
+    telemetry = root / "shuffled.csv"
+    telemetry.write_text("\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n", "utf-8")
+    with small():
+        reproduction.reproduce(root / "results", telemetry, coarser=25, calibrate=TWINS)
+    return root / "results"
+
+
+TWINS = 30
+"""Synthetic rebounds of the calibration: enough for a 90 % level."""
 
 
 @pytest.fixture(scope="session")

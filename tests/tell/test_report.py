@@ -5,54 +5,20 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from pages import Page
 
 from browser import HOSTILE
 from sunspin.cli import cli
 from sunspin.errors import InputError
-from sunspin.study.row import STATEMENT
 from sunspin.tell.report import write_report
 from sunspin.tell.report.page import _json, _script
 from sunspin.tell.results import MARKER
-
-
-class Page(HTMLParser):
-    """Elements by tag, text outside of scripts, content of the data element."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.words: list[str] = []
-        self.data = ""
-        self._in: str | None = None
-        self.feed(path.read_text("utf-8"))
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        self._in = tag if tag in ("script", "style") else None
-        self._kind = dict(attrs).get("id")
-
-    def handle_endtag(self, tag):
-        self._in = None
-
-    def handle_data(self, data):
-        if self._in is None:
-            self.words.append(data)
-        elif self._in == "script" and self._kind == "data":
-            self.data += data
-
-    @property
-    def text(self) -> str:
-        return " ".join(" ".join(self.words).split())
-
-    def ids(self, tag: str) -> list[str]:
-        return [attrs["id"] for name, attrs in self.tags if name == tag and attrs.get("id")]
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +42,20 @@ def test_the_page_says_what_the_summary_says(study, page):
     assert len(summary["headline"]) == 3
     for sentence in summary["headline"] + summary["conclusions"]:
         assert " ".join(sentence.split()) in page.text
-    compared = [row for row in summary["figures"] if row["agrees"] is not None and not row["id"].startswith(STATEMENT)]
-    free = [row["agrees"] for row in compared if not row["by_construction"]]
-    assert f"({sum(free)} of {len(free)} comparable" in page.text  # what was put in proves nothing by coming out
+    for line in summary["score"]:
+        assert line in page.text
     rows = {attrs["data-row"]: attrs["data-verdict"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs}
     assert set(rows) == {row["id"] for row in summary["figures"]}
     for row in summary["figures"]:
-        good = rows[row["id"]] in ("agrees", "stands", "made")
-        assert (rows[row["id"]] == "made") is row["by_construction"]
-        assert good is bool(row["agrees"]) and (rows[row["id"]] == "open") is (row["agrees"] is None)
+        verdict, test = rows[row["id"]], row["kind"] == "test"
+        assert (verdict == "agrees") is (row["agrees"] is True) and (verdict == "differs") is (row["agrees"] is False)
+        assert (verdict == "uninformative") is (test and not row["informative"])
+        assert test is (verdict in ("agrees", "differs", "uninformative"))
+        assert (row["kind"] == "put_in") is (verdict in ("comes-back", "not-back", "put-in"))
+        assert (row["kind"] == "not_comparable") is (verdict in ("not-comparable", "drawn"))
+        if not test and row["kind"] != "not_comparable":
+            assert (verdict in ("comes-back", "holds", "stands")) is (row["holds"] is True)
+            assert (verdict in ("not-back", "holds-not", "contradicted", "weak")) is (row["holds"] is False)
     for entry in summary["inputs"]:
         assert entry["sha256"] in page.text
     assert summary["command"] in page.text and f"sunspin {summary['version']}" in page.text and summary["cite"] in page.text

@@ -153,7 +153,7 @@ def test_views_change_what_is_shown(page):
 
 def test_slices_show_the_scan(page, study):
     page.show("#slices-plot")
-    scan = xr.load_dataset(study / "scan_published_lines.nc", engine="h5netcdf")["emd"]
+    scan = xr.load_dataset(study / "scan_telemetry.nc", engine="h5netcdf")["emd"]
     for k in (0, scan.sizes["omega_z"] - 1):
         page.js(
             f"(() => {{const s = document.getElementById('slices-slider'); s.value = {k}; s.dispatchEvent(new Event('input'))}})()"
@@ -168,9 +168,28 @@ def test_rows_can_be_filtered(page, study):
     summary = json.loads((study / "summary.json").read_text("utf-8"))
     page.js("document.querySelector(\"button[data-filter='differs']\").click()")
     shown = page.js("[...document.querySelectorAll('tr[data-row]:not([hidden])')].map(r => r.dataset.row)")
-    wanted = {r["id"] for r in summary["figures"] if r["agrees"] is False and not r["id"].startswith("contradiction_")}
+    wanted = {r["id"] for r in summary["figures"] if r["agrees"] is False}
     assert set(shown) == wanted and wanted
+    assert text(page, "#row-count") == f"{len(wanted)} rows"
+    headings = page.js(
+        "[...document.querySelectorAll('#comparison h3, #comparison h4')].filter(h => h.offsetHeight).map(h => h.textContent)"
+    )
+    parts = {r[key] for r in summary["figures"] if r["id"] in wanted for key in ("part", "section")}
+    assert set(headings) == parts  # no heading without a row under it
     page.js("document.querySelector(\"button[data-filter='']\").click()")
+
+
+def test_every_filter_shows_as_many_rows_as_it_says(page):
+    labels = page.js("[...document.querySelectorAll('button[data-filter]')].map(b => [b.dataset.filter, b.textContent])")
+    assert labels[0] == ["", "all"] and {"agrees", "differs", "put_in"} & {key.replace("-", "_") for key, _ in labels}
+    total = 0
+    for key, label in labels[1:]:
+        page.js(f"document.querySelector(\"button[data-filter='{key}']\").click()")
+        shown = page.js("document.querySelectorAll('tr[data-row]:not([hidden])').length")
+        assert label.endswith(f"({shown})") and shown > 0
+        total += shown
+    page.js("document.querySelector(\"button[data-filter='']\").click()")
+    assert page.js("document.querySelectorAll('tr[data-row]:not([hidden])').length") == total
 
 
 def test_keys_turn_a_plot_and_reach_the_controls(page):
@@ -199,6 +218,14 @@ def test_narrow_and_dark(browser, study, width, dark):
     ink = browser.js("document.querySelector('#figure-speed [data-plot]')._fullLayout.font.color")
     assert (sum(int(ink[k : k + 2], 16) for k in (1, 3, 5)) / 3 > 180) is dark
     assert browser.complaints() == []
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_page_without_conclusions_shows_its_reason_first(browser, no_conclusion, width):
+    browser.open(no_conclusion / "report.html", width, 844)
+    box = json.loads(browser.js("JSON.stringify(document.querySelector('.badge.stop').getBoundingClientRect())"))
+    assert 0 < box["top"] and box["bottom"] < 844 and 0 <= box["left"] and box["right"] <= width
+    assert browser.js("document.documentElement.scrollWidth <= innerWidth") and browser.complaints() == []
 
 
 def test_in_a_narrow_window_no_word_is_broken_or_cut(browser, study):

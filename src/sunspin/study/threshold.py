@@ -109,7 +109,8 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
         {
             "study": "threshold of a level set, truths even in the scanned box", "vehicle": plain(rebound.case.vehicle),
             "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(), "directions": rebound.z.size,
-            "noise": float(sun["noise"]), "lit_threshold": float(sun["lit_threshold"]), "scale": _scale(rebound), "sun_B": np.round(rebound.sun_B, 4).tolist(),
+            "noise": float(sun["noise"]), "lit_threshold": float(sun["lit_threshold"]), "scale": _scale(rebound),
+            "sun_B": np.round(rebound.sun_B, 4).tolist(),
             "window_s": round(rebound.window_s, 3), "lead_s": round(rebound.lead_s, 3), "target_weights": None,
             "axes": [np.round(axis, 6).tolist() for axis in (start.omega_x, start.omega_y, start.omega_z)],
             "mask": plain(reconstructible_mask(rebound.case.vehicle)), "bins": BINS, "emd_error": k.EMD_ERROR, "alike": ALIKE,

@@ -61,6 +61,9 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset, events: Mappin
             hours[told], sun["sun_B"].values[told, k], yerr=error[told], fmt=".", ms=5, lw=0.8, color=COLOURS[k],
             label=f"$n_{axis}$",
         )  # fmt: skip
+    for piece in _connected(hours, sun):
+        for k in range(3):
+            middle.plot(hours[piece], sun["sun_B"].values[piece, k], "-", lw=0.6, alpha=0.6, color=COLOURS[k], zorder=1)
     _mark_reasons(middle, hours, sun)
     middle.set_ylim(-1.5, 1.75)
     middle.set_ylabel("Sun direction, body axes (1)")
@@ -83,10 +86,26 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset, events: Mappin
     return figure
 
 
+PAUSE = 10
+"""Steps between samples after which no line connects them."""
+
+
 def _long_gaps(hours: np.ndarray) -> np.ndarray:
     """Where the line between samples is broken: pauses of more than ten times the usual step."""
     steps = np.diff(hours)
-    return np.flatnonzero(steps > 10 * np.median(steps)) + 1 if steps.size else np.zeros(0, int)
+    return np.flatnonzero(steps > PAUSE * np.median(steps)) + 1 if steps.size else np.zeros(0, int)
+
+
+def _connected(hours: np.ndarray, sun: xr.Dataset) -> list[np.ndarray]:
+    """Indices of the directions that a line connects: successive ones of one phase, no more than `PAUSE` usual steps apart.
+
+    A few samples without a direction in between do not break the line, as in the paper's figure.
+    """
+    told = np.flatnonzero(np.isfinite(sun["sun_B"].values[:, 0]))
+    phase = sun["phase"].values.astype(str) if "phase" in sun.coords else np.full(hours.size, "")
+    usual = float(np.median(np.diff(hours))) if hours.size > 1 else 0.0
+    parted = (phase[told[1:]] != phase[told[:-1]]) | (np.diff(hours[told]) > PAUSE * usual)
+    return [piece for piece in np.split(told, np.flatnonzero(parted) + 1) if piece.size > 1]
 
 
 def _mark_reasons(axes: Any, hours: np.ndarray, sun: xr.Dataset) -> None:

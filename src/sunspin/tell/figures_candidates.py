@@ -10,43 +10,76 @@ from matplotlib.figure import Figure
 from sunspin.study.candidates import Candidates, Chain
 from sunspin.tell.figures import COLOURS, _title
 
-BINS = 60
+BEFORE, CHOSEN, RECIPE = "#9a9a9a", COLOURS[0], COLOURS[1]
+LEAST_IN_A_BIN = 30
+"""Bins are as wide as leaves so many motions in each, on average: fewer would show the steps of the grid."""
+
+MOST_BINS = 40
+MOST_POINTS = 6000
 
 
 def draw(chain: Chain, synthetic: bool) -> Figure:
-    """Densities of the angular speed at the touchdown, and of the smaller and the larger angle of the momentum."""
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    """Share of the motions by angular speed at the touchdown, and the smaller and the larger angle of the momentum."""
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
     speed, angles = figure.subplots(1, 2)
-    _densities(speed, chain, lambda c: c.speed_touchdown)
-    published = float(chain.case.published["rate_at_touchdown_min"].value)
-    speed.axvline(published, color=COLOURS[1], ls="--", lw=1.2, label=f"published lower bound {published} rad/s")
-    low = chain.chosen.speed_range()[0]
-    speed.axvline(low, color=COLOURS[2], lw=1.4, label=f"lower bound from these candidates {low:.3f} rad/s")
-    speed.set(xlabel="angular speed just after the first touchdown (rad/s)", ylabel="density (s/rad)")
-    speed.legend(fontsize=7)
-    for name, candidates, colour, size in (
-        ("possible before the data", chain.box, "#bbbbbb", 1), (_short(chain), chain.chosen, COLOURS[0], 1),
-        ("the paper's recipe on this telemetry", chain.recipe, COLOURS[1], 6),
-    ):  # fmt: skip
-        every = max(len(candidates) // 6000, 1)
-        pair = np.degrees(np.stack([candidates.smaller_angle, candidates.larger_angle])[:, ::every])
-        angles.plot(*pair, ".", ms=size, color=colour, label=name, rasterized=True)
-    angles.set(xlabel="smaller of the angles from H to z and to the Sun (deg)", ylabel="larger of them (deg)")
-    angles.legend(fontsize=7, markerscale=4)
+    _speeds(speed, chain)
+    _angles(angles, chain)
     figure.suptitle(_title("What this telemetry leaves of the motion after the first touchdown", synthetic), fontsize=11)
     return figure
 
 
 def _short(chain: Chain) -> str:
-    return {"scan": "the 90 % set of the scan", "published": "the printed lines"}.get(chain.name, f"candidates: {chain.name}")
+    names = {
+        "scan": "the 90 % set of the scan", "posterior": "draws of the posterior",
+        "published": "the printed lines, whatever the data say",
+    }  # fmt: skip
+    return names.get(chain.name, f"motions of {chain.name}")
 
 
-def _densities(axes: Any, chain: Chain, values: Any) -> None:
-    edges = np.linspace(0.0, float(values(chain.box).max()), BINS + 1)
+def _speeds(axes: Any, chain: Chain) -> None:
+    """What was possible, what is left of it, and the bound; where both have one shape the data say nothing but the bound."""
+    box, chosen = chain.box.speed_touchdown, chain.chosen.speed_touchdown
+    bins = int(np.clip(min(len(box), len(chosen)) / LEAST_IN_A_BIN, 5, MOST_BINS))
+    edges = np.linspace(0.0, float(max(box.max(), chosen.max())), bins + 1)
+    for values, colour, fill, name in (
+        (box, BEFORE, True, "possible before the data"), (chosen, CHOSEN, False, f"left: {_short(chain)}"),
+    ):  # fmt: skip
+        density, _ = np.histogram(values, edges, density=True)
+        axes.stairs(density, edges, color=colour, lw=1.8, fill=fill, alpha=0.45 if fill else 1.0, label=name)
+    low = chain.chosen.range(chosen)[0]
+    if low > 0:
+        axes.axvspan(0, low, color=CHOSEN, alpha=0.12, lw=0)
+    axes.axvline(low, color=CHOSEN, lw=1.4, ls="-", label=f"least of them: {low:.3f} rad/s")
+    published = float(chain.case.published["rate_at_touchdown_min"].value)
+    axes.axvline(published, color=RECIPE, ls="--", lw=1.4, label=f"published lower bound: {published:g} rad/s")
+    axes.set(xlim=(0, edges[-1]), xlabel="angular speed just after the first touchdown (rad/s)", ylabel="density (s/rad)")
+    axes.set_ylim(0, 1.45 * axes.get_ylim()[1])  # room for the legend
+    axes.legend(fontsize=8, loc="upper right", ncols=2)
+    axes.set_title("Angular speed", fontsize=9)
 
-    def steps(candidates: Candidates, colour: str, name: str) -> None:
-        density, _ = np.histogram(values(candidates), edges, density=True)
-        axes.stairs(density, edges, color=colour, lw=1.5, label=name)
 
-    steps(chain.box, "#999999", "possible before the data")
-    steps(chain.chosen, COLOURS[0], _short(chain))
+def _angles(axes: Any, chain: Chain) -> None:
+    """The two angles of every motion: chosen ones over all that were possible."""
+    for name, candidates, marker, colour, size in (
+        ("possible before the data", chain.box, "s", "#cccccc", 3.0), (f"left: {_short(chain)}", chain.chosen, "o", CHOSEN, 1.8),
+        ("the paper's recipe on this telemetry", chain.recipe, "D", RECIPE, 4.0),
+    ):  # fmt: skip
+        label = f"{name} ({len(candidates):,})".replace(",", " ")
+        axes.plot(*_pair(candidates), marker, ms=size, mew=0, color=colour, label=label, rasterized=True)
+    ends = np.degrees([np.max(angle) for angle in (chain.box.smaller_angle, chain.box.larger_angle)])
+    axes.set(
+        xlim=(0, ends[0] + 2), ylim=(0, 1.3 * ends[1]),
+        xticks=range(0, int(ends[0]) + 2, 15), yticks=range(0, int(ends[1]) + 16, 30),
+        xlabel="smaller of the angles from the momentum to z and to the Sun (deg)", ylabel="larger of the two (deg)",
+    )  # fmt: skip
+    legend = axes.legend(fontsize=8, loc="upper left")
+    for handle in legend.legend_handles:
+        handle.set_markersize(6)
+    axes.set_title("Angles of the momentum: all that the heights of the Sun see", fontsize=9)
+    axes.grid(lw=0.3)
+
+
+def _pair(candidates: Candidates) -> np.ndarray:
+    """Smaller and larger angle (2, n), deg, of at most `MOST_POINTS` of them, evenly."""
+    every = -(-len(candidates) // MOST_POINTS)
+    return np.degrees(np.stack([candidates.smaller_angle, candidates.larger_angle])[:, ::every])

@@ -8,6 +8,7 @@ import numpy as np
 
 from sunspin.cases import case_names
 from sunspin.tell.report.read import Results
+from sunspin.tell.report.rows import between
 from sunspin.tell.text import capital, counted, number_text
 
 TITLES = {
@@ -146,23 +147,58 @@ def _outcomes(results: Results) -> list[str]:
     return [*told, str(missing)] if missing else told
 
 
-def facts(results: Results) -> list[tuple[str, str]]:
-    """A few figures in a row under the first sentences."""
-    rows: list[dict[str, Any]] = [row for row in results.summary.get("figures", []) if isinstance(row, dict)]
-    by_id = {row.get("id"): row for row in rows}
+def first_line(results: Results) -> str:
+    """What the telemetry file can carry: the first line of a study's page."""
+    told = results.summary.get("carries")
+    return told if isinstance(told, str) else ""
+
+
+def score(results: Results) -> list[str]:
+    """The study's score, a line for each kind of row."""
+    told = results.summary.get("score")
+    return [str(line) for line in told] if isinstance(told, list) else []
+
+
+def facts(results: Results) -> list[tuple[str, str, str]]:
+    """A few figures in a row under the first sentences: label, value, what to hold it against."""
     found = []
     for name, label in FACTS:
-        row = by_id.get(name)
-        if row is not None and isinstance(row.get("ours"), int | float):
-            unit = "" if row["unit"] == "1" else f" {row['unit']}"
-            found.append((label, f"{row['ours']:.4g}{unit} (published {number_text(row['published'], 4)})"))
+        row = results.row(name)
+        if results.why_nothing and name not in OF_READINGS:
+            continue
+        if row is None or isinstance(row.get("ours"), bool) or not isinstance(row.get("ours"), int | float):
+            continue
+        unit = "" if row.get("unit") == "1" else f" {row.get('unit', '')}"
+        value, told = f"{row['ours']:.4g}{unit}", [f"published {number_text(row.get('published'), 4)}"]
+        if name == BOUND:
+            label += f" {_level(row)}"
+        if row.get("informative") is False:
+            value = "not known from these data"
+            left = between(row.get("low"), row.get("high"))
+            told.insert(0, "uninformative: nearly all that was possible is left" + (f", {left}{unit}" if left else ""))
+        if row.get("kind") == "put_in":
+            told.append("put in: the telemetry was made from it")
+        if row.get("chain") == "none":
+            told.append("no telemetry enters")
+        found.append((label, value, "; ".join(told)))
     return found
 
 
+def _level(row: dict[str, Any]) -> str:
+    """How sure a lower bound is, by what made it."""
+    sure = {"scan": "(90 %)", "posterior": "(95 %)", "published": "(of the printed lines, whatever this telemetry says)"}
+    return sure.get(str(row.get("chain")), f"(of the motions of {row.get('chain')})")
+
+
+OF_READINGS = ("delta_mean",)
+"""Facts of the readings themselves, which stand where nothing is concluded from them."""
+
+BOUND = "rate_at_touchdown_bound"
+
 FACTS = (
-    ("rate_at_touchdown_min", "slowest tumbling after the touchdown"),
-    ("wheel_stop", "time in which the wheel ran down"),
+    (BOUND, "angular speed after the touchdown, at least"),
     ("emd_min", "smallest misfit of the Sun's heights (EMD)"),
     ("delta_mean", "mean misfit of a sample (Delta)"),
+    ("wheel_stop", "time in which the wheel runs down"),
 )
 """Rows of the study shown first, in plain words."""

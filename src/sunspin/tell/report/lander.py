@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.measure.panels import panel_power
 from sunspin.tell.report.passes import dense
 from sunspin.tell.report.read import Results
-from sunspin.tell.report.section import Section, Special, epoch_ms
+from sunspin.tell.report.section import Section, Special, epoch_ms, motion_order
 from sunspin.tell.text import capital
 from sunspin.vehicle import Vehicle
 
@@ -65,14 +65,11 @@ def section(results: Results) -> Section | None:
     return Section("lander", f"{capital(vehicle.name)} in motion", lead, [Special("lander", content, data)])
 
 
-ORDER = {"Truth": 0, "Best fit": 1, "Descent": 9}
-
-
 def _found(results: Results) -> list[tuple[str, xr.Dataset]]:
     found = []
     for name, data in results.having("B_from_N", "sun_B", "omega_B"):
         found += dense(data) if "pass_of" in data else [(str(data.attrs.get("title", name)), data)]
-    return sorted(found, key=lambda item: (ORDER.get(item[0], 5), item[0]))
+    return sorted(found, key=lambda item: motion_order(item[0]))
 
 
 def motion(vehicle: Vehicle, name: str, data: xr.Dataset, results: Results) -> dict[str, Any] | None:

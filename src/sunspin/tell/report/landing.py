@@ -60,6 +60,9 @@ def outcomes(results: Results) -> Section | None:
         f"came, and how "
         "the ground lay at the landing is not known, so it is drawn anew for every run: the spread is what that ignorance does."
     ]
+    begun = results.data.get("candidates")
+    if begun is not None and "about" in begun.attrs:
+        lead.append(f"The runs begin with {begun.attrs['about']}.")
     missing = str(found[0][1].attrs.get("not_told", ""))
     return Section("outcomes", "What the collision led to", [*lead, *([missing] if missing else [])], items)
 
@@ -85,8 +88,7 @@ def _heights(found: list[tuple[str, xr.Dataset]]) -> Plot:
     return Plot(
         "heights", data, layout,
         "Probability density of the height of the Sun over the lander between collision and landing, one curve per command to the "
-        "wheel: "
-        "with the wheel off the lander turns upside down far more often than with the wheel held.",
+        "wheel, each with a band of one standard error.",
         "How the Sun stood between collision and landing; bands: one standard error.", 380,
     )  # fmt: skip
 

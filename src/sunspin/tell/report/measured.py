@@ -11,7 +11,19 @@ from sunspin.measure.panels import panel_power
 from sunspin.measure.sun import is_reconstructed
 from sunspin.tell.report.passes import dense
 from sunspin.tell.report.read import Results
-from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, clock, instants, packed, thin, time_axis
+from sunspin.tell.report.section import (
+    COLOURS,
+    SYMBOLS,
+    Plot,
+    Section,
+    Table,
+    clock,
+    instants,
+    motion_order,
+    packed,
+    thin,
+    time_axis,
+)
 from sunspin.tell.text import capital
 
 MOST_SAMPLES = 4000
@@ -157,8 +169,7 @@ def _models(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
         (str(data.attrs.get("title", name)), data)
         for name, data in results.having("panel_signal", "B_from_N") if data["panel_signal"].shape[1] == len(names)
     ]  # fmt: skip
-    order = {"Truth": 0, "Best fit": 1, "Descent": 9}
-    return sorted(found, key=lambda item: (order.get(item[0], 5), item[0])) + _of_passes(results, names)
+    return sorted(found, key=lambda item: motion_order(item[0])) + _of_passes(results, names)
 
 
 def _of_passes(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:

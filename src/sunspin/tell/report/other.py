@@ -23,8 +23,17 @@ SEEN = {
     "inputs",
     "cite",
     "figures",
+    "chain",
+    "carries",
+    "noise",
+    "calibration",
+    "score",
+    "counts",
 }
 """Keys of a summary that have a place of their own."""
+
+STATED = (("chain", "candidate motions from"), ("noise", "readings"), ("calibration", "threshold of the 90 % set"))
+"""Entries of a study's summary that belong to where its results come from, and their names."""
 
 SEEN_OF = {"posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "p_value", "effective_draws", "pareto_k", "predicted"}}
 """The same, for one command's summary."""
@@ -88,6 +97,7 @@ def provenance(results: Results) -> Section:
     facts.append(["synthetic data", made])
     if results.vehicle is not None:
         facts.append(["vehicle", results.vehicle.name])
+    facts += [[label, str(s[key])] for key, label in STATED if s.get(key)]
     for data in results.data.values():
         if data.attrs.get("sha256") and not s.get("inputs"):
             facts.append(["telemetry", f"{data.attrs.get('file', '')}, SHA-256 {data.attrs['sha256']}"])

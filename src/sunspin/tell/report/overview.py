@@ -27,6 +27,8 @@ TURNS = ((600, "10 min"), (120, "2 min"), (60, "1 min"), (30, "30 s"), (13, "13 
 
 def hero(results: Results) -> Plot | None:
     """The picture of the first screen: the angular speed through the landing, or the main result of another command."""
+    if results.why_nothing:  # no picture of a motion where none is concluded
+        return measured.picture(results)
     speed = results.first("speed", "speed_after_collision")
     if speed is not None and results.timeline is not None:
         return _speed(results, speed)
@@ -48,7 +50,7 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
     data += _magnetometer(results, epoch, at, numbers)
     ticks = {
         "tickvals": [2 * np.pi / s for s, _ in TURNS], "ticktext": [text for _, text in TURNS], "type": "log",
-        "range": [np.log10(0.006), np.log10(2.2)],
+        "range": _range(speed),
     }  # fmt: skip
     zero = epoch_ms(epoch) or 0.0
     day = {"type": "date", "tickformat": "%H:%M", "hoverformat": "%H:%M:%S", "showgrid": False}
@@ -76,30 +78,62 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
     }  # fmt: skip
     return Plot(
         "speed", data, layout,
-        "How fast Philae turned, against time: the descent as a line, then after the first touchdown the band of rates that "
-        "fit, up "
-        "to the collision, and again after it until the second touchdown. The numbers are in the table below the picture.",
-        _caption(speed), 430, narrow=narrow,
+        "How fast Philae turned, against time: the descent as a line, then after the first touchdown a band of rates up to the "
+        "collision, and again after it until the second touchdown. The numbers are in the table below the picture.",
+        _caption(results, speed), 430, narrow=narrow,
         numbers=Table(["when", "what", "angular speed (rad/s)", "one turn takes"], numbers, "The picture in numbers", closed=True),
     )  # fmt: skip
 
 
-def _caption(speed: xr.Dataset) -> str:
+def _range(speed: xr.Dataset) -> list[float]:
+    """Ends of the axis of angular speed, as logarithms: the usual ones, further out where a set of motions goes further."""
+    known = np.concatenate([speed[name].values.ravel() for name in ("speed", "speed_after_collision")])
+    known = known[np.isfinite(known) & (known > 0)]
+    low, high = (known.min(), known.max()) if known.size else SHOWN
+    return [float(np.log10(max(min(SHOWN[0], 0.8 * low), FLOOR))), float(np.log10(max(SHOWN[1], 1.2 * high)))]
+
+
+def _caption(results: Results, speed: xr.Dataset) -> str:
     said = speed.attrs
+    about, recipe = (str(said.get(f"about_{name}", name)) for name in STYLE)
+    meaning = _meaning(results, str(said.get("chain", "")))
     return (
-        f"How fast Philae turned. Pale band: {said.get('about_candidates', 'the candidates')}, from the slowest to the "
-        "fastest; every "
-        "motion in it fits, none is preferred, and the heights of the Sun bound it from below only: above it ends where the "
-        "scan ends. "
-        f"Dark band and line: {said.get('about_recipe', 'the paper recipe')}, and their median. After the collision: 95 % of the "
-        "simulated collisions of the same motions. Diamonds: what the magnetometer said, which was not used."
+        f"How fast Philae turned. Band: {about}, from the slowest to the fastest{meaning}. "
+        f"Dashed: {recipe}, and its median; it has no stated confidence. After the collision: 95 % of the simulated "
+        "collisions of the same motions. Diamonds: what the magnetometer said, which was not used."
+        + (" Synthetic telemetry." if results.synthetic else "")
     )
 
 
-STYLE = {
-    "candidates": ("@blue:0.16", "all that fits"),
-    "recipe": ("@blue:0.45", "the paper's recipe on this telemetry"),
+def _meaning(results: Results, chain: str) -> str:
+    """What the band says, and what it does not."""
+    if chain == "posterior":
+        return ", draws of a probability"
+    if chain == "published":
+        return "; this telemetry does not enter"
+    if chain != "scan":
+        return "; their choice is the reader's"
+    bound = results.row("rate_at_touchdown_bound") or {}
+    below = "bound it from below only" if bound.get("informative") is True else "bound it neither from below nor from above"
+    return (
+        f"; every motion in it fits, none is preferred, and the heights of the Sun {below}: beyond that it ends where the scan ends"
+    )
+
+
+STYLE: dict[str, tuple[str, dict[str, Any], str]] = {
+    "candidates": ("@blue:0.25", {"width": 0, "color": "@blue:0.25"}, "all that fits"),
+    "recipe": ("@blue:0", {"width": 1.6, "color": "@blue", "dash": "dash"}, "the paper's recipe on this telemetry"),
 }
+"""Sets of motions -> fill, outline, name in the legend. The recipe has no stated confidence, so that it is no darker band."""
+
+NAMED = {"posterior": "draws of the posterior", "published": "the printed lines", "scan": "all that fits"}
+"""Source of the candidates -> their name in the legend; others are a file's."""
+
+SHOWN = (0.006, 2.2)
+"""Angular speeds (rad/s) that the axis covers at least."""
+
+FLOOR = 1e-4
+"""Smaller speeds (rad/s), such as none at all, are drawn as this."""
 
 
 def _bands(speed: xr.Dataset, epoch: str, at: dict[str, float]) -> tuple[list[dict[str, Any]], list[list[str]]]:
@@ -110,16 +144,19 @@ def _bands(speed: xr.Dataset, epoch: str, at: dict[str, float]) -> tuple[list[di
     for name in STYLE:
         if name not in speed["set"].values:
             continue
-        colour, label = STYLE[name]
-        before = {level: speed["speed"].sel(set=name, level=level).values for level in ("low", "middle", "high")}
-        then = {level: float(speed["speed_after_collision"].sel(set=name, level=level)) for level in ("low", "middle", "high")}
+        colour, line, label = STYLE[name]
+        if name == "candidates":
+            label = NAMED.get(str(speed.attrs.get("chain", "scan")), "motions of the file")
+        drawn = {key: speed[key].sel(set=name).clip(min=FLOOR) for key in ("speed", "speed_after_collision")}
+        before = {level: drawn["speed"].sel(level=level).values for level in ("low", "middle", "high")}
+        then = {level: float(drawn["speed_after_collision"].sel(level=level)) for level in ("low", "middle", "high")}
         for k, (x, low, high) in enumerate(
             [(t, before["low"], before["high"]), (after, np.full(2, then["low"]), np.full(2, then["high"]))]
         ):
             ring = np.concatenate([x, x[::-1]])
             data.append({
                 "type": "scatter", "mode": "lines", "x": clock(ring, epoch), "y": packed(np.concatenate([high, low[::-1]])),
-                "fill": "toself", "fillcolor": colour, "line": {"width": 0, "color": colour}, "name": label, "legendgroup": name,
+                "fill": "toself", "fillcolor": colour, "line": line, "name": label, "legendgroup": name,
                 "showlegend": k == 0, "xaxis": "x2", "yaxis": "y", "hoverinfo": "skip",
             })  # fmt: skip
         if name == "recipe":
@@ -127,14 +164,15 @@ def _bands(speed: xr.Dataset, epoch: str, at: dict[str, float]) -> tuple[list[di
                 data.append({
                     "type": "scatter", "mode": "lines", "x": clock(x, epoch), "y": packed(y), "line": {"width": 2,
                     "color": "@blue"},
-                    "name": "their median", "showlegend": k == 0, "legendgroup": "median", "xaxis": "x2", "yaxis": "y",
+                    "name": "its median", "showlegend": k == 0, "legendgroup": "median", "xaxis": "x2", "yaxis": "y",
                 })  # fmt: skip
         for when, found in (
             ("first sample", {k: v[0] for k, v in before.items()}),
             ("before the collision", {k: v[-1] for k, v in before.items()}),
             ("after the collision", then),
         ):
-            numbers.append([when, f"{label}: slowest, median, fastest", *_three(found)])
+            levels = "2.5 %, median, 97.5 % of the collisions" if found is then else "slowest, median, fastest"
+            numbers.append([when, f"{label}: {levels}", *_three(found)])
     return data, numbers
 
 

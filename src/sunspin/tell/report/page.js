@@ -181,8 +181,9 @@
       const empty = !table.querySelector("tbody tr[data-row]:not([hidden])");
       table.hidden = empty;
       const heading = table.previousElementSibling;
-      if (heading && heading.tagName === "H3") heading.hidden = empty;
+      if (heading && heading.tagName === "H4") heading.hidden = empty;
     });
+    document.querySelectorAll(".row-group").forEach((group) => { group.hidden = !group.querySelector("table.rows:not([hidden])"); });
     const count = document.getElementById("row-count");
     if (count) count.textContent = `${shown} rows`;
   }

@@ -13,6 +13,11 @@ from sunspin.tell.report.read import Results
 from sunspin.tell.report.section import COLOURS, SEQUENTIAL, SYMBOLS, Plot, Section, Special, Table, packed, thin
 from sunspin.tell.text import number_text
 
+PRINTED = "scan_published_lines"
+"""The scan against the distribution of the lines that the paper prints: no telemetry enters, so it stands last."""
+
+MEASURED = "scan_telemetry"
+
 DIMS = ("omega_x", "omega_y", "omega_z")
 MOST_POINTS = 6000
 DEFAULT_FACTOR = 1.1
@@ -32,27 +37,30 @@ def _volumes(results: Results) -> list[tuple[str, xr.Dataset, xr.DataArray]]:
         for name, data in results.having(metric, *DIMS):
             if set(data[metric].dims) == set(DIMS):
                 found.append((name, data, data[metric].transpose(*DIMS)))
-    return sorted(found, key=lambda item: item[0] != "scan_published_lines")
+    return sorted(found, key=lambda item: item[0] == PRINTED)
 
 
 def lines(results: Results) -> Section | None:
-    """Points of every scan's near-minimum set, fitted and published lines."""
+    """Points of every scan's near-minimum set, what else fits, fitted and published lines."""
     data, views, tables = [], [], []
     for name, scan, volume in _volumes(results):
         first = len(data)
         points, factor = _set(scan, volume)
         if not len(points):
             continue
-        data += _cloud(scan, points)
-        data += _line_traces(scan)
-        data += _marks(results, scan)
-        about = str(scan.attrs.get("about", name))
+        fits, told = _candidates(results) if name == MEASURED else ([], "")
+        if name == MEASURED and not _all_found(results, scan):
+            scan = scan.drop_vars(FITTED, errors="ignore")
+        data += [*fits, *_cloud(scan, points), *_line_traces(scan), *_marks(results, scan)]
+        text = (
+            f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {factor:g} times the smallest, "
+            f"{float(np.nanmin(volume)):.4f}."
+        )
         views.append({
-            "label": f"Scan {about}" if "about" in scan.attrs else name, "show": list(range(first, len(data))),
-            "text": f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {factor:g} times the smallest, "
-            f"{float(np.nanmin(volume)):.4f}.",
+            "label": _label(name, scan), "show": list(range(first, len(data))),
+            "text": " ".join(part for part in (text, told, _said(results, name)) if part),
         })  # fmt: skip
-        tables += _line_table(scan, about)
+        tables += _line_table(scan, _label(name, scan))
     if not data:
         return None
     for k, trace in enumerate(data):
@@ -65,25 +73,68 @@ def lines(results: Results) -> Section | None:
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
-    families = "published_point" in results.data.get("scan_published_lines", {})
     lead = [
-        "Each dot is a motion: the three components of its body rate at the first sample. Those shown make the Sun stand as high "
-        "as often "
-        "as it was seen to. They lie along lines, because a distribution of heights says nothing about timing: along a line the "
-        "body turns "
-        "through the same angles, only faster."
+        "Each dot is a motion: the three components of its body rate at the first sample. Those shown make the Sun stand at each "
+        "height nearly as often as the target has it there. A distribution of heights says nothing about timing: a body that turns "
+        "through the same angles, only faster, fits as well."
     ]
+    if results.why_nothing:
+        lead.append(
+            "No motion is concluded from this telemetry. What is shown is only what the scans gave; the first lines of this page "
+            "say why."
+        )
     plot = Plot(
         "lines", data, layout,
-        "A cloud of points in the space of the three components of the initial body rate, strung along "
-        + ("four straight lines that meet near one point." if families else "lines or sheets."),
+        "A cloud of points in the space of the three components of the initial body rate: the motions of the chosen scan whose "
+        "misfit is near its smallest. The text below says how many they are.",
         "Drag, or use the arrow keys, to turn; + and − to zoom. Rates in rad/s, body axes." + (" Synthetic "
         "telemetry." if results.synthetic else ""),
         600, views, "Target", narrow={"scene.camera.eye": {"x": 1.6, "y": 2.1, "z": 1.0}, "font.size": 11},
     )  # fmt: skip
-    return Section(
-        "rate-space", "Four families of motions" if families else "Motions that fit, in rate space", lead, [plot, *tables]
-    )
+    title = "The scan of this telemetry, in rate space" if results.why_nothing else "Motions that fit, in rate space"
+    return Section("rate-space", title, lead, [plot, *tables])
+
+
+def _label(name: str, scan: xr.Dataset) -> str:
+    """A scan in the words of its file; the one of the printed lines as what it is."""
+    if "about" not in scan.attrs:
+        return name
+    return f"No telemetry: scan {scan.attrs['about']}" if name == PRINTED else f"Scan {scan.attrs['about']}"
+
+
+def _said(results: Results, name: str) -> str:
+    """What a study says of the lines in a scan's set."""
+    if name == PRINTED:
+        return "No telemetry enters: this is what the paper's own lines and the equations give."
+    row = results.row("lines_found") if name == MEASURED else None
+    if row is None or not isinstance(row.get("ours"), int | float) or not isinstance(row.get("published"), int | float):
+        return ""
+    return f"Of the {row['published']:g} lines that the paper prints (dashed) {row['ours']:g} come out of them."
+
+
+FITTED = ("point", "direction", "mean_distance", "count", "member")
+"""Variables of the lines fitted to a set."""
+
+
+def _all_found(results: Results, scan: xr.Dataset) -> bool:
+    """Whether the lines fitted to the telemetry's set are all printed ones: a fit of four finds four in any set of points."""
+    row = results.row("lines_found")
+    return row is not None and "published_point" in scan and row.get("ours") == row.get("published") == len(scan["published_point"])
+
+
+def _candidates(results: Results) -> tuple[list[dict[str, Any]], str]:
+    """All that fits, as a pale cloud, and what it is; nothing where the telemetry carries no conclusion."""
+    found = results.data.get("candidates")
+    if results.why_nothing or found is None or "omega_B" not in found or found["omega_B"].dims != ("candidate", "axis"):
+        return [], ""
+    results.used.add("candidates")
+    about = str(found.attrs.get("about", "the candidates"))
+    at = found["omega_B"].values[thin(found.sizes["candidate"], MOST_POINTS)]
+    cloud = {
+        "type": "scatter3d", "mode": "markers", "x": packed(at[:, 0]), "y": packed(at[:, 1]), "z": packed(at[:, 2]),
+        "marker": {"size": 2, "color": "@grey", "opacity": 0.25}, "name": "candidates", "hoverinfo": "skip",
+    }  # fmt: skip
+    return [cloud], f"Pale: {len(at)} of the motions from which all else on this page follows, {about}."
 
 
 def _set(scan: xr.Dataset, volume: xr.DataArray) -> tuple[np.ndarray, float]:
@@ -102,7 +153,7 @@ def _cloud(scan: xr.Dataset, points: np.ndarray) -> list[dict[str, Any]]:
         found.append({
             "type": "scatter3d", "mode": "markers", "x": packed(part[:, 0]), "y": packed(part[:, 1]), "z": packed(part[:, 2]),
             "marker": {"size": 3, "color": COLOURS[k % 7], "symbol": SYMBOLS[k % 4]},
-            "name": f"family {k + 1}" if many else "motions that fit",
+            "name": f"family {k + 1}" if many else "near the smallest misfit",
             "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f}<br>ωz %{z:.3f} rad/s",
         })  # fmt: skip
     return found
@@ -162,7 +213,7 @@ def _line_table(scan: xr.Dataset, about: str) -> list[Table]:
         [str(k + 1), number_text(np.round(p, 4).tolist()), number_text(np.round(d, 4).tolist()), str(int(c))]
         for k, (p, d, c) in enumerate(zip(scan["point"].values, scan["direction"].values, scan["count"].values, strict=True))
     ]
-    return [Table(["family", "point (rad/s)", "direction (1)", "motions"], rows, f"Fitted lines, scan {about}", closed=True)]
+    return [Table(["family", "point (rad/s)", "direction (1)", "motions"], rows, f"Fitted lines. {about}", closed=True)]
 
 
 def maps(results: Results) -> Section | None:
@@ -197,7 +248,7 @@ def _volume(name: str, scan: xr.Dataset, volume: xr.DataArray) -> dict[str, Any]
     best = np.unravel_index(np.nanargmin(values), values.shape)
     metric = "EMD" if volume.name == "emd" else "E"
     return {
-        "label": f"{metric}, scan {scan.attrs['about']}" if "about" in scan.attrs else f"{metric}, {name}",
+        "label": f"{_label(name, scan)}, {metric}",
         "best": number_text([float(a[i]) for a, i in zip(axes, best, strict=True)], 4), "low": f"{low:.4f}", "metric": metric,
         "slices": len(axes[2]), "start": int(best[2]),
         "packed": {
@@ -233,9 +284,9 @@ def _flat(results: Results) -> list[Plot]:
         }  # fmt: skip
         low, high = float(np.nanmin(field)), float(np.nanmax(field))
         found.append(Plot(
-            f"map-{name}", [trace], layout, f"Map of E over {x} and {y}: many slanted, narrow valleys between {low:.2f} and "
-            f"{high:.2f}.",
-            f"E over {xt} and {yt}; darker is worse, and a perfect fit is 0, far below the smallest value here, {low:.2f}."
+            f"map-{name}", [trace], layout,
+            f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: in valleys a motion fits better than its neighbours.",
+            f"E over {xt} and {yt}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
             + (" Synthetic telemetry." if results.synthetic else ""), 420, narrow={"margin.l": 58, "font.size": 11},
         ))  # fmt: skip
     return found

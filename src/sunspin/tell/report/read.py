@@ -62,6 +62,22 @@ class Results:
                 self.used.add(file)
                 yield file, data
 
+    def row(self, name: str) -> dict[str, Any] | None:
+        """The summary's row on this figure of the paper."""
+        rows = self.summary.get("figures")
+        found = (row for row in rows if isinstance(row, dict) and row.get("id") == name) if isinstance(rows, list) else iter(())
+        return next(found, None)
+
+    @property
+    def why_nothing(self) -> str:
+        """Why a study concludes nothing on the motion after the first touchdown; empty where it does, or is no study."""
+        missing = self.summary.get("missing")
+        if not isinstance(missing, dict) or "candidates" not in missing:
+            return ""
+        told = [str(missing[name]) for name in ("candidates", "level_set") if name in missing]
+        reasons = [text.split(": not reproduced, as ", 1)[-1] for text in told if ": not reproduced, as " in text]
+        return (reasons or told)[0].rstrip(".")
+
     @property
     def synthetic(self) -> bool:
         marks = [np.asarray(data.attrs.get("synthetic", False)) for data in self.data.values()]

@@ -18,6 +18,15 @@ SYMBOLS = ("circle", "square", "diamond", "cross", "x", "circle-open", "square-o
 
 SEQUENTIAL = "Cividis"
 
+MOTIONS = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastest candidate")
+"""Motions of a study in the order in which they are offered; others follow by name, the descent last."""
+
+
+def motion_order(title: str) -> tuple[int, str]:
+    """A key that sorts titles of motions."""
+    last = len(MOTIONS)
+    return (last + 1 if title == "Descent" else MOTIONS.index(title) if title in MOTIONS else last), title
+
 
 @dataclass
 class Plot:

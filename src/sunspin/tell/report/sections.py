@@ -32,9 +32,12 @@ class Page:
     synthetic: bool
     headline: list[str]
     hero: Plot | None
-    facts: list[tuple[str, str]]
+    facts: list[tuple[str, str, str]]
     sections: list[Section] = field(default_factory=list)
     labels: list[str] = field(default_factory=list)
+    first_line: str = ""
+    why_nothing: str = ""
+    score: list[str] = field(default_factory=list)
     language: str = "en"
 
 
@@ -75,6 +78,9 @@ def page(results: Results) -> Page:
         labels=LABELS if "headline" in results.summary and len(told) == len(LABELS) else [],
         hero=hero,
         facts=guarded(results, "key figures", headline.facts) or [],
+        first_line=headline.first_line(results),
+        why_nothing=results.why_nothing,
+        score=headline.score(results),
         sections=sections,
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from sunspin.measure.sun import is_reconstructed
 from sunspin.tell.report.measured import MOST_SAMPLES, PHASES
 from sunspin.tell.report.read import Results
-from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, packed, thin
+from sunspin.tell.report.section import COLOURS, SYMBOLS, Plot, Section, Table, motion_order, packed, thin
 from sunspin.tell.text import capital
 
 
@@ -123,5 +123,4 @@ def _paths(results: Results) -> list[tuple[str, np.ndarray, str]]:
         title = str(data.attrs.get("title", name))
         note = f"The first {abs(t[at[-1]] - t[0]) / 60:.3g} min. {capital(str(data.attrs.get('about', '')))}"
         found.append((title, data["sun_B"].values[at], note))
-    order = {"Truth": 0, "Best fit": 1}
-    return sorted(found, key=lambda item: order.get(item[0], 5))
+    return sorted(found, key=lambda item: motion_order(item[0]))
