@@ -18,7 +18,7 @@ from sunspin.infer.rates.earth import differing, with_beam
 from sunspin.infer.rates.light import earth_lit, sun_measured
 from sunspin.infer.rates.motion import Body, Ends, step, turn, turn_between
 from sunspin.infer.rates.observe import observations, passes
-from sunspin.infer.rates.smooth import field_sigmas
+from sunspin.infer.rates.smooth import between
 from sunspin.infer.rates.state import FIELD_TURN_RATE, Motion, Observations, Track
 
 EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
@@ -161,20 +161,38 @@ def test_a_unit_of_the_fields_turning_is_what_a_turning_field_leaves():
     o = field.with_drift(observations(clock_twins.craft("field", None), data)[0])
     assert field.count(o) == 6 and o.field_turn_rate == field.LEFT * FIELD_TURN_RATE
     attitude = Rotation.random(len(o), random_state=2).as_matrix()
-    relative = attitude[1:] @ attitude[:-1].swapaxes(1, 2)
+    track, motion = Track(attitude[None], np.zeros((1, len(o), 3))), Motion(Body.of(CUBE), 1e-5, 0.1)
     strength, spacing = np.median(np.linalg.norm(o.field, axis=1)), np.diff(o.t_s)[:, None]
     for j in range(6):
         change = o.field_unknowns[:-1, j] * spacing
         at = np.array([0.6, 0.0, 0.8]) + np.concatenate([np.zeros((1, 3)), np.cumsum(change, axis=0)])
         seen = replace(o, field=np.einsum("nij,nj->ni", attitude, at))
-        left = (np.einsum("nij,nj->ni", relative, seen.field[:-1]) - seen.field[1:]) / field_sigmas(seen)[:, None]
+        left = between(seen, track, motion)[0][..., 6:]
         assert np.abs(left).max() > 1e-2
-        gained = field.gained(seen, Track(attitude[None], np.zeros((1, len(o), 3))))[0, ..., j]
-        np.testing.assert_allclose(left + gained, 0, atol=1e-12)
+        np.testing.assert_allclose(left + field.gained(seen, track)[..., j], 0, atol=1e-12)
     # even over the pass, one component each: as strong a turn as FIELD_TURN_RATE in three axes together
     assert np.linalg.norm(o.field_unknowns[:, :3].sum(axis=1), axis=1) == pytest.approx(FIELD_TURN_RATE * strength, rel=1e-12)
     middle = o.t_s - o.t_s.mean()
     assert o.field_unknowns[:, 3, 0] == pytest.approx(o.field_unknowns[:, 0, 0] * FIELD_TURN_RATE * middle, rel=1e-12)
+
+
+def test_the_field_answers_to_turns_as_differences_say():
+    """Residuals between neighbours of a fixed field vanish at the truth; beside it they change as their Jacobians say."""
+    rng = np.random.default_rng(6)
+    data, run = clock_twins.twin("field", 0.0, rng, samples=9)
+    o = observations(clock_twins.craft("field", None), data)[0]
+    attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
+    o = replace(o, field=attitude @ [0.6, 0.0, 0.8])
+    motion = Motion(Body.of(CUBE), 1e-5, 0.1)
+    here = Track(attitude[None], run["omega_B"].values[None])
+    value, first, second = between(o, here, motion)
+    assert np.abs(value[..., 6:]).max() < 1e-9
+    small = 1e-6 * rng.normal(size=(1, len(o), 3))
+    beside = replace(here, attitude=turn(attitude[None], small))
+    parts = (first, small[:, :-1]), (second, small[:, 1:])
+    told = sum(np.einsum("knij,knj->kni", answer[..., 6:, :3], turned) for answer, turned in parts)
+    assert np.abs(told).max() > 1e-5
+    np.testing.assert_allclose(between(o, beside, motion)[0][..., 6:], told, rtol=0, atol=1e-9)
 
 
 def test_no_magnetometer_no_field():

@@ -1,7 +1,9 @@
 """The method on twins: its pieces against independent ones, its statistics against what they must give, its file and command."""
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +20,8 @@ from sunspin.infer.table import make_table
 from sunspin.motion.kernel import Rows
 from sunspin.motion.propagate import propagate
 from sunspin.study import rebound as rb
+from sunspin.study import threshold, worth_told
 from sunspin.study import worth as wo
-from sunspin.study import worth_told
 from sunspin.study.worth_rows import LEAST_TOLD, TwinRows, draw_twin, samples_z, truth_distance
 
 CASE = load_case("philae")
@@ -201,3 +203,14 @@ def test_a_scan_takes_a_calibrated_threshold():
     assert found[0]["near_minimum_points"] < found[1]["near_minimum_points"] <= found[1]["rows"] == 18
     refused = CliRunner().invoke(cli, [*arguments, "--threshold=1e-9"])
     assert refused.exit_code != 0 and "no motion of the grid comes below --threshold" in str(refused.exception or refused.output)
+
+
+def test_the_readme_states_the_figures_that_ship():
+    """Shares of the shipped study of twins, factor of the shipped calibration: what the README says is what the files hold."""
+    text = re.sub(r"\s+", " ", (Path(__file__).parents[2] / "README.md").read_text("utf-8"))
+    share = wo.shipped(CASE).twins["lines"].in_set(1.1)
+    low, high = share.interval
+    assert f"in {share.value * 100:.1f} % of {share.n} ({low * 100:.1f} to {high * 100:.1f} %)" in text
+    path = CASE.folder / threshold.SHIPPED
+    factor = threshold.from_json(path.read_text("utf-8"), str(path), "shipped").factor()[0]
+    assert f"90 % region: {factor:.2f} times the smallest EMD" in text

@@ -122,7 +122,7 @@ def _height_row(chain: Chain) -> Row:
 def sentences(chain: Chain) -> list[str]:
     """What the heights of the Sun say, one-sided, in words."""
     chosen, box = chain.chosen, chain.box
-    level = "with a probability of 95 %" if chosen.probable else f"{CONFIDENCE:.0%}"
+    level = "each with 95 % probability" if chosen.probable else f"{CONFIDENCE:.0%}"
     small, possible = (_degrees(c.angle_range(c.smaller_angle)) for c in (chosen, box))
     large = _degrees(chosen.angle_range(chosen.larger_angle))
     found = []
@@ -144,5 +144,5 @@ def sentences(chain: Chain) -> list[str]:
         if slow > least + LEAST_STEP_RAD_S else "Just after the touchdown it may have stood still: no lower bound on its "
             "angular speed follows"
     )  # fmt: skip
-    upper = f" and at {fast:.3g} rad/s or slower" if chosen.probable else "; from above the heights of the Sun bound nothing"
+    upper = f", at {fast:.3g} rad/s or slower" if chosen.probable else "; from above the heights of the Sun bound nothing"
     return [*found, bound + upper + "."]

@@ -46,7 +46,7 @@ def _speeds(axes: Any, chain: Chain) -> None:
     ):  # fmt: skip
         density, _ = np.histogram(values, edges, density=True)
         axes.stairs(density, edges, color=colour, lw=1.8, fill=fill, alpha=0.45 if fill else 1.0, label=name)
-    low = chain.chosen.range(chosen)[0]
+    low = chain.chosen.speed_range()[0]
     if low > 0:
         axes.axvspan(0, low, color=CHOSEN, alpha=0.12, lw=0)
     axes.axvline(low, color=CHOSEN, lw=1.4, ls="-", label=f"least of them: {low:.3f} rad/s")
