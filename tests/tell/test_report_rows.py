@@ -183,7 +183,7 @@ def test_a_page_without_conclusions_gives_the_reason_and_claims_nothing(no_concl
     missing = summary["missing"]
     told = next(text for name in ("candidates", "level_set") if ", as " in (text := missing.get(name, "")))
     assert " ".join(told.split(", as ", 1)[1].split()) in first and summary["carries"] in first
-    assert not re.search(r"rad/s|once in|or faster|all that fits|families|lines", first)
+    assert not re.search(r"rad/s|once in|or faster|all that fits|families|four lines", first)
     plots = json.loads(page.data)["plots"]
     assert "speed" not in plots and not {"lander", "outcomes", "strategies"} & set(page.ids("section"))
     assert "four families" not in page.text.lower() and "Motions that fit" not in page.text
