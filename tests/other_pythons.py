@@ -15,6 +15,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 TOOLS = ("hatchling", "editables", "pytest", "hypothesis")
+EXTRAS = "cluster,spice,parquet"
+"""What modules of the package import beside the core."""
+
 SMOKE = (
     "tests/test_imports.py", "tests/test_vehicle.py", "tests/measure/test_sun.py", "tests/motion/test_propagate.py",
     "tests/motion/test_impact.py", "tests/infer/test_metrics.py", "tests/cli/test_cli_border.py", "tests/test_golden.py",
@@ -52,7 +55,7 @@ def environment(program: str, version: str) -> Path:
         subprocess.run([program, "-m", "venv", "--clear", home], check=True)
         pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-c", ROOT / "requirements.lock"]
         subprocess.run([*pip, *TOOLS], check=True)
-        subprocess.run([*pip, "--no-build-isolation", "--editable", ROOT], check=True)
+        subprocess.run([*pip, "--no-build-isolation", "--editable", f"{ROOT}[{EXTRAS}]"], check=True)
         ready.write_bytes(wanted)
     return python
 
