@@ -149,7 +149,7 @@ def _pattern_rows(r: Phases) -> list[Row]:
             None, None, "; ".join("-".join(p) for p in r.health["allowed"]), "paper, section 4, from the panels' normals",
         ),
         Row(
-            "lit_patterns_before", "inconsistent lit patterns before the second touchdown", 0, wrong, "1", 0, wrong == 0,
+            "lit_patterns_before", "inconsistent lit patterns before the second touchdown", "none", wrong, "1", 0, wrong == 0,
             _twin(r, f"{int(early.sum())} samples; by phase " + ", ".join(f"{p.name} {p.impossible}" for p in r.phases)),
             "paper, section 4",
         ),
