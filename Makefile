@@ -16,8 +16,8 @@ SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
-	@echo "make test        import contracts, lint, types, tests and documentation, about 4 minutes on two cores"
-	@echo "make test-all    make test, the tests marked long, a smoke test on other versions of Python; within 15 minutes"
+	@echo "make test        import contracts, lint, types, tests and documentation"
+	@echo "make test-all    make test, the tests marked long, a smoke test on other versions of Python"
 	@echo "make test-slow   the campaigns marked slow"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
