@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from sunspin.study import touchdown
 from sunspin.study.candidates import Candidates, Chain
 from sunspin.tell.figures import COLOURS, _title
 
@@ -37,7 +38,7 @@ def _short(chain: Chain) -> str:
 
 
 def _speeds(axes: Any, chain: Chain) -> None:
-    """What was possible, what is left of it, and the bound; where both have one shape the data say nothing but the bound."""
+    """What was possible, what is left of it, and the bound, which counts the cells of the grid and so lies below the least."""
     box, chosen = chain.box.speed_touchdown, chain.chosen.speed_touchdown
     bins = int(np.clip(min(len(box), len(chosen)) / LEAST_IN_A_BIN, 5, MOST_BINS))
     edges = np.linspace(0.0, float(max(box.max(), chosen.max())), bins + 1)
@@ -46,10 +47,12 @@ def _speeds(axes: Any, chain: Chain) -> None:
     ):  # fmt: skip
         density, _ = np.histogram(values, edges, density=True)
         axes.stairs(density, edges, color=colour, lw=1.8, fill=fill, alpha=0.45 if fill else 1.0, label=name)
-    low = chain.chosen.speed_range()[0]
-    if low > 0:
+    low = touchdown.lower_bound(chain)
+    if low > chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
         axes.axvspan(0, low, color=CHOSEN, alpha=0.12, lw=0)
-    axes.axvline(low, color=CHOSEN, lw=1.4, ls="-", label=f"least of them: {low:.3f} rad/s")
+        axes.axvline(low, color=CHOSEN, lw=1.4, ls=":", label=f"our lower bound: {low:.3f} rad/s")
+    else:
+        axes.plot([], [], " ", label="no lower bound follows")
     published = float(chain.case.published["rate_at_touchdown_min"].value)
     axes.axvline(published, color=RECIPE, ls="--", lw=1.4, label=f"published lower bound: {published:g} rad/s")
     axes.set(xlim=(0, edges[-1]), xlabel="angular speed just after the first touchdown (rad/s)", ylabel="density (s/rad)")
@@ -75,7 +78,9 @@ def _angles(axes: Any, chain: Chain) -> None:
     legend = axes.legend(fontsize=8, loc="upper left")
     for handle in legend.legend_handles:
         handle.set_markersize(6)
-    axes.set_title("Angles of the momentum: all that the heights of the Sun see", fontsize=9)
+    cell = float(np.degrees(np.median(chain.chosen.angle_cell)))
+    spread = f" (a cell of the grid: {cell:.2g} deg)" if cell > 0 else ""
+    axes.set_title(f"Angles of the momentum{spread}", fontsize=9)
     axes.grid(lw=0.3)
 
 

@@ -116,7 +116,8 @@ def _meaning(results: Results, chain: str) -> str:
     bound = results.row("rate_at_touchdown_bound") or {}
     below = "bound it from below only" if bound.get("informative") is True else "bound it neither from below nor from above"
     return (
-        f"; every motion in it fits, none is preferred, and the heights of the Sun {below}: beyond that it ends where the scan ends"
+        f"; every motion in it fits, none is preferred, and the heights of the Sun {below}: beyond that it ends where the scan "
+        "ends. Drawn are the motions of the grid; the bound in the text counts the cells between them, too"
     )
 
 
