@@ -1,5 +1,6 @@
 """The command `reproduce` at its borders: whose telemetry and vehicle it takes, what it refuses before any work."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -50,13 +51,11 @@ def test_another_body_takes_the_place_of_philae(tmp_path):
 
 def test_the_summary_has_the_public_form(study: Path):
     """API: the keys of each figure, null where nothing is judged, and the counts."""
-    import json
-
     summary = json.loads((study / "summary.json").read_text("utf-8"))
     assert {"version", "seed", "synthetic_telemetry", "seconds", "headline", "chain", "figures"} <= set(summary)
     assert {"agree", "differ", "uninformative"} <= set(summary["counts"])
-    keys = {"id", "what", "published", "ours", "low", "high", "prior_low", "prior_high", "unit", "tolerance", "agrees", "kind", "depends",
-            "informative", "chain", "note", "source"}  # fmt: skip
+    keys = {"id", "what", "published", "ours", "low", "high", "prior_low", "prior_high", "unit", "tolerance", "agrees", "kind",
+            "depends", "informative", "chain", "note", "source"}  # fmt: skip
     for row in summary["figures"]:
         assert keys <= set(row) and row["kind"] in ("test", "put_in", "arithmetic", "not_comparable"), row["id"]
         assert row["depends"] in ("candidates", "data") and isinstance(row["informative"], bool) and row["chain"], row["id"]
