@@ -66,11 +66,11 @@ def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
     """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
     still, tumbled = found("never tumbled"), found("as it is")
     small = [np.degrees(one.chain.chosen.angle_range(one.chain.chosen.smaller_angle)) for one in (still, tumbled)]
-    assert small[0][0] == 0 and small[0][1] < 16 and small[1][1] > 60
+    assert small[0][0] == 0 and small[0][1] < 30 and small[1][1] > 60  # 7 of the 30 degrees are the coarse grid's cells
     bounds = [touchdown.lower_bound(one.chain) for one in (still, tumbled)]
     assert bounds[0] == 0 and bounds[1] > 0.07
     words = " ".join(touchdown.sentences(still.chain))
-    assert "may have stood still" in words and "degrees of z or of the Sun" in words
+    assert "may have stood still" in words and f"is below {small[0][1]:.0f} degrees, 90%" in words
     assert "or faster" in " ".join(touchdown.sentences(tumbled.chain))
     assert still.rows["lines_found"].ours == 0 and still.rows["lines_found"].agrees is False
     for one in (still, tumbled):

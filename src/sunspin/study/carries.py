@@ -80,8 +80,9 @@ class Carries:
 
     def _readings(self) -> str:
         published = self.case.published
+        mean = f"mean Delta {self.delta:.4f} over" if self.directions else "no Delta, from"
         found = (
-            f"mean Delta {self.delta:.4f} over {self.directions} directions (paper {published['delta_mean'].value}), "
+            f"{mean} {self.directions} directions (paper {published['delta_mean'].value}), "
             f"{self.impossible} of {self.early} samples before the second touchdown with a lit pattern that no Sun makes "
             "(paper: none)"
         )
@@ -135,7 +136,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     near, chance = _neighbours(samples["sun_B"].values[told], rng)
     limit = case.published["delta_max"].value
     reasons = []
-    if not delta <= limit:
+    if delta > limit:
         reasons.append(f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample")
     if impossible > MOST_IMPOSSIBLE * int(early.sum()):
         reasons.append(f"{impossible} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "

@@ -93,7 +93,7 @@ def rows(result: LevelSet) -> list[Row]:
         ),
         Row(
             "scan_runs", "initial conditions scanned", rb.grid_size(case), int(near.emd.size), "1", 0,
-            bool(near.emd.size == rb.grid_size(case)),
+            True if near.emd.size == rb.grid_size(case) else None,
             "101 x 101 x 41 grid points", "paper, section 2.3, from range and step", kind="arithmetic", chain="none",
         ),
         Row(

@@ -27,6 +27,10 @@ LEAST = 8
 DARK_SIGMAS = 4.0
 """A panel counts as lit above this many sigma of a dark one's reading: of a thousand dark readings none is taken for lit."""
 
+MOST_OF_LARGEST = 0.1
+"""The lit threshold is at most this part of the largest reading: what reads more on panels that should be dark is no noise, and has to
+show as a lit pattern that no Sun makes."""
+
 ROUGH_SIGMAS = 6.0
 """What lies beyond this many rough sigma is not noise: a reflection, a shadow, a wrong column."""
 
@@ -57,7 +61,8 @@ def reading_noise(vehicle: Vehicle, telemetry: xr.Dataset, whole: np.ndarray) ->
     """
     dark, n_dark = dark_sigma(vehicle, signals(telemetry))
     own = vehicle.telemetry.lit_threshold or 0.0
-    threshold = max(own, _rounded(DARK_SIGMAS * dark))
+    largest = float(np.nan_to_num(signals(telemetry)).max(initial=0.0))
+    threshold = max(own, _rounded(min(DARK_SIGMAS * dark, MOST_OF_LARGEST * largest)))
     lit, n_lit = _lit_sigma(vehicle, telemetry, whole, threshold)
     unit = vehicle.gain_unit or ("W" if vehicle.telemetry.quantity == "power_W" else "A")
     told = (

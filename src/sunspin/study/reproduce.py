@@ -261,6 +261,8 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
         found = [_settled(row, part, bool(sun.attrs.get("synthetic"))) for row in part.rows(inputs.done[part.name])]
         if found:
             rows[part.name] = found
+    if "candidates" not in inputs.done and "level_set" in rows:  # nothing is concluded from these readings, nor judged by them
+        rows["level_set"] = [replace(row, informative=row.kind != "test", agrees=None) for row in rows["level_set"]]
     return Reproduction(case, options, noise, sun, inputs.done, rows, missing)
 
 

@@ -45,6 +45,7 @@ def _speed_rows(chain: Chain) -> list[Row]:
     case, chosen, box = chain.case, chain.chosen, chain.box
     recipe = float(chain.recipe.speed_touchdown.min())
     ours, possible = chosen.speed_range(), box.speed_range()
+    level = "95 % probable" if chosen.probable else f"{CONFIDENCE:.0%}"
     bounded = bool(ours[0] > possible[0] + LEAST_STEP_RAD_S)
     smallest = published_row(
         case, "rate_at_touchdown_min", recipe, None,
@@ -52,7 +53,7 @@ def _speed_rows(chain: Chain) -> list[Row]:
         f"without an interval); low and high: angular speed over {chosen.about}",
     )  # fmt: skip
     bound = Row(
-        "rate_at_touchdown_bound", f"angular speed just after the first touchdown lies above this, {CONFIDENCE:.0%}",
+        "rate_at_touchdown_bound", f"angular speed just after the first touchdown lies above this, {level}",
         case.published["rate_at_touchdown_min"].value, ours[0], "rad/s", None, None,
         f"over {chosen.about}; the scanned box begins at {possible[0]:.4f} rad/s"
         + ("" if bounded else ": no lower bound follows from this telemetry"), "paper, section 3.2", kind="not_comparable",
@@ -60,7 +61,7 @@ def _speed_rows(chain: Chain) -> list[Row]:
         informative=bounded,
     )  # fmt: skip
     above = over_candidates(
-        Row("rate_at_touchdown_max", f"angular speed just after the first touchdown lies below this, {CONFIDENCE:.0%}", "not "
+        Row("rate_at_touchdown_max", f"angular speed just after the first touchdown lies below this, {level}", "not "
             "stated",
             ours[1], "rad/s", None, None, _above_note(chain), "paper, section 3.2, not considered there", kind="not_comparable"),
         chain.name, ours, possible,

@@ -80,6 +80,7 @@ def score(result: Reproduction) -> list[str]:
     found = result.counts()
     here, lines, paper = (found[name] for name in ("telemetry", "no_telemetry", "paper"))
     other = {name: sum(counts[name] for counts in found.values()) for name in ("put_in", "arithmetic", "not_comparable")}
+    other["arithmetic"] -= len(result.rows_by_part["contradictions"])  # told in the last line
     strong, weak = (
         sum(row.holds is False and row.weak is wanted for row in result.rows_by_part["contradictions"]) for wanted in (False, True)
     )
@@ -98,13 +99,12 @@ def _rests_on(result: Reproduction) -> str:
     here = result.counts()["telemetry"]
     text = (
         f"of the paper's figures that can be tested on it {here['agree']} agree, {here['differ']} differ, and "
-        f"{here['uninformative']} are "
-        "uninformative, as these data leave nearly all that was possible"
+        f"{here['uninformative']} are uninformative"
     )
+    text += ", as these data leave nearly all that was possible" if result.chain is not None and here["uninformative"] else ""
     if result.synthetic:
         return (
             "The flown panel powers are not public; this run uses synthetic ones made from published facts, so it tests the "
-            "method and "
-            f"does not measure Philae anew: {text}."
+            f"method and does not measure Philae anew: {text}."
         )
     return f"The panel powers were read from a file that does not call itself synthetic: {text}."

@@ -170,7 +170,7 @@ def figure_rows(pictures: list[Picture]) -> list[Row]:
         ours = ", ".join(p.path.name for p in mine) or ("not drawn" if number > 2 else "not drawn: a picture of the lander")
         note = " ".join(p.caption for p in mine)
         found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}",
-                         kind="not_comparable"))  # fmt: skip
+                         kind="not_comparable", chain="none"))  # fmt: skip
     return found
 
 
