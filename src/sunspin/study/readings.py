@@ -28,8 +28,8 @@ DARK_SIGMAS = 4.0
 """A panel counts as lit above this many sigma of a dark one's reading: of a thousand dark readings none is taken for lit."""
 
 MOST_OF_LARGEST = 0.1
-"""The lit threshold is at most this part of the largest reading: what reads more on panels that should be dark is no noise, and has to
-show as a lit pattern that no Sun makes."""
+"""The lit threshold is at most this part of the largest reading: what reads more on panels that should be dark is no noise, and
+has to show as a lit pattern that no Sun makes."""
 
 ROUGH_SIGMAS = 6.0
 """What lies beyond this many rough sigma is not noise: a reflection, a shadow, a wrong column."""
