@@ -61,7 +61,7 @@ class Candidates:
     height : (n_draws, 2) rad, smallest and largest height of the Sun up to the collision, of motions drawn evenly
     probable : whether they are draws of a probability: intervals are then its 5 to 95 %, else the least and largest
     cell_rad_s : half the diagonal of the scanned grid's cell: each motion stands for all as near as this; 0 without a grid
-    angle_cell : (n) rad by how much theta and alpha change within that cell
+    angle_cell : rad by which the momentum turns within that cell, at the median size of the momentum
     """
 
     name: str
@@ -75,7 +75,7 @@ class Candidates:
     height: np.ndarray
     probable: bool
     cell_rad_s: float
-    angle_cell: np.ndarray
+    angle_cell: float
 
     def __len__(self) -> int:
         return len(self.states)
@@ -165,9 +165,9 @@ def _with_runs(
     speed_collision = np.linalg.norm(end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR), axis=1)
     height = _heights(rebound, draws.take(np.arange(min(HEIGHT_DRAWS, len(draws)))))
     theta, alpha, momentum = rb.momentum_angles(vehicle, states)
-    turn = np.linalg.eigvalsh(vehicle.require_inertia())[-1] * cell_rad_s / np.maximum(momentum, 1e-12)
+    turn = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1]) * cell_rad_s / max(float(np.median(momentum)), 1e-12)
     return Candidates(
-        name, chain, about, states, speed, theta, alpha, speed_collision, height, probable, cell_rad_s, np.arctan(turn)
+        name, chain, about, states, speed, theta, alpha, speed_collision, height, probable, cell_rad_s, float(np.arctan(turn))
     )
 
 

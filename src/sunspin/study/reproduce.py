@@ -262,7 +262,8 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
         if found:
             rows[part.name] = found
     if "candidates" not in inputs.done and "level_set" in rows:  # nothing is concluded from these readings, nor judged by them
-        rows["level_set"] = [replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None) for row in rows["level_set"]]
+        kept = rows["level_set"]
+        rows["level_set"] = [replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None) for row in kept]
     return Reproduction(case, options, noise, sun, inputs.done, rows, missing)
 
 
