@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-VERSIONS = ("3.11", "3.12", "3.13")
+VERSIONS = ("3.11", "3.12")
 """Those tried here; a classifier in pyproject.toml waits until the whole suite has passed on its version."""
 
 TOOLS = ("hatchling", "editables", "pytest", "hypothesis")
@@ -21,9 +21,9 @@ EXTRAS = "cluster,spice,parquet"
 
 SMOKE = (
     "tests/test_imports.py", "tests/test_vehicle.py", "tests/measure/test_sun.py", "tests/motion/test_propagate.py",
-    "tests/motion/test_impact.py", "tests/infer/test_metrics.py", "tests/cli/test_cli_border.py", "tests/test_golden.py",
+    "tests/motion/test_impact.py", "tests/infer/test_metrics.py", "tests/cli/test_cli_border.py",
 )  # fmt: skip
-"""One file of each layer; the last compiles a kernel and runs it."""
+"""One file of each layer that compiles no kernel."""
 
 
 def interpreter(version: str) -> str | None:
