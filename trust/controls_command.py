@@ -6,15 +6,12 @@ import argparse
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from sunspin.cases import load_case
-from sunspin.errors import SunspinError
-from sunspin.measure.sun import sun_directions
-from sunspin.study import candidates, carries, descent, level_set, touchdown
-from sunspin.study import rebound as rb
-from sunspin.study.readings import with_own_noise
+from sunspin.study import touchdown
 from sunspin.study.twin_philae import philae_twin
-from trust.controls import CONTROLS
+from trust.controls import CONTROLS, chain_of
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +27,7 @@ def run(options: Any) -> int:
     if options.seeds:
         named = [(f"seed {seed}", philae_twin(seed)) for seed in range(options.seeds)]
     for name, telemetry in named:
-        told, concluded = _look(rb.with_telemetry(case, telemetry), options)
+        told, concluded = _look(telemetry, options)
         print(f"{name}: {told}", flush=True)
         wrong += concluded is (name in NOT_CONCLUDED)
     return 1 if wrong else 0
@@ -40,21 +37,13 @@ NOT_CONCLUDED = ("each panel shuffled", "panels 1 and 2 exchanged")
 """Controls from whose readings nothing may be concluded."""
 
 
-def _look(case: Any, options: Any) -> tuple[str, bool]:
-    case, _ = with_own_noise(case, carries.whole_panels(case, case.telemetry))
-    sun = sun_directions(case.vehicle, case.telemetry)
-    try:
-        fit = descent.compute(case, sun)
-    except SunspinError:
-        fit = None
-    looked = carries.compute(case, sun, fit)
+def _look(telemetry: xr.Dataset, options: Any) -> tuple[str, bool]:
+    found = chain_of(telemetry, coarser=options.coarser, twins=options.twins)
+    looked, scan, chain = found.carries, found.scan, found.chain
     head = f"Delta {looked.delta:.4f}, {looked.impossible} forbidden patterns of {looked.early}, "
     head += f"descent {'ordered' if looked.descent_order else 'without order'}"
-    try:
-        scan = level_set.compute(case, sun, coarser=options.coarser)
-        chain = candidates.compute(scan.scan, looked, "scan", options.twins)
-    except SunspinError as error:
-        return f"{head}; nothing concluded: {error}", False
+    if scan is None or chain is None:
+        return f"{head}; nothing concluded: {found.why}", False
     chosen = chain.chosen
     small, large = (np.degrees(chosen.angle_range(values)) for values in (chosen.smaller_angle, chosen.larger_angle))
     assert chain.calibration is not None

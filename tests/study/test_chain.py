@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from chains import chain_of
 from sunspin.errors import InputError
 from sunspin.study import candidates, carries, touchdown
 from sunspin.study import rebound as rb
 from trust import controls
+from trust.controls import chain_of
 
 CASE = ss.load_case("philae")
 
