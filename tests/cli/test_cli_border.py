@@ -167,7 +167,8 @@ def test_interruption_is_one_sentence_and_130(tmp_path):
         printed, complaint = process.communicate(timeout=120)
     finally:
         process.kill()
-    assert process.returncode == 130
+    # Python ends by the signal itself where Ctrl-C met a library that runs text (exec), caught or not; shells call both 130
+    assert process.returncode in (130, -signal.SIGINT), complaint
     assert complaint.count("\n") == 1 and "interrupted" in complaint and printed == ""
     assert not [path.name for path in out.iterdir() if path.name.endswith((".part", ".html"))]
 

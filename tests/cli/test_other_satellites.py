@@ -136,6 +136,7 @@ def test_rates_of_more_corrupted_files(tmp_path):
     assert 0.3 * count < refused < count
 
 
+@pytest.mark.long
 def test_corrupted_results_are_refused_by_export(tmp_path):
     craft = satellites.four_faces(tmp_path, np.random.default_rng(0), n=12)
     fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 1, "--out", tmp_path / "rates"))

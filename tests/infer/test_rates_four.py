@@ -75,6 +75,7 @@ def test_a_mirror_image_reads_the_same_and_turns_as_a_body_does():
     np.testing.assert_allclose(image.omega, track.omega * [-1, -1, 1], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_dead_string_does_not_pass_for_another_motion():
     """With all that is wrong with such files: the truth is near one of two mirror images, each half the weight."""
     data, run = twin(FAULTS["sides"], np.random.default_rng(3), FOUR)

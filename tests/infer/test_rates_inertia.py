@@ -80,7 +80,8 @@ def test_a_trial_whose_motion_overflows_costs_much_and_fails_nothing():
     assert np.isfinite(turned).all() and np.isfinite(rate).all() and np.abs(rate[0]).max() > 1e3 and np.all(rate[1] == 0)
 
 
-@pytest.mark.parametrize("i", [pytest.param(46, marks=pytest.mark.long), 63])
+@pytest.mark.long
+@pytest.mark.parametrize("i", [46, 63])
 def test_a_body_of_unknown_inertia_is_not_held_for_a_sphere(i):
     """Uneven bodies at 4 and 5 deg/s, no inertia told: as a sphere one missed by 0.3 deg/s and the other fitted badly."""
     found = strange_rates.judge(0, i)

@@ -124,7 +124,8 @@ def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(i, without
     assert max(max(part["pulls"]) for part in orbit_twins.judge(0, i)["passes"]) > pulls.max() + 1
 
 
-@pytest.mark.parametrize("i", [pytest.param(13, id="torque"), pytest.param(8, id="field", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("i", [pytest.param(13, id="torque"), pytest.param(8, id="field")])
 def test_what_changes_alike_for_minutes_is_told_in_one_orbit(i):
     found = orbit_twins.judge(0, i, orbits=1)["passes"]
     assert found and all(part["word"] == "decided" and max(part["pulls"]) < 3.0 for part in found)

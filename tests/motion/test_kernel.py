@@ -112,10 +112,10 @@ def test_output_times_are_those_of_one_run():
 
 def test_bits_of_a_row_do_not_depend_on_its_neighbours():
     vehicle, rows = philae_body(), philae_rows(70)
-    together = k.run_rows(vehicle, rows, 2700.0, direction_error=1e-3, bins=64)
+    together = k.run_rows(vehicle, rows, 2700.0, direction_error=1e-3, bins=80)
     order = np.random.default_rng(0).permutation(70)
-    shuffled = k.run_rows(vehicle, rows.take(order), 2700.0, direction_error=1e-3, bins=64)
-    alone = k.run_rows(vehicle, rows.take(np.array([17])), 2700.0, direction_error=1e-3, bins=64)
+    shuffled = k.run_rows(vehicle, rows.take(order), 2700.0, direction_error=1e-3, bins=80)
+    alone = k.run_rows(vehicle, rows.take(np.array([17])), 2700.0, direction_error=1e-3, bins=80)
     assert np.array_equal(together.hist[order], shuffled.hist)
     assert np.array_equal(together.hist[17], alone.hist[0])
 
@@ -123,7 +123,7 @@ def test_bits_of_a_row_do_not_depend_on_its_neighbours():
 def test_bits_of_a_distribution_do_not_depend_on_neighbours_that_change_the_method():
     """Rows near an unstable spin are run again by series, those of tiny rates or long ways by other steps."""
     vehicle, rows = philae_body(), philae_rows(300)
-    options = {"emd_error": 1e-3, "bins": 64}
+    options = {"emd_error": 1e-3, "bins": 80}
     together = k.run_rows(vehicle, rows, 2700.0, **options)
     assert set(together.method) == {"series", "split"}
     order = np.random.default_rng(1).permutation(300)
@@ -150,11 +150,11 @@ def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
 
 def test_a_histogram_is_time_and_both_ways_alike():
     vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
-    forward = k.run_rows(vehicle, rows, 700.0, emd_error=1e-3, bins=32).hist
+    forward = k.run_rows(vehicle, rows, 700.0, emd_error=1e-3, bins=256).hist
     assert forward.sum() == pytest.approx(700.0, rel=1e-4)
     end = k.run_rows(vehicle, rows, 700.0, direction_error=1e-6)
     there = k.Rows(end.omega_B[:, 0], end.sun_B[:, 0], end.wheel_speed_rad_s[:, 0])
-    back = k.run_rows(vehicle, there, -700.0, emd_error=1e-3, bins=32).hist
+    back = k.run_rows(vehicle, there, -700.0, emd_error=1e-3, bins=256).hist
     assert np.abs(np.cumsum(forward - back)).max() < 2.0  # s
 
 

@@ -26,6 +26,7 @@ def short_kernels(monkeypatch, tmp_path):
     compiled.kernel.cache_clear()
 
 
+@pytest.mark.long
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="nothing is compiled ahead on a single core")
 def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
     vehicle = random_vehicle(np.random.default_rng(8), 0)
@@ -40,6 +41,7 @@ def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
     assert not module.run.stats.cache_misses
 
 
+@pytest.mark.long
 def test_a_kernel_is_never_compiled_where_it_runs(short_kernels):
     """What was compiled in the process would give other last bits than what is loaded: the first run unlike the next."""
     vehicle = random_vehicle(np.random.default_rng(10), 1)  # of a kind that no other test of this file has loaded

@@ -62,6 +62,7 @@ def test_what_is_concluded_holds_the_truth(found, name, omega):
     assert touchdown.lower_bound(one.chain) <= speed
 
 
+@pytest.mark.long
 def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
     """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
     still, tumbled = found("never tumbled"), found("as it is")
@@ -105,6 +106,7 @@ def test_shuffled_samples_take_the_descent_and_cannot_move_the_scan(found):
         assert mixed.rows[name].ours == pytest.approx(row.ours, rel=1e-9), name
 
 
+@pytest.mark.long
 def test_a_telemetry_that_no_motion_makes_is_refused(quick):
     """The Sun stands high at the first sample and low ever after, as in no free motion: the smallest EMD is far beyond noise."""
     data = controls.with_motion(CASE, controls.STILL)

@@ -207,7 +207,7 @@ def test_keys_turn_a_plot_and_reach_the_controls(page):
     assert {"theme", "lander-motion", "lander-play", "lander-slider", "lander-stage"} <= reached
 
 
-@pytest.mark.parametrize(("width", "dark"), [(390, True), (390, False)])
+@pytest.mark.parametrize(("width", "dark"), [pytest.param(390, True, marks=pytest.mark.long), (390, False)])
 def test_narrow_and_dark(browser, study, width, dark):
     browser.open(study / "report.html", width, 844, dark)
     browser.show("#figure-speed [data-plot]")
@@ -248,6 +248,7 @@ def test_in_a_narrow_window_no_word_is_broken_or_cut(browser, study):
     assert outside == []
 
 
+@pytest.mark.long
 def test_it_prints_with_its_pictures(browser, study):
     browser.open(study / "report.html", dark=True)
     browser.js("dispatchEvent(new Event('beforeprint'))")
@@ -258,7 +259,7 @@ def test_it_prints_with_its_pictures(browser, study):
     assert browser.js("document.querySelectorAll('.print-image').length") == 0
 
 
-@pytest.mark.parametrize("name", ["simulate", "rates", "posterior"])
+@pytest.mark.parametrize("name", ["simulate", "rates", pytest.param("posterior", marks=pytest.mark.long)])
 def test_a_users_run_with_a_hostile_name(browser, user_runs, name):
     browser.open(write_report(user_runs[name]))
     browser.js(TOP)

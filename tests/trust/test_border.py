@@ -36,7 +36,7 @@ def refused(*arguments, words=()):
     return told.err
 
 
-@pytest.mark.parametrize("suite", [Fuzz, Corrupt])
+@pytest.mark.parametrize("suite", [Fuzz, pytest.param(Corrupt, marks=pytest.mark.long)])
 def test_hostile_input_is_a_result_or_a_sentence(suite):
     with suite(seed=20, memory=None) as case:
         verdicts = [case(index) for index in range(40)]

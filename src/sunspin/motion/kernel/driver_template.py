@@ -191,7 +191,8 @@ def prepare(work, index, modes, dt, rows, w, v, outcome):
     """Rows into lanes (the last one repeated); wheels at rest may have to slip at once."""
     for j in range(LANES):
         one = rows[j]
-        one[:] = work[index[min(j, index.size - 1)]]
+        for k in range(ROWS):  # a slice would bring in numba's sentence on shapes that differ: four seconds of compilation
+            one[k] = work[index[min(j, index.size - 1)], k]
         one[DT] = dt
         outcome[j] = FINE
         if N_WHEELS and dt > 0.0:

@@ -79,19 +79,22 @@ class Recurrence:
         for k in range(order):
             for symbol, expression in self._definitions:
                 yield f"{symbol}_{k} = {self._coefficient(expression, k) or '0.0'}"
-            yield f"part = dt * {1.0 / (k + 1)!r}"
+            yield f"part_{k} = dt * {1.0 / (k + 1)!r}"
             yield from self._derivative_lines(k)
 
     def _derivative_lines(self, k: int) -> Iterator[str]:
-        """The states' coefficients of order k + 1; all products grow together, so that a coefficient is read for several."""
+        """The states' coefficients of order k + 1; all products grow together, so that a coefficient is read for several.
+
+        No name is given a value twice: each one that is costs numba's compilation a pass over all lines.
+        """
         sums: Sums = {}
         values = [self._with_sums(expression, k, sums) for expression in self._derivatives]
         # the newest coefficients last: the rest of a sum does not wait for them
         for n, i in enumerate(sorted(range(k + 1), key=lambda i: abs(2 * i - k))):
             for (a, b), name in sums.items():
-                yield f"{name} = {f'{name} + ' if n else ''}{a}_{i} * {b}_{k - i}"
+                yield f"{name}_{k}_{n} = {f'{name}_{k}_{n - 1} + ' if n else ''}{a}_{i} * {b}_{k - i}"
         for name, value in zip(self.states, values, strict=True):
-            yield f"{name}_{k + 1} = {f'part * ({value})' if value else 'dt * 0.0'}"
+            yield f"{name}_{k + 1} = {f'part_{k} * ({value})' if value else 'dt * 0.0'}"
 
     def _with_sums(self, expression: sp.Expr, k: int, sums: Sums) -> str:
         """As `_coefficient`, with products of two series by the names of their sums."""
@@ -101,7 +104,7 @@ class Recurrence:
         if len(series) != 2:
             return self._coefficient(expression, k)
         name = sums.setdefault((series[0], series[1]), f"sum{len(sums)}")
-        return " * ".join([*(f"({self._print(c)})" for c in constants), name])
+        return " * ".join([*(f"({self._print(c)})" for c in constants), f"{name}_{k}_{k}"])
 
     def _coefficient(self, expression: sp.Expr, k: int) -> str:
         """Code for the coefficient of order k; empty where it is zero."""
