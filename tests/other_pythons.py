@@ -48,7 +48,8 @@ def environment(program: str, version: str) -> Path:
     wanted = b"".join((ROOT / name).read_bytes() for name in ("requirements.lock", "pyproject.toml"))
     if not (ready.is_file() and ready.read_bytes() == wanted):
         subprocess.run([program, "-m", "venv", "--clear", home], check=True)
-        pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", "-c", ROOT / "requirements.lock"]
+        quiet = ["--quiet", "--disable-pip-version-check", "--no-compile"]
+        pip = [python, "-m", "pip", "install", *quiet, "-c", ROOT / "requirements.lock"]
         subprocess.run([*pip, *TOOLS], check=True)
         subprocess.run([*pip, "--no-build-isolation", "--editable", f"{ROOT}[{EXTRAS}]"], check=True)
         ready.write_bytes(wanted)

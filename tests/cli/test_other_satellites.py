@@ -55,7 +55,7 @@ LONG = ("four faces, Unix ms, counts", "wheel, MET, Parquet", "wheel, MET, NetCD
 """What is theirs alone has quick tests elsewhere: tables in tests/measure, wheels and mirror images in tests/infer."""
 
 
-@pytest.mark.parametrize("maker", [pytest.param(m, marks=[pytest.mark.long] if m in LONG else []) for m in MAKERS])
+@pytest.mark.parametrize("maker", [pytest.param(m, marks=[pytest.mark.slow] if m in LONG else []) for m in MAKERS])
 def test_every_command_on_another_satellite(maker, tmp_path):
     craft = MAKERS[maker](tmp_path, np.random.default_rng(3))
     files = craft.vehicle, craft.telemetry
@@ -75,7 +75,7 @@ def test_every_command_on_another_satellite(maker, tmp_path):
         fine(sunspin("export", tmp_path / "rates", "--format", form, "--out", tmp_path / form))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
     craft = satellites.four_faces(tmp_path, np.random.default_rng(1), n=30)
     about = json.loads(fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--json")))
@@ -121,7 +121,7 @@ def test_corrupted_files_give_a_sentence_and_never_a_traceback(tmp_path):
     assert 0.3 * count < refused < count  # the campaign does corrupt, and does not refuse what can be read
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_rates_of_corrupted_files(tmp_path):
     """Eight samples to a file, as no rate is looked at; the test below has more, and `trust` sends such files in every run."""
     few = {"four": lambda folder, rng: satellites.four_faces(folder, rng, n=8)}

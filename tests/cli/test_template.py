@@ -54,7 +54,7 @@ def test_the_example_shows_a_birth_certificate():
     assert any(fact.sigma is not None and fact.source for fact in facts.values())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_rates_of_the_example_are_those_it_was_made_with():
     """All samples within their errors; the page docs/cubesat.md, which every run follows, compares verdict, mean and first rate."""
     craft = parse_vehicle(TEXT, "template")

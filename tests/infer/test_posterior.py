@@ -80,7 +80,7 @@ def test_same_bits_for_any_workers_and_when_resumed(cube, telemetry, tree, tmp_p
 
 
 @pytest.mark.evidence("posterior", "modelled", "a wrong model, faces exchanged: it must be refused")
-@pytest.mark.parametrize(("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.slow)])
 def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
     """The negative control: two neighbouring panels exchanged."""
     wrong = telemetry.isel(time=slice(0, samples)).copy(deep=True)

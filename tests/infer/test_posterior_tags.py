@@ -65,7 +65,7 @@ def test_the_integral_over_a_tags_error_is_that_of_a_fine_sum(cube, off_s):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("max_rate", [0.25, 0.3])
+@pytest.mark.parametrize("max_rate", [0.25, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_tags_that_are_off_are_noticed_and_allowed_for(max_rate, cube):
     """Said to be exact they are not believed, as the residuals tell; the region that allows for them holds the truth."""
     telemetry, small = telemetry_of(cube, 0.3, seed=1), SMALL | {"max_rate_rad_s": max_rate}

@@ -46,7 +46,7 @@ def irregular(rng, n, usual):
 
 
 @pytest.mark.evidence("rates", "modelled", "four tumbling twins with albedo, and twelve")
-@pytest.mark.parametrize("twins", [4, pytest.param(12, marks=pytest.mark.long)])
+@pytest.mark.parametrize("twins", [4, pytest.param(12, marks=pytest.mark.slow)])
 def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
     """Tumbling cubes seen every 20 s with Earth's light on dark faces: the truth lies where the sigmas say."""
     rng = np.random.default_rng(8)

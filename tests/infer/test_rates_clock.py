@@ -35,7 +35,7 @@ def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["gyro", "attitude"])
+@pytest.mark.parametrize("kind", ["gyro", pytest.param("attitude", marks=pytest.mark.slow)])
 def test_a_lateness_that_nobody_spoke_of_is_suspected(kind):
     late, _ = twin(kind, 5.3, np.random.default_rng(101))
     said = ss.rates(craft(kind, None), late, max_rate_rad_s=0.15).attrs

@@ -8,7 +8,7 @@ from coverage_twins import FAULTS, coverage
 KINDS = [name for name in FAULTS if name != "sides"]  # those of four faces: test_rates_four
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_intervals_hold_the_truth_with_all_faults_at_once():
     """Eight twins, 24 components: enough to notice intervals that are wrong by a factor, which the control shows."""
     found = coverage(FAULTS["everything"], 8, seed=5)

@@ -14,10 +14,10 @@ from sunspin.infer.rates.state import Motion
 
 
 @pytest.mark.evidence("rates", "modelled", "twins that turn by 5 to 30 deg/s, no largest rate told")
-@pytest.mark.parametrize("twins", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("twins", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", [Kind(1.0, "long", False, "directions"),
-                                  pytest.param(Kind(2.0, "sphere", True, "panels"), marks=pytest.mark.long),
-                                  pytest.param(Kind(10.0, "triaxial", False, "directions"), marks=pytest.mark.long)])  # fmt: skip
+                                  pytest.param(Kind(2.0, "sphere", True, "panels"), marks=pytest.mark.slow),
+                                  pytest.param(Kind(10.0, "triaxial", False, "directions"), marks=pytest.mark.slow)])  # fmt: skip
 def test_the_true_motion_of_a_fast_tumble_is_found(kind, twins):
     found = tally(kind, twins, seed=11)
     assert found.listed == found.count and found.wrong == 0
@@ -40,7 +40,7 @@ def test_the_control_another_truth_is_not_found():
     assert near(result, run).any() and not near(result, other).any()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_search_that_must_be_coarse_says_so():
     """An uneven body, a minute between samples, rates up to a turn in six seconds: ten turns hide, too many to lay a fine grid."""
     kind = Kind(60.0, "long", False, "directions")

@@ -83,7 +83,7 @@ def test_a_dead_string_does_not_pass_for_another_motion():
     assert np.abs(pull).max() < 3.5 and weight > 0.3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_gains_that_are_all_stated_too_high_do_not_hide_the_motion():
     """By 30 %, and no sigma is stated: full Sun then looks like a Sun that always stands aside."""
     wrong = replace(FOUR, panels=tuple(replace(panel, gain=1.3) for panel in FOUR.panels))

@@ -46,7 +46,7 @@ def pulls(vehicle: Vehicle, spin) -> np.ndarray:
     return np.abs(found["omega_mean_B"].values[0, 0] - mean) / found["omega_sigma_B"].values[0, 0]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.evidence("rates", "modelled", "moments off by 4 and 6 %; taken for known, the answer must be wrong")
 def test_moments_known_to_a_sigma_are_estimated(spin, reached):
     pull = pulls(told(1e-4), spin)
@@ -81,7 +81,7 @@ def test_a_trial_whose_motion_overflows_costs_much_and_fails_nothing():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("i", [46, 63])
+@pytest.mark.parametrize("i", [pytest.param(46, marks=pytest.mark.slow), 63])
 def test_a_body_of_unknown_inertia_is_not_held_for_a_sphere(i):
     """Uneven bodies at 4 and 5 deg/s, no inertia told: as a sphere one missed by 0.3 deg/s and the other fitted badly."""
     found = strange_rates.judge(0, i)

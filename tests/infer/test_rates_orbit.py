@@ -113,7 +113,7 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
         pytest.param(8, (estimate, "with_drift", lambda o: o), id="field", marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.long
+@pytest.mark.slow
 def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(i, without, monkeypatch, reached):
     """All passes of a twin, and the control: the same without the unknown."""
     found = orbit_twins.judge(0, i)["passes"]
@@ -125,14 +125,14 @@ def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(i, without
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("i", [pytest.param(13, id="torque"), pytest.param(8, id="field")])
+@pytest.mark.parametrize("i", [pytest.param(13, id="torque"), pytest.param(8, id="field", marks=pytest.mark.slow)])
 def test_what_changes_alike_for_minutes_is_told_in_one_orbit(i):
     found = orbit_twins.judge(0, i, orbits=1)["passes"]
     assert found and all(part["word"] == "decided" and max(part["pulls"]) < 3.0 for part in found)
 
 
 @pytest.mark.evidence("rates", "modelled", "CubeSats in orbit under the Earth's light; half as good where it is taken for noise")
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
     """Five faces, 2 deg/s, light of the Earth of 0.11 of full Sun."""
     miss = np.array([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]])
@@ -150,7 +150,7 @@ def test_a_long_body_of_unknown_inertia_seen_by_the_sun_alone_is_not_told_withou
     assert not told["inertia"] and "GIVE ITS INERTIA" in told["verdict"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_noise_that_the_file_does_not_state_is_not_taken_for_the_earths_light():
     """Noise of 4.6 % beside light of the Earth: held for its light alone, no motion seemed to fit."""
     assert strange_rates.judge(0, 55)["word"] == "decided"

@@ -34,7 +34,7 @@ def paper_equations(vehicle: Vehicle):
 @pytest.mark.evidence("propagate", "validated", "SciPy's DOP853 on the equations as printed in the paper, rtol 1e-12")
 @pytest.mark.parametrize(
     "omega",
-    [(-0.1, 0.2, 0.0), *(pytest.param(omega, marks=pytest.mark.long) for omega in ((0.1, 0.0, 0.0), (0.5, 0.3, 0.14)))],
+    [(-0.1, 0.2, 0.0), *(pytest.param(omega, marks=pytest.mark.slow) for omega in ((0.1, 0.0, 0.0), (0.5, 0.3, 0.14)))],
 )
 def test_philae_through_the_wheel_stop_agrees_with_dop853(omega, reached):
     vehicle = philae_body()

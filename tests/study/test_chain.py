@@ -48,8 +48,12 @@ def truth_of(omega, found):
 @pytest.mark.evidence("reproduce", "verified", "motions that made the telemetry")
 @pytest.mark.parametrize(
     ("name", "omega"),
-    [("as it is", None), ("never tumbled", controls.STILL), ("spins about z", (0.0, 0.0, 0.3)), ("another "
-        "motion", controls.TUMBLING)],
+    [
+        ("as it is", None),
+        ("never tumbled", controls.STILL),
+        pytest.param("spins about z", (0.0, 0.0, 0.3), marks=pytest.mark.slow),
+        pytest.param("another motion", controls.TUMBLING, marks=pytest.mark.slow),
+    ],
 )
 def test_what_is_concluded_holds_the_truth(found, name, omega):
     one = found(name)
