@@ -46,7 +46,7 @@ contracts: $(READY)
 	$(BIN)/lint-imports --no-cache
 
 style: $(READY)
-	$(BIN)/ruff check --no-cache src tests bench docs examples trust
+	$(BIN)/ruff check --no-cache src tests bench docs examples validation
 
 types: $(READY)
 	$(BIN)/basedpyright
@@ -79,9 +79,9 @@ bench: $(READY)
 
 # goes on where it was stopped
 calibrate: $(READY)
-	$(BIN)/python -m sunspin.study.calibrate $(OUT)/calibration --twins 100
-	$(BIN)/python -m sunspin.study.calibrate $(OUT)/calibration --twins 20 --kind known
-	$(BIN)/python -m sunspin.study.calibrate $(OUT)/calibration --twins 10 --kind shadow --kind dead --kind jitter --kind swapped --kind wheel_off
+	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 100
+	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 20 --kind known
+	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 10 --kind shadow --kind dead --kind jitter --kind swapped --kind wheel_off
 	$(BIN)/python docs/calibration_figure.py $(OUT)/calibration $(OUT)/calibration/calibration.png
 
 lock:

@@ -10,7 +10,7 @@ import sunspin as ss
 from bench.problem import grid_sample, philae
 from bench.table import Table
 from bench.timing import medians, say
-from sunspin.motion import kernel as k
+from sunspin.dynamics import ensemble as k
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERRORS = (1e-2, 1e-3, 1e-5, 1e-8)

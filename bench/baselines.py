@@ -1,4 +1,4 @@
-"""The contestants: heyoka in batches, heyoka one by one, SciPy. All integrate `sunspin.motion.gyrostat.rhs`.
+"""The contestants: heyoka in batches, heyoka one by one, SciPy. All integrate `sunspin.dynamics.gyrostat.rhs`.
 
 Each propagates states (n, 7) over the window with the wheel's stop found on the way, and does nothing else: no mask, no
 distribution, no distance. The stopped wheel is taken to stay stuck, which it does for every motion of the grid; the direction
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from bench.problem import Problem
-from sunspin.motion import gyrostat as g
+from sunspin.dynamics import gyrostat as g
 
 LOOK_AHEAD_S = 4.0
 """Stops of the members of a batch lie this close together, about: the free motion is followed in pieces of this length."""

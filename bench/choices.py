@@ -12,9 +12,9 @@ from bench.accuracy import last_sun, states
 from bench.problem import grid_sample, philae
 from bench.table import Table
 from bench.timing import medians, say
-from sunspin.infer.rows import BINS, distances_to, target_segments
-from sunspin.motion import kernel as k
-from sunspin.motion.kernel import compiled, series_lanes, steps, tolerance
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import compiled, series_lanes, steps, tolerance
+from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 
 NODE_ANGLES = (0.45, 0.9, 1.3, 1.8)
 PHASE_ERRORS = (0.02, 0.1, 0.5)

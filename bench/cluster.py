@@ -9,7 +9,7 @@ import numpy as np
 from bench.problem import Problem, philae
 from bench.table import Table
 from bench.timing import say
-from sunspin.infer.scan import scan
+from sunspin.estimate.scan.volume import scan
 
 GRID, QUICK_GRID = (101, 101, 21), (31, 31, 11)
 COLUMNS = ("on", "workers", "rows", "s", "us of a core a row", "against one thread")

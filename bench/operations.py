@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from bench.problem import Problem
-from sunspin.infer.mask import reconstructible_mask
-from sunspin.infer.rows import BINS
-from sunspin.motion import kernel as k
-from sunspin.motion.kernel.lanes import NODES_PER_STEP
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble.lanes import NODES_PER_STEP
+from sunspin.estimate.scan.mask import reconstructible_mask
+from sunspin.estimate.scan.rows import BINS
 
 ARITHMETIC = (ast.Add, ast.Sub, ast.Mult, ast.Div)
 

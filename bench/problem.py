@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 
 import sunspin as ss
-from sunspin.motion import gyrostat as g
-from sunspin.study import rebound
+from sunspin.dynamics import gyrostat as g
+from sunspin.philae import rebound
 
 AXES = ("omega_x", "omega_y", "omega_z")
 SEED = 1

@@ -16,8 +16,8 @@ from bench.peak import FULL_S, QUICK_S, peak
 from bench.problem import AXES, Problem, grid_sample, philae
 from bench.table import Table
 from bench.timing import cores, medians, say, timings
-from sunspin.infer.mask import allows, reconstructible_mask
-from sunspin.motion import kernel as k
+from sunspin.dynamics import ensemble as k
+from sunspin.estimate.scan.mask import allows, reconstructible_mask
 
 TOLERANCES = (1e-5, 1e-6, 1e-9)
 """heyoka's, per step: about what an EMD can bear, what directions good to 1e-3 need, and tight."""

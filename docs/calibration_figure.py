@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import beta, binom
 
-from sunspin.study.calibrate import QUANTITIES, read
+from validation.calibrate import QUANTITIES, read
 
 NAMES = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$", "|H|", r"$\theta$", r"$\alpha$", "log-likelihood")
 BINS = 10

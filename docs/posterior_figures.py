@@ -1,7 +1,7 @@
 """Draw the figures of docs/posterior.md: python docs/posterior_figures.py POSTERIOR_FOLDER SAMPLING_FOLDER
 
 POSTERIOR_FOLDER: of `sunspin posterior philae --predict 15:34:04,16:20,17:25 --out POSTERIOR_FOLDER`; SAMPLING_FOLDER: of
-`python -m sunspin.study.sampling SAMPLING_FOLDER`, whose twins are drawn as far as they are there.
+`python -m sunspin.landing.sampling SAMPLING_FOLDER`, whose twins are drawn as far as they are there.
 """
 
 import json
@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from sunspin.cases import load_case
-from sunspin.infer.posterior.model import model
-from sunspin.infer.posterior.predict import predictions, run_to
-from sunspin.motion.kernel import Rows
-from sunspin.study.afterwards import collision_s
-from sunspin.study.against_lines import against
-from sunspin.study.sampling import widths
-from sunspin.tell import figures_lines, figures_sampling
-from sunspin.tell.figures_predicted import predicted_figure
+from sunspin.dynamics.ensemble import Rows
+from sunspin.estimate.posterior.model import model
+from sunspin.estimate.posterior.predict import predictions, run_to
+from sunspin.landing.afterwards import collision_s
+from sunspin.landing.sampling import widths
+from sunspin.output.figures import sampling as figures_sampling
+from sunspin.output.figures.predicted import predicted_figure
+from sunspin.philae.against_lines import against
+from sunspin.philae.figures import posterior_and_lines as figures_lines
+from sunspin.telemetry.case import load_case
 
 IMAGES = Path(__file__).parent / "images"
 

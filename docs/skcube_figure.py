@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import sunspin as ss
-from sunspin.tell.figures_rates import sun_and_rates_figure
+from sunspin.output.figures.rates import sun_and_rates_figure
 
 folder = Path(sys.argv[1]) / "skcube"
 craft = ss.load_vehicle("skcube")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.cases import Case
-from sunspin.measure.sun import sun_directions
-from sunspin.study import candidates
-from sunspin.study import rebound as rb
+from sunspin.philae import candidates
+from sunspin.philae import rebound as rb
+from sunspin.telemetry.case import Case
+from sunspin.telemetry.sun import sun_directions
 
 
 def chain_on_the_lines(case: Case) -> candidates.Chain:

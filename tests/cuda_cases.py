@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 import sunspin as ss
-from sunspin.infer.posterior.data import readings
-from sunspin.infer.posterior.likelihood import Likelihood
-from sunspin.infer.posterior.model import State, model
-from sunspin.motion import kernel as k
+from sunspin.dynamics import ensemble as k
+from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.model import State, model
 from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 

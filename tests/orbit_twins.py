@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from strange_rates import campaign, judged, tally, told
 from strange_twins import FACES, unit
-from sunspin.study.command import command
+from sunspin.compute.campaign import command
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors

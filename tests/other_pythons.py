@@ -20,8 +20,8 @@ EXTRAS = "cluster,spice,parquet"
 """What modules of the package import beside the core."""
 
 SMOKE = (
-    "tests/test_imports.py", "tests/test_vehicle.py", "tests/measure/test_sun.py", "tests/motion/test_propagate.py",
-    "tests/motion/test_impact.py", "tests/infer/test_metrics.py", "tests/cli/test_cli_border.py",
+    "tests/test_imports.py", "tests/test_vehicle.py", "tests/telemetry/test_sun.py", "tests/dynamics/test_propagate.py",
+    "tests/dynamics/test_impact.py", "tests/estimate/test_metrics.py", "tests/cli/test_cli_border.py",
 )  # fmt: skip
 """One file of each layer that compiles no kernel."""
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import xarray as xr
 
-from sunspin.infer.posterior.model import State, model
+from sunspin.estimate.posterior.model import State, model
 from sunspin.vehicle import Vehicle
 
 

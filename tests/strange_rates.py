@@ -23,10 +23,10 @@ from scipy.spatial.transform import Rotation
 import sunspin as ss
 from coverage_twins import place
 from strange_twins import FACES, body, unit
-from sunspin.errors import SunspinError
-from sunspin.infer.inertia import ASSUMED
-from sunspin.infer.rates.estimate import DECIDED
-from sunspin.study.command import command, kept, rows_folder
+from sunspin.base.errors import SunspinError
+from sunspin.compute.campaign import command, kept, rows_folder
+from sunspin.estimate.inertia import ASSUMED
+from sunspin.estimate.rates.estimate import DECIDED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 

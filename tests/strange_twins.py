@@ -22,11 +22,11 @@ import xarray as xr
 from scipy.stats import chi2
 
 import sunspin as ss
-from sunspin.errors import SunspinError
-from sunspin.infer.posterior.model import ASSUMED
-from sunspin.study.calibrate import NEAR_SIGMAS
-from sunspin.study.command import command, kept, rows_folder
+from sunspin.base.errors import SunspinError
+from sunspin.compute.campaign import command, kept, rows_folder
+from sunspin.estimate.posterior.model import ASSUMED
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from validation.calibrate import NEAR_SIGMAS
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 

@@ -50,7 +50,7 @@ def imported(folder: Path) -> dict[str, set[str]]:
                 modules = [node.module or ""]
             for module in modules:
                 top = module.split(".")[0]
-                if top not in sys.stdlib_module_names | {"sunspin", "trust", "tests", "docs", "bench"}:
+                if top not in sys.stdlib_module_names | {"sunspin", "validation", "tests", "docs", "bench"}:
                     found.setdefault(top, set()).add(path.relative_to(ROOT).as_posix())
     return found
 

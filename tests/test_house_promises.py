@@ -12,7 +12,7 @@ import sunspin as ss
 from sources import nodes, tree
 
 ROOT = Path(__file__).parents[1]
-PYTHON = [path for part in ("src", "tests", "trust", "bench") for path in sorted((ROOT / part).rglob("*.py"))]
+PYTHON = [path for part in ("src", "tests", "validation", "bench") for path in sorted((ROOT / part).rglob("*.py"))]
 FUNCTIONS = [name for name in ss.__all__ if inspect.isfunction(getattr(ss, name))]
 
 SHAPE = re.compile(r"\((?:…|\.\.\.|[a-z_0-9]+)(?:, ?[a-z_0-9]+)*,?\)|Dataset|DataArray|DataTree|Vehicle|number|path|dict", re.I)
@@ -94,8 +94,8 @@ def test_nothing_listens_but_what_dask_is_asked_for():
 
 
 def test_every_campaign_is_on_the_page():
-    from trust.__main__ import CAMPAIGNS
+    from validation.__main__ import CAMPAIGNS
 
-    text = (ROOT / "docs" / "trust.md").read_text("utf-8")
+    text = (ROOT / "docs" / "validation.md").read_text("utf-8")
     for name in CAMPAIGNS:
-        assert f"python -m trust {name}" in text
+        assert f"python -m validation {name}" in text

@@ -35,9 +35,10 @@ def test_the_import_contracts_hold():
 @pytest.mark.parametrize(
     ("module", "line", "contract"),
     [
-        ("measure/panels.py", "import sunspin.motion.gyrostat", "two rivers"),
-        ("motion/impact.py", "import sunspin.infer.metrics", "Water flows one way"),
-        ("study/rebound.py", "import matplotlib", "Physics does not draw"),
+        ("vehicle/response/cosine.py", "import sunspin.dynamics.gyrostat", "A room uses the rooms below it"),
+        ("dynamics/impact.py", "import sunspin.estimate.scan.metrics", "A room uses the rooms below it"),
+        ("landing/flight.py", "import matplotlib", "Physics does not draw"),
+        ("telemetry/sun.py", "import sunspin.dynamics.gyrostat", "do not know each other"),
     ],
 )
 def test_the_import_contracts_would_notice(module, line, contract, tmp_path):

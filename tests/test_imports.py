@@ -13,7 +13,7 @@ def modules() -> list[str]:
     return [name for name in found if not name.endswith(("_template", "__main__"))]
 
 
-NEEDS = {"sunspin.infer.cluster": "distributed"}
+NEEDS = {"sunspin.compute.cluster": "distributed"}
 """Modules of an extra, which is not everywhere."""
 
 

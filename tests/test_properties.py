@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.measure.sun import is_reconstructed
-from sunspin.motion import gyrostat as g
-from sunspin.motion import kernel as k
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import gyrostat as g
+from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Friction, Panel, Vehicle
 from vehicles import random_vehicle
 

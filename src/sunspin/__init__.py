@@ -9,8 +9,8 @@ from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py compares it with the names below
-    from sunspin.cases import Case as Case, load_case as load_case
-    from sunspin.errors import (
+    from sunspin.telemetry.case import Case as Case, load_case as load_case
+    from sunspin.base.errors import (
         InputError as InputError,
         Interrupted as Interrupted,
         MotionError as MotionError,
@@ -19,25 +19,25 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
         TelemetryError as TelemetryError,
         VehicleError as VehicleError,
     )
-    from sunspin.infer.ensemble import ensemble as ensemble
-    from sunspin.infer.lines import fit_lines as fit_lines
-    from sunspin.infer.metrics import direction_error as direction_error, emd as emd
-    from sunspin.infer.posterior.estimate import posterior as posterior
-    from sunspin.infer.rates.estimate import rates as rates
-    from sunspin.infer.scan import near_minimum as near_minimum, scan as scan
-    from sunspin.measure.health import panel_health as panel_health
-    from sunspin.measure.panels import panel_power as panel_power
-    from sunspin.measure.quality import panel_quality as panel_quality
-    from sunspin.measure.sun import SunStatus as SunStatus, sun_directions as sun_directions
-    from sunspin.measure.telemetry import read_telemetry as read_telemetry
-    from sunspin.motion.friction import fit_spin_down as fit_spin_down
-    from sunspin.motion.impact import impact as impact
-    from sunspin.motion.propagate import propagate as propagate
-    from sunspin.study.outcomes import outcomes as outcomes
-    from sunspin.study.scenario import Scenario as Scenario
-    from sunspin.study.twin import twin as twin
-    from sunspin.tell.reproduction import reproduce as reproduce
-    from sunspin.tell.worth import worth as worth
+    from sunspin.compute.rows import ensemble as ensemble
+    from sunspin.estimate.scan.lines import fit_lines as fit_lines
+    from sunspin.estimate.scan.metrics import direction_error as direction_error, emd as emd
+    from sunspin.estimate.posterior.estimate import posterior as posterior
+    from sunspin.estimate.rates.estimate import rates as rates
+    from sunspin.estimate.scan.volume import near_minimum as near_minimum, scan as scan
+    from sunspin.telemetry.health import panel_health as panel_health
+    from sunspin.vehicle.response.cosine import panel_power as panel_power
+    from sunspin.telemetry.quality import panel_quality as panel_quality
+    from sunspin.telemetry.sun import SunStatus as SunStatus, sun_directions as sun_directions
+    from sunspin.telemetry.reader import read_telemetry as read_telemetry
+    from sunspin.dynamics.friction import fit_spin_down as fit_spin_down
+    from sunspin.dynamics.impact import impact as impact
+    from sunspin.dynamics.propagate import propagate as propagate
+    from sunspin.landing.outcomes import outcomes as outcomes
+    from sunspin.landing.scenario import Scenario as Scenario
+    from sunspin.philae.twin import twin as twin
+    from sunspin.philae.reproduction import reproduce as reproduce
+    from sunspin.philae.coverage_results import worth as worth
     from sunspin.vehicle import (
         Antenna as Antenna,
         Friction as Friction,
@@ -52,8 +52,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     __version__: str
 
 _HOME = {
-    "Case": "sunspin.cases",
-    "load_case": "sunspin.cases",
+    "Case": "sunspin.telemetry.case",
+    "load_case": "sunspin.telemetry.case",
     "Vehicle": "sunspin.vehicle",
     "Panel": "sunspin.vehicle",
     "Wheel": "sunspin.vehicle",
@@ -62,35 +62,35 @@ _HOME = {
     "HullPart": "sunspin.vehicle",
     "Antenna": "sunspin.vehicle",
     "load_vehicle": "sunspin.vehicle",
-    "read_telemetry": "sunspin.measure.telemetry",
-    "panel_power": "sunspin.measure.panels",
-    "sun_directions": "sunspin.measure.sun",
-    "SunStatus": "sunspin.measure.sun",
-    "panel_health": "sunspin.measure.health",
-    "panel_quality": "sunspin.measure.quality",
-    "rates": "sunspin.infer.rates.estimate",
-    "propagate": "sunspin.motion.propagate",
-    "impact": "sunspin.motion.impact",
-    "fit_spin_down": "sunspin.motion.friction",
-    "direction_error": "sunspin.infer.metrics",
-    "emd": "sunspin.infer.metrics",
-    "scan": "sunspin.infer.scan",
-    "near_minimum": "sunspin.infer.scan",
-    "ensemble": "sunspin.infer.ensemble",
-    "fit_lines": "sunspin.infer.lines",
-    "posterior": "sunspin.infer.posterior.estimate",
-    "twin": "sunspin.study.twin",
-    "outcomes": "sunspin.study.outcomes",
-    "Scenario": "sunspin.study.scenario",
-    "reproduce": "sunspin.tell.reproduction",
-    "worth": "sunspin.tell.worth",
-    "SunspinError": "sunspin.errors",
-    "VehicleError": "sunspin.errors",
-    "TelemetryError": "sunspin.errors",
-    "MotionError": "sunspin.errors",
-    "InputError": "sunspin.errors",
-    "OutputError": "sunspin.errors",
-    "Interrupted": "sunspin.errors",
+    "read_telemetry": "sunspin.telemetry.reader",
+    "panel_power": "sunspin.vehicle.response.cosine",
+    "sun_directions": "sunspin.telemetry.sun",
+    "SunStatus": "sunspin.telemetry.sun",
+    "panel_health": "sunspin.telemetry.health",
+    "panel_quality": "sunspin.telemetry.quality",
+    "rates": "sunspin.estimate.rates.estimate",
+    "propagate": "sunspin.dynamics.propagate",
+    "impact": "sunspin.dynamics.impact",
+    "fit_spin_down": "sunspin.dynamics.friction",
+    "direction_error": "sunspin.estimate.scan.metrics",
+    "emd": "sunspin.estimate.scan.metrics",
+    "scan": "sunspin.estimate.scan.volume",
+    "near_minimum": "sunspin.estimate.scan.volume",
+    "ensemble": "sunspin.compute.rows",
+    "fit_lines": "sunspin.estimate.scan.lines",
+    "posterior": "sunspin.estimate.posterior.estimate",
+    "twin": "sunspin.philae.twin",
+    "outcomes": "sunspin.landing.outcomes",
+    "Scenario": "sunspin.landing.scenario",
+    "reproduce": "sunspin.philae.reproduction",
+    "worth": "sunspin.philae.coverage_results",
+    "SunspinError": "sunspin.base.errors",
+    "VehicleError": "sunspin.base.errors",
+    "TelemetryError": "sunspin.base.errors",
+    "MotionError": "sunspin.base.errors",
+    "InputError": "sunspin.base.errors",
+    "OutputError": "sunspin.base.errors",
+    "Interrupted": "sunspin.base.errors",
 }
 
 __all__ = ["__version__", *_HOME]

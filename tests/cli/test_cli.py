@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from trust import border
-from trust.border import Told
+from validation import border
+from validation.border import Told
 
 COMMANDS = ["reproduce", "worth", "init", "check", "sun", "simulate", "scan", "outcomes", "report"]
 

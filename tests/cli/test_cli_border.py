@@ -105,7 +105,7 @@ def test_init_writes_both_files_or_none(sunspin, tmp_path):
 
 
 def test_a_folder_of_other_results_is_refused_before_the_work(sunspin, tmp_path, monkeypatch):
-    import sunspin.infer.scan as scan
+    import sunspin.estimate.scan.volume as scan
 
     def never(*_, **__):
         raise AssertionError("the scan ran although its results could not be written")

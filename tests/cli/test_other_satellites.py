@@ -123,7 +123,7 @@ def test_corrupted_files_give_a_sentence_and_never_a_traceback(tmp_path):
 
 @pytest.mark.slow
 def test_rates_of_corrupted_files(tmp_path):
-    """Eight samples to a file, as no rate is looked at; the test below has more, and `trust` sends such files in every run."""
+    """Eight samples to a file, as no rate is looked at; the test below has more, and `validation` sends such files in every run."""
     few = {"four": lambda folder, rng: satellites.four_faces(folder, rng, n=8)}
     count, refused = campaign(tmp_path, few, 16, 2, ("rates",))
     assert 0.3 * count < refused < count

@@ -7,8 +7,8 @@ import sys
 
 import click
 
+from sunspin.base.errors import SunspinError, printable
 from sunspin.cli.common import Group, ReaderGone
-from sunspin.errors import SunspinError, printable
 
 LONGEST = 1200
 """Characters of one sentence: names from outside may have any number."""

@@ -25,7 +25,7 @@ def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
 
 
 def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    from sunspin.measure.quality import panel_quality, reasons
+    from sunspin.telemetry.quality import panel_quality, reasons
 
     quality = panel_quality(craft, samples)
     why = reasons(quality)
@@ -52,7 +52,7 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
 
 
 def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
-    from sunspin.measure.sun import signals
+    from sunspin.telemetry.sun import signals
 
     floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.panel_gains
     return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)

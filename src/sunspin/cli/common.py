@@ -14,8 +14,8 @@ from typing import Any
 
 import click
 
-from sunspin.errors import InputError, printable, sentence
-from sunspin.outside import SIZES, is_sensible
+from sunspin.base.errors import InputError, printable, sentence
+from sunspin.base.untrusted import SIZES, is_sensible
 
 COMMANDS = {
     "reproduce": "sunspin.cli.study:reproduce",
@@ -162,7 +162,7 @@ def find_telemetry(path: str, data: Path | None) -> Path:
     """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry."""
     given = Path(path)
     if given.name == path and not given.suffix and not given.exists():
-        from sunspin.cases import case_telemetry
+        from sunspin.telemetry.case import case_telemetry
 
         given = case_telemetry(path) or given
     if data is not None and not given.is_absolute():
@@ -191,7 +191,7 @@ def numbers(text: str | None, name: str, count: int | None = None) -> list[float
 def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool) -> None:
     """Print the summary as JSON, or the lines for a person."""
     if as_json:
-        from sunspin.tell.results import plain
+        from sunspin.output.folder import plain
 
         text = json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False)
         click.echo(text.encode("utf-8", "backslashreplace").decode("utf-8"))  # half characters of file names become escapes
@@ -202,7 +202,7 @@ def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool
 
 def store_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None) -> str:
     """Write what repeats a run and what its report needs; the line to print."""
-    from sunspin.tell.results import write_run
+    from sunspin.output.folder import write_run
 
     command = shlex.join(["sunspin", *sys.argv[1:]])
     said = {} if telemetry is None else telemetry.attrs

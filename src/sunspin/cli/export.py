@@ -8,8 +8,8 @@ from typing import Any
 import click
 import numpy as np
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import output_options, report
-from sunspin.errors import InputError, sentence
 
 FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
 
@@ -30,18 +30,18 @@ def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
       sunspin simulate philae --omega 0.1,0,0 --sun 0,0,1 --duration 600 --out run
       sunspin export run --format netcdf --epoch 2014-11-12T15:35:00Z --out attitude
     """
-    from sunspin.tell.export import attitude_of, read_results, write_cf, write_parquet
-    from sunspin.tell.results import results_folder
+    from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
+    from sunspin.output.folder import results_folder
 
     data, source = read_results(folder)
     attitude = attitude_of(data, frame, epoch)
     target = results_folder(out, "export")
     if form == "ck":
-        from sunspin.tell.export_ck import write_ck
+        from sunspin.output.export.ck import write_ck
 
         paths = write_ck(target, attitude)
     elif form.startswith("aem"):
-        from sunspin.tell.export_aem import write_aem
+        from sunspin.output.export.aem import write_aem
 
         kind = "xml" if form == "aem-xml" else "kvn"
         paths = [write_aem(target / ("sunspin.aem" if kind == "kvn" else "sunspin-aem.xml"), attitude, kind)]
@@ -75,8 +75,8 @@ def compare(folder, kernels, frame, base, epoch, as_json, quiet) -> None:
     """
     from datetime import timedelta
 
-    from sunspin.tell.export import attitude_of, read_results
-    from sunspin.tell.export_ck import ephemeris_time, kernel_rates
+    from sunspin.output.export import attitude_of, read_results
+    from sunspin.output.export.ck import ephemeris_time, kernel_rates
 
     data, _ = read_results(folder)
     attitude = attitude_of(data, None, epoch)

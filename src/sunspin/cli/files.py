@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
+from sunspin.base.errors import OutputError, sentence
 from sunspin.cli.common import data_option, find_telemetry, output_options, report
-from sunspin.errors import OutputError, sentence
 
 HEALTH_SAMPLES = 3000
 """Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
@@ -93,8 +93,8 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
     known = "given" if summary["inertia_given"] else "not given (for `rates` a sphere; nothing can be simulated)"
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
-        from sunspin.measure.panels import lit_patterns
-        from sunspin.measure.sun import reconstructible_patterns
+        from sunspin.telemetry.sun import reconstructible_patterns
+        from sunspin.vehicle.response.cosine import lit_patterns
 
         summary |= {"lit_patterns": len(lit_patterns(craft)), "reconstructible": len(reconstructible_patterns(craft))}
         lines.append(
@@ -111,8 +111,8 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
     import numpy as np
 
     from sunspin.cli.check_words import intervals, worth
-    from sunspin.measure.telemetry import FLAGS, read_telemetry
-    from sunspin.timeline import utc_after
+    from sunspin.telemetry.reader import FLAGS, read_telemetry
+    from sunspin.vehicle.timeline import utc_after
 
     samples = read_telemetry(path, craft)
     time, flag = samples["time"].values, samples["flag"].values
@@ -143,9 +143,9 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
 
 def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     from sunspin.cli.measured import counts, status_lines
-    from sunspin.measure.health import panel_health
-    from sunspin.measure.quality import lit_threshold
-    from sunspin.measure.sun import sun_directions
+    from sunspin.telemetry.health import panel_health
+    from sunspin.telemetry.quality import lit_threshold
+    from sunspin.telemetry.sun import sun_directions
 
     threshold = lit_threshold(craft, samples)
     sun = sun_directions(craft, samples, lit_threshold=threshold)
@@ -187,8 +187,8 @@ def decode(raw: Path, out: Path, as_json: bool, quiet: bool) -> None:
     Example:
       sunspin decode skcube_raw_23_27_june.zip --out skcube
     """
-    from sunspin.cases.skcube_beacons import adcs_csv, decode_beacons
-    from sunspin.tell.results import results_folder, write_whole
+    from sunspin.output.folder import results_folder, write_whole
+    from sunspin.telemetry.decoders.skcube import adcs_csv, decode_beacons
 
     beacons = decode_beacons(raw)
     folder = results_folder(out, "decode")

@@ -29,9 +29,9 @@ def sun(vehicle, telemetry, out, as_json, quiet, data, noise, threshold) -> None
       sunspin sun vehicle.toml telemetry.csv --out sun-results
       sunspin sun philae philae
     """
-    from sunspin.measure.quality import lit_threshold
-    from sunspin.measure.sun import is_reconstructed, sun_directions
-    from sunspin.measure.telemetry import read_telemetry
+    from sunspin.telemetry.quality import lit_threshold
+    from sunspin.telemetry.reader import read_telemetry
+    from sunspin.telemetry.sun import is_reconstructed, sun_directions
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -68,8 +68,8 @@ def status_lines(directions: Any) -> list[str]:
 
 def write(out: Path, directions: Any, samples: Any) -> Path:
     """Write directions as CSV, NetCDF and a figure."""
-    from sunspin.tell.figures import save, sun_directions_figure
-    from sunspin.tell.results import results_folder, write_netcdf, write_whole
+    from sunspin.output.figures import save, sun_directions_figure
+    from sunspin.output.folder import results_folder, write_netcdf, write_whole
 
     folder = results_folder(out, "sun")
     table = directions[["sun_B", "delta", "sigma_rad", "status_text"]]

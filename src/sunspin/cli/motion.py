@@ -8,6 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import (
     data_option,
     device_option,
@@ -19,7 +20,6 @@ from sunspin.cli.common import (
     run_options,
     store_run,
 )
-from sunspin.errors import InputError, sentence
 
 MAX_SAMPLES, BYTES_PER_SAMPLE = 2_000_000, 300
 """Output times of one trajectory, and what one takes while it is computed and written."""
@@ -52,7 +52,7 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     Example:
       sunspin simulate philae --omega 0.1,0,0 --sun 0.1959,0.5690,0.7986 --duration 2760 --out run
     """
-    from sunspin.motion.propagate import propagate
+    from sunspin.dynamics.propagate import propagate
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -83,7 +83,7 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     if len(events) > 20:
         lines.append(f"  and {len(events) - 20} more wheel events")
     if out is not None:
-        from sunspin.tell.results import results_folder, write_netcdf
+        from sunspin.output.folder import results_folder, write_netcdf
 
         folder = results_folder(out, "simulate")
         lines += [f"Results: {write_netcdf(folder / 'trajectory.nc', run)}", store_run(folder, summary, vehicle)]
@@ -170,11 +170,11 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
       sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x=-0.1:0.1:0.02 --omega-y=-0.1:0.1:0.02 --omega-z=0:0.1:0.02
       sunspin scan philae philae --from 25140 --to 27900 --omega-x=-0.5:1:0.1 --store scan-rows --out scan-results
     """
-    from sunspin.infer.lines import fit_lines
-    from sunspin.infer.scan import below, near_minimum
-    from sunspin.infer.scan import scan as run_scan
-    from sunspin.measure.telemetry import read_telemetry
-    from sunspin.tell.results import results_folder, write_netcdf
+    from sunspin.estimate.scan.lines import fit_lines
+    from sunspin.estimate.scan.volume import below, near_minimum
+    from sunspin.estimate.scan.volume import scan as run_scan
+    from sunspin.output.folder import results_folder, write_netcdf
+    from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -234,7 +234,7 @@ def _grid(text: str, name: str) -> np.ndarray:
     """low:high:step, or values separated by commas."""
     if ":" not in text:
         return np.array(numbers(text, name))
-    from sunspin.infer.scan import check_size
+    from sunspin.estimate.scan.volume import check_size
 
     parts = text.split(":")
     if len(parts) != 3:
@@ -251,7 +251,7 @@ def _grid(text: str, name: str) -> np.ndarray:
 
 def _track(craft, samples, begin: float | None, end: float | None):
     """The directions in the window, time counted from the first."""
-    from sunspin.measure.sun import is_reconstructed, sun_directions
+    from sunspin.telemetry.sun import is_reconstructed, sun_directions
 
     sun = sun_directions(craft, samples)
     time = sun["time"].values

@@ -9,8 +9,8 @@ from typing import Any
 import click
 import numpy as np
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import numbers, on_terminal, output_options, report, run_options, store_run
-from sunspin.errors import InputError, sentence
 
 SHOWN = (
     ("touch_leg", "a leg touches first"),
@@ -67,10 +67,10 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
       sunspin outcomes philae --runs 20000 --strategy off --strategy held --out landing
       sunspin outcomes vehicle.toml --omega 0.1,0,0.2 --sun 0,0,1 --after 600 --collision-speed 0 --runs 1000
     """
-    from sunspin.study.scenario import strategy_of
-    from sunspin.study.strategies import best_delay as search
-    from sunspin.study.strategies import compare
-    from sunspin.tell.results import results_folder
+    from sunspin.landing.scenario import strategy_of
+    from sunspin.landing.strategies import best_delay as search
+    from sunspin.landing.strategies import compare
+    from sunspin.output.folder import results_folder
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -134,8 +134,8 @@ def _vertical(text: str | None) -> Any:
 
 def _scenario(craft, given: dict[str, Any], collision_speed: float | None):
     """The case's own scenario with what the options say instead, or one made of the options alone."""
-    from sunspin.cases import case_names, load_case
-    from sunspin.study.scenario import Scenario, case_scenario
+    from sunspin.landing.scenario import Scenario, case_scenario
+    from sunspin.telemetry.case import case_names, load_case
 
     if collision_speed is not None:
         given["collision_speed_m_s"] = collision_speed or None
@@ -155,8 +155,8 @@ def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...])
         return np.array([numbers(text, "--omega", 3) for text in omega])
     if scan is not None:
         return _near_minimum(scan, factor)
-    from sunspin.cases import case_names, load_case
-    from sunspin.study.rebound import published_candidates
+    from sunspin.philae.rebound import published_candidates
+    from sunspin.telemetry.case import case_names, load_case
 
     if craft.name in case_names() and "line_L1" in load_case(craft.name).published:
         return published_candidates(load_case(craft.name))
@@ -164,8 +164,8 @@ def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...])
 
 
 def _near_minimum(path: Path, factor: float) -> np.ndarray:
-    from sunspin.infer.scan import near_minimum
-    from sunspin.measure.netcdf import read_netcdf
+    from sunspin.base.netcdf import read_netcdf
+    from sunspin.estimate.scan.volume import near_minimum
 
     if not path.is_file():
         raise InputError(sentence("there is no such file", do="give scan.nc as `sunspin scan --out` writes it", where=str(path)))
@@ -180,8 +180,8 @@ def _near_minimum(path: Path, factor: float) -> np.ndarray:
 
 def _condition(craft, runs, data: Path | None):
     """The collisions weighted by the kernel in the data folder, or by the facts that come with the case."""
-    from sunspin.cases import case_names, load_case
-    from sunspin.study import collision
+    from sunspin.philae import collision
+    from sunspin.telemetry.case import case_names, load_case
 
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "kernel_speed_before" not in case.published or not np.isfinite(runs["speed_after"]).any():
@@ -201,9 +201,10 @@ def _weighted(found) -> tuple[dict[str, Any], list[str]]:
 
 
 def _write(folder: Path, table, found: dict[str, Any], best, weighted) -> Path:
-    from sunspin.tell import figures_outcomes as figures
-    from sunspin.tell.figures import save
-    from sunspin.tell.results import write_netcdf
+    from sunspin.output.figures import outcomes as figures
+    from sunspin.output.figures import save
+    from sunspin.output.folder import write_netcdf
+    from sunspin.philae.figures.collision import collision_figure
 
     for name, runs in found.items():
         write_netcdf(folder / f"outcomes-{name.replace(':', '-')}.nc", runs)
@@ -215,7 +216,7 @@ def _write(folder: Path, table, found: dict[str, Any], best, weighted) -> Path:
     if all("point_kind" in runs.coords for runs in found.values()):
         save(figures.first_contact_figure(found), folder, "first-contact")
     if weighted is not None:
-        save(figures.collision_figure(weighted), folder, "collision")
+        save(collision_figure(weighted), folder, "collision")
     if best is not None:
         save(figures.delay_figure(best), folder, "delay")
     return folder

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import (
     data_option,
     device_option,
@@ -19,7 +20,6 @@ from sunspin.cli.common import (
     run_options,
     store_run,
 )
-from sunspin.errors import InputError, sentence
 
 
 @click.command()
@@ -59,9 +59,9 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
       sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
     """
-    from sunspin.infer.posterior.estimate import posterior as run
-    from sunspin.infer.posterior.verdict import summary as told
-    from sunspin.measure.telemetry import read_telemetry
+    from sunspin.estimate.posterior.estimate import posterior as run
+    from sunspin.estimate.posterior.verdict import summary as told
+    from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -70,7 +70,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     seen += [_field(text) for text in fields]
     times = None if predict is None else _times(predict, samples.attrs.get("epoch_utc"))
     if out is not None:
-        from sunspin.tell.results import results_folder
+        from sunspin.output.folder import results_folder
 
         results_folder(out, "posterior")  # refuse before the work, not after it
     tree = run(
@@ -89,7 +89,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
 
 
 def _own(name: str) -> Any:
-    from sunspin.cases import case_names, load_case
+    from sunspin.telemetry.case import case_names, load_case
 
     if name not in case_names():
         raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
@@ -131,7 +131,7 @@ def _lines(summary: dict[str, Any], tree: Any) -> list[str]:
 
 def _times(text: str, epoch_utc: str | None) -> dict[float, str]:
     """s from the epoch -> what was asked for, in order of time."""
-    from sunspin.timeline import utc_seconds
+    from sunspin.vehicle.timeline import utc_seconds
 
     times = {}
     for part in (piece.strip() for piece in text.split(",")):
@@ -150,8 +150,8 @@ def _predicted(vehicle: Any, tree: Any, times: dict[float, str], seed: int) -> t
     import numpy as np
     import xarray as xr
 
-    from sunspin.infer.posterior.predict import intervals
-    from sunspin.study.afterwards import predicted
+    from sunspin.estimate.posterior.predict import intervals
+    from sunspin.landing.afterwards import predicted
 
     found = predicted(vehicle, tree, list(times), seed)
     found = found.assign_coords(asked=("predicted_s", list(times.values())))
@@ -176,10 +176,10 @@ def write(out: Path, vehicle: Any, tree: Any) -> Path:
     """Write the posterior as NetCDF, its modes as CSV, the best motion of each, and a corner plot."""
     import pandas as pd
 
-    from sunspin.infer.posterior.motion import best_motions
-    from sunspin.tell.figures import save
-    from sunspin.tell.figures_posterior import corner_figure, search_figure
-    from sunspin.tell.results import results_folder, write_netcdf, write_whole
+    from sunspin.estimate.posterior.motion import best_motions
+    from sunspin.output.figures import save
+    from sunspin.output.figures.posterior import corner_figure, search_figure
+    from sunspin.output.folder import results_folder, write_netcdf, write_whole
 
     folder = results_folder(out, "posterior")
     write_netcdf(folder / "posterior.nc", tree)
@@ -197,8 +197,8 @@ def write(out: Path, vehicle: Any, tree: Any) -> Path:
     save(corner_figure(tree), folder, "corner")
     save(search_figure(tree), folder, "search")
     if "predictions" in tree.children:
-        from sunspin.infer.posterior.predict import intervals
-        from sunspin.tell.figures_predicted import predicted_figure
+        from sunspin.estimate.posterior.predict import intervals
+        from sunspin.output.figures.predicted import predicted_figure
 
         found = tree["predictions"].to_dataset()
         table = label + pd.DataFrame(intervals(found)).to_csv(index=False, float_format="%.9g")

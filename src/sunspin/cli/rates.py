@@ -36,15 +36,15 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     Example:
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
-    from sunspin.infer.rates.estimate import rates as run
-    from sunspin.measure.telemetry import read_telemetry
+    from sunspin.estimate.rates.estimate import rates as run
+    from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     used = samples.drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
     if out is not None:
-        from sunspin.tell.results import results_folder
+        from sunspin.output.folder import results_folder
 
         results_folder(out, "rates")  # refuse before the work, not after it
     result = run(
@@ -102,9 +102,9 @@ def write(out: Path, result: Any, samples: Any) -> Path:
     """Write rates as CSV, NetCDF and a figure."""
     import pandas as pd
 
-    from sunspin.tell.figures import save
-    from sunspin.tell.figures_rates import rates_figure
-    from sunspin.tell.results import results_folder, write_netcdf, write_whole
+    from sunspin.output.figures import save
+    from sunspin.output.figures.rates import rates_figure
+    from sunspin.output.folder import results_folder, write_netcdf, write_whole
 
     folder = results_folder(out, "rates")
     columns: dict[str, np.ndarray] = {"time_s": result["time"].values, "pass": result["pass_of"].values}

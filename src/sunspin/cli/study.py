@@ -36,7 +36,7 @@ def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | N
       sunspin reproduce --out results
       sunspin reproduce --telemetry mine.csv --candidates posterior --out mine
     """
-    from sunspin.tell.reproduction import reproduce as run
+    from sunspin.philae.reproduction import reproduce as run
 
     written = run(
         out, telemetry, vehicle=vehicle, candidates=candidates, calibrate=calibrate, seed=seed, workers=workers, coarser=coarser,
@@ -84,7 +84,7 @@ def worth(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, 
       sunspin worth --out worth-results
       sunspin worth --twins 2000 --confidence 0.95 --store worth-twins --out worth-results
     """
-    from sunspin.tell.worth import worth as run
+    from sunspin.philae.coverage_results import worth as run
 
     summary = run(
         out, twins, confidence=confidence, factor=factor, coarser=coarser, seed=seed, store=store, workers=workers,
@@ -110,7 +110,7 @@ def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
     Example:
       sunspin report rates
     """
-    from sunspin.tell.report import write_report
+    from sunspin.output.report import write_report
 
     target = write_report(folder)
     size = target.stat().st_size

@@ -14,8 +14,8 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.errors import VehicleError, sentence
-from sunspin.notebook import vehicle_html
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.vehicle.notebook import vehicle_html
 from sunspin.vehicle.parts import (
     Antenna,
     Fact,

@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from sunspin import vehicle as v
-from sunspin.errors import VehicleError, sentence
-from sunspin.outside import read_bytes
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.untrusted import read_bytes
 from sunspin.vehicle.form import Form, Name, Value, scalar, take
 from sunspin.vehicle.sensors_file import (
     AttitudeForm,

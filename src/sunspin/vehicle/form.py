@@ -7,8 +7,8 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from sunspin import vehicle as v
-from sunspin.errors import VehicleError, sentence
-from sunspin.outside import SIZES, is_sensible
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.untrusted import SIZES, is_sensible
 
 
 class Given(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle.portable import Portable
 
 FloatArray = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from sunspin import vehicle as v
-from sunspin.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle import parts
 from sunspin.vehicle import sensors as s
 from sunspin.vehicle.form import Form, Name, Value, scalar, take

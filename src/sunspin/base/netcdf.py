@@ -1,0 +1,93 @@
+"""Reading NetCDF-4 files that somebody may have damaged: one sentence, whatever the libraries below do."""
+
+from __future__ import annotations
+
+import gc
+import io
+import sys
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from sunspin.base.errors import SunspinError, sentence
+from sunspin.base.untrusted import Elsewhere, elsewhere
+
+MAX_BYTES = 2_000_000_000
+"""Of all variables in memory: a compressed file, or one that is nearly all fill value, may name any size."""
+
+PROBE_S, PROBE_BYTES_PER_S = 4, 20_000_000
+"""CPU time (s) that a file may take to be read the first time, and what a larger one may have besides."""
+
+MEND = "it is damaged or not NetCDF-4: write it again"
+
+
+def read_netcdf(source: Any, where: str, error_type: type[SunspinError]) -> xr.Dataset:
+    """A NetCDF-4 file (a path or a binary stream), loaded; `where` names it in messages.
+
+    Files from outside: on damaged ones HDF5 computes for ever or ends the process, its wrappers raise whatever comes, and a
+    half-opened file complains on stderr once more when it is thrown away. So it is read in another process first, with
+    limits; each of these becomes the one sentence.
+    """
+    return _guarded(source, where, error_type, lambda: _one(source), probe=True)
+
+
+def read_groups(path: Path, where: str, error_type: type[SunspinError], probe: bool = True) -> dict[str, xr.Dataset]:
+    """The groups of a NetCDF-4 file by their paths, times undecoded; `probe` false for a file that this program wrote."""
+    return _guarded(path, where, error_type, lambda: _tree(path), probe)
+
+
+class _TooLarge(Exception):
+    pass
+
+
+def _one(source: Any) -> xr.Dataset:
+    with xr.open_dataset(source, engine="h5netcdf", decode_timedelta=False) as data:
+        return _loaded(data, data.nbytes)
+
+
+def _tree(path: Path) -> dict[str, xr.Dataset]:
+    with xr.open_datatree(path, engine="h5netcdf", decode_times=False) as tree:
+        groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
+        size = sum(data.nbytes for data in groups.values())
+        return {name: _loaded(data, size) for name, data in groups.items()}
+
+
+def _loaded(data: xr.Dataset, size: int) -> xr.Dataset:
+    if size > MAX_BYTES:
+        raise _TooLarge(f"the file would take {size / 1e9:.3g} GB of memory")
+    return data.load()
+
+
+def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any, probe: bool) -> Any:
+    if probe and (trouble := _probed(source)) is not None:
+        raise error_type(sentence(f"this NetCDF file cannot be read ({trouble})", do=MEND, where=where))
+    hook = sys.unraisablehook
+    try:
+        return read()
+    except _TooLarge as error:
+        what = sentence(str(error), do="cut it into parts", where=where)
+    except Exception as error:
+        sys.unraisablehook = lambda _: None
+        what = sentence(f"this NetCDF file cannot be read ({type(error).__name__}: {str(error)[:200]})", do=MEND, where=where)
+    gc.collect()  # closes what was half opened, while nobody listens
+    sys.unraisablehook = hook
+    raise error_type(what)
+
+
+def _probed(source: Any) -> str | None:
+    """What went wrong when another process read the file, or None."""
+    if not sys.executable:
+        return None
+    stream = isinstance(source, io.BytesIO)
+    content = source.getvalue() if stream else None
+    try:
+        size = len(content) if content is not None else Path(source).stat().st_size
+    except OSError as error:
+        return error.strerror or str(error)
+    script = Path(__file__).with_name("netcdf_probe.py")
+    try:
+        elsewhere(script, "-" if stream else str(source), content=content or b"", seconds=PROBE_S + size // PROBE_BYTES_PER_S)
+    except Elsewhere as error:
+        return str(error)
+    return None

@@ -1,0 +1,90 @@
+"""What comes from outside, within bounds: numbers of a size that can be squared, bytes of regular files, no more than was said."""
+
+from __future__ import annotations
+
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+from sunspin.base.errors import SunspinError, sentence
+
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Sizes of numbers that files and options may give: far beyond any in use, and their squares and products are still numbers."""
+
+SIZES = f"0 or a finite number between {SMALLEST:g} and {LARGEST:g} in size"
+
+
+def is_sensible(value: float) -> bool:
+    """Whether a number is zero or of a size that arithmetic stands."""
+    return value == 0 or SMALLEST <= abs(value) <= LARGEST
+
+
+def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError], do: str) -> bytes:
+    """The content of a file of at most `most` bytes; `kind` names it in messages, `do` says what to do where it cannot be read.
+
+    A device never ends and a pipe without a writer never begins: they are refused before they are opened.
+    """
+    where = str(path)
+    try:
+        about = path.stat()
+        if stat.S_ISDIR(about.st_mode):
+            raise error_type(sentence(f"this is a folder, not a {kind}", where=where))
+        if not stat.S_ISREG(about.st_mode):
+            raise error_type(sentence(f"this is a device or a pipe, not a {kind}", do="save its content to a file", where=where))
+        with open(path, "rb") as file:
+            content = file.read(most + 1) if about.st_size <= most else b""
+    except OSError as error:
+        raise error_type(sentence(f"the {kind} cannot be read ({error.strerror or error})", do=do, where=where)) from None
+    except ValueError as error:
+        if isinstance(error, SunspinError):
+            raise
+        raise error_type(sentence(f"this is not a path ({error})", do=do, where=repr(where))) from None
+    if max(about.st_size, len(content)) > most:
+        raise error_type(
+            sentence(f"a {kind} is smaller than {most / 1e6:g} MB", got=f"{about.st_size / 1e6:.0f} MB",
+                     do="cut it into parts, or give the right file", where=where)
+        )  # fmt: skip
+    return content
+
+
+MEMORY = 6_000_000_000
+"""Bytes of address space of another process that reads a file from outside."""
+
+BOOT = """
+import resource, runpy, sys
+for kind, wanted in ((resource.RLIMIT_CPU, int(sys.argv[1])), (resource.RLIMIT_AS, int(sys.argv[2]))):
+    given = [limit for limit in resource.getrlimit(kind) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(kind, (min([wanted, *given]),) * 2)
+sys.argv = sys.argv[3:]
+try:
+    runpy.run_path(sys.argv[0], run_name="__main__")
+except Exception as error:
+    sys.exit(" ".join(f"{type(error).__name__}: {error}".split()))
+"""
+
+
+class Elsewhere(Exception):
+    """Why a script in another process did not come to its end."""
+
+
+def elsewhere(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:
+    """What a script prints that runs in another process, under limits of CPU time and memory, with `content` to read.
+
+    For the C libraries that read other people's files: on damaged ones they may compute for ever, or end the process. The
+    script imports nothing of ours, as it may not find it. Raises `Elsewhere` with the reason.
+    """
+    # -P: the folder of the script is no place to import from
+    command = [sys.executable, "-P", "-c", BOOT, str(seconds), str(MEMORY), str(script), *arguments]
+    try:
+        done = subprocess.run(command, input=content, capture_output=True, timeout=60 + 20 * seconds)
+    except subprocess.TimeoutExpired:
+        raise Elsewhere("reading it does not end") from None
+    if done.returncode < 0:
+        raise Elsewhere(
+            f"reading it takes more than {seconds} s or ends the program that reads it, with signal {-done.returncode}"
+        )
+    if done.returncode:
+        lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        raise Elsewhere(lines[-1][:300] if lines else "no reason is known")
+    return done.stdout

@@ -1,0 +1,123 @@
+"""Kernels are compiled in processes of their own, before they are needed where that is known.
+
+Compilation takes ten to twenty seconds of one core for each structure, and numba compiles one function at a time in a process;
+the disk cache carries the machine code over. What a process has compiled itself differs from what is loaded: helpers that it
+has compiled singly take the place of those compiled into the kernel, with sums contracted otherwise. So kernels are always
+loaded, and give the same bits in the first run as in the next.
+"""
+
+from __future__ import annotations
+
+import atexit
+import fcntl
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import IO
+
+import numpy as np
+
+from sunspin.dynamics.ensemble import codegen as c
+from sunspin.dynamics.ensemble.compiled import kernel, loaded
+
+_lock = threading.Lock()
+_under_way: dict[Path, subprocess.Popen] = {}
+_ready: set[Path] = set()
+"""Modules known to be on disk with their machine code: a kernel is asked for before every piece of a run."""
+
+POLL_S = 0.05
+
+WAIT_S = 120.0
+"""Another process that has not compiled a kernel in this time is stopped or starved."""
+
+
+def compile_ahead(structures: Iterable[c.Structure]) -> None:
+    """Begin to compile the kernels of these structures that this machine has not kept, in the order given; returns at once."""
+    if (os.cpu_count() or 1) > 1:
+        _begin([_path(kernel(structure)) for structure in structures])
+
+
+def _begin(paths: list[Path]) -> None:
+    with _lock:
+        todo = [path for path in paths if path not in _under_way and not is_kept(path)]
+        if not todo or not sys.executable:
+            return
+        nothing = subprocess.DEVNULL
+        try:
+            process = subprocess.Popen(_command(todo), stdin=nothing, stdout=nothing, stderr=nothing)
+        except OSError:
+            return  # then they are compiled here, when they are needed
+        _under_way.update(dict.fromkeys(todo, process))
+        atexit.register(_stop, process)
+
+
+def _command(paths: Iterable[Path | str]) -> list[str]:
+    return [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, paths)]
+
+
+def _stop(process: subprocess.Popen) -> None:
+    process.kill()
+    process.wait()
+
+
+def ready_kernel(structure: c.Structure) -> ModuleType:
+    """The module with the compiled function `run` for this structure; waits until another process has compiled it."""
+    module = kernel(structure)
+    path = _path(module)
+    if path not in _ready:
+        _begin([path])
+        process = _under_way.get(path)
+        while process is not None and process.poll() is None and not is_kept(path):
+            time.sleep(POLL_S)
+        _ready.add(path)
+    return module
+
+
+def is_kept(path: Path) -> bool:
+    """Whether the machine code of a generated module is on disk (numba writes it whole or not at all, the entry last)."""
+    return any((path.parent / "__pycache__").glob(f"{path.stem}.run-*.nbc"))
+
+
+def _path(module: ModuleType) -> Path:
+    return Path(str(module.__file__))
+
+
+def main() -> None:
+    """In the other process: compile the generated module at the first path, then begin afresh with the rest.
+
+    What is compiled may hang, in its last bits, on what the process has compiled before. Of several processes that want the
+    same kernel one compiles it and the others wait for it.
+    """
+    path, *rest = sys.argv[1:]
+    with open(path, "rb") as file:
+        _wait_for_others(file)
+        if not is_kept(Path(path)):
+            compile_run(loaded(Path(path).stem, path))
+    if rest:
+        os.execv(sys.executable, _command(rest))
+
+
+def _wait_for_others(file: IO) -> None:
+    """Lock a generated module until the file is closed. On a file system without locks, and after a while, go on: the kernel is
+    then compiled twice, which costs time and nothing else."""
+    end = time.monotonic() + WAIT_S
+    while time.monotonic() < end:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            time.sleep(POLL_S)
+        except OSError:
+            return
+
+
+def compile_run(module: ModuleType) -> None:
+    """Compile the entry of a generated module for the types of `run.launch`."""
+    real, whole, single = (np.zeros(0, dtype) for dtype in (np.float64, np.int64, np.float32))
+    table = np.zeros((0, 0, 0))
+    module.run(np.zeros((0, 0)), whole, table, single, whole, real, whole, np.zeros((0, 0), np.float32), table, whole, real)

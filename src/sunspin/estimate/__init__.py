@@ -1,0 +1,1 @@
+"""Where what was seen meets what would be seen: scans, rates, posteriors."""

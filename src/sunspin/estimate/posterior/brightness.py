@@ -1,0 +1,61 @@
+"""How bright the Sun is in the readings, before any motion is known: the scale about which the posterior searches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sunspin.estimate.posterior.cells import CANDIDATE_GRID, CAP
+from sunspin.estimate.posterior.data import Readings
+from sunspin.telemetry.sun import best_directions, is_reconstructed, sun_directions
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.cosine import panel_power, sphere
+
+LEAST_SEEN, MOST_SEEN = 0.5, 1.2
+"""Range of the smallest scale that few panels allow, in which gains with a unit may be right."""
+
+MOST_SAMPLES = 40
+"""Samples looked at, those with the most light: they bound the scale."""
+
+BETWEEN_RAD = 0.03
+"""How far any direction is from the nearest of those tried."""
+
+STEP, LEAST, WIDEST = 0.02, 0.03, 3.0
+"""Scales tried: steps of their logarithm, and between which parts of the brightest reading they lie at most."""
+
+WORSE = 4.0
+"""A reading counts against a scale by the square of its sigmas, at most `CAP`; two sigmas from the best is near enough."""
+
+
+def brightness(vehicle: Vehicle, data: Readings) -> float:
+    """A first guess of the scale, signal of a panel of gain one at normal incidence.
+
+    The median over samples that give a direction, else the smallest scale at which all samples have one. Gains in a unit are then
+    believed instead where they can be, as their prior is narrow.
+    """
+    value = np.where(data.used, data.value, 0.0)
+    told = is_reconstructed(sun_directions(vehicle, value, noise=data.sigma)["status"].values) & data.used.all(axis=1)
+    if told.any():
+        shape = panel_power(vehicle, best_directions(vehicle, value[told])[0])
+        return float(np.median(np.sum(shape * value[told], axis=1) / np.sum(shape**2, axis=1)))
+    least = _smallest(vehicle, np.maximum(value, 0.0), data)
+    return 1.0 if vehicle.gain_unit is not None and LEAST_SEEN < least < MOST_SEEN else least
+
+
+def _smallest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
+    """The smallest scale at which every sample has a direction that gives its readings (K, P), as nearly as any scale does.
+
+    Too bright a Sun is not contradicted where no panel looks along it; too dark a one is, by the sample that sees most of it.
+    """
+    light = value / vehicle.panel_gains
+    brightest = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:MOST_SAMPLES]
+    brightest = brightest[light[brightest].max(axis=1) > 0]  # the dark samples of an eclipse bound nothing
+    largest = light[brightest].max(axis=1)
+    scales = np.exp(np.arange(np.log(max(np.median(largest), LEAST * largest.max())), np.log(WIDEST * largest.max()), STEP))
+    seen = panel_power(vehicle, sphere(CANDIDATE_GRID))
+    misfit = np.zeros(len(scales))
+    for i, scale in enumerate(scales):
+        sigma = np.hypot(data.sigma, BETWEEN_RAD * scale * vehicle.panel_gains)
+        for k in brightest:
+            off = np.minimum(((scale * seen - value[k]) / sigma) ** 2, CAP)
+            misfit[i] += float((off @ data.used[k]).min())
+    return float(scales[np.argmax(misfit <= misfit.min() + WORSE)])

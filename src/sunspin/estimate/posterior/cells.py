@@ -1,0 +1,396 @@
+"""Every rate that could do, as starts for least squares.
+
+The attitude that the body has reached at the samples next to the reference is computed on a grid of rates, fine enough (turns of
+`TURN` rad from point to point at most) to be interpolated between them. Every cell of the grid is looked through on points a
+quarter of its edge apart, and the best of each eighth is taken on unless no direction near it agrees with the readings. From
+there least squares on the interpolated attitudes finds the nearest solution, kept if it is one within their error. A motion
+therefore has a start within an eighth of a cell: about a quarter of a radian at those samples. The initial direction does not
+enter the runs: they give rotations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sunspin.compute.compiler import njit
+from sunspin.dynamics import gyrostat as g
+from sunspin.estimate.posterior.data import Readings
+from sunspin.estimate.posterior.fit import asked
+from sunspin.estimate.posterior.likelihood import moved, tangents
+from sunspin.estimate.posterior.model import Model, State
+from sunspin.vehicle.response.cosine import panel_power, sphere
+
+TURN = 1.6
+"""rad by which neighbours of the grid differ at the farthest of the samples tried; interpolated rotations then err by 0.05."""
+
+AMPLIFIED = 1.15
+"""rad per (rad/s x s): what a wheel's or uneven moments' nutation adds."""
+
+NEAR, FAR = 0.35, 0.65
+"""rad for which a point stands: at a quarter of a cell's edge, and at the middle of an eighth."""
+
+SCALE_SHARE = 0.08
+"""Relative error of the brightness and of gains while starts are looked for."""
+
+SIGMAS, CAP, LIMIT = 3.0, 16.0, 20.0
+"""A reading counts against a point beyond SIGMAS, by the square of what is left, CAP at most (a shadow?); it falls at LIMIT."""
+
+CANDIDATE_GRID = 3000
+"""Directions on the sphere, 3.7 degrees apart, of which those that the reference sample allows are starts."""
+
+CANDIDATE_RAD = 0.3
+"""Starts stand for directions this near."""
+
+BLUR = 0.07
+"""rad: error of interpolated attitudes and brightness, added to the noise while starts settle."""
+
+SETTLED = 36.0
+"""Misfit (sum of squares, CAP at most for each reading) up to which a settled start is kept."""
+
+STEPS = 8
+"""Steps of least squares on the interpolated attitudes."""
+
+APART = 0.3
+"""rad at the samples tried: of starts nearer to each other one is kept."""
+
+MAX_CELLS = 8_000_000
+"""Cells times directions beyond this are not looked through: the ball of rates is made smaller, and the verdict says so."""
+
+TRIAL_ERROR = 1e-3
+"""Error of a direction (rad) on the grid."""
+
+
+def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> np.ndarray:
+    """Directions (n, 3), about `CANDIDATE_RAD` apart, that a sample allows; best first."""
+    grid = sphere(CANDIDATE_GRID)
+    gap = panel_power(model.vehicle, grid) * scale - data.value[sample]
+    tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.panel_gains)
+    misfit = np.where(data.used[sample], np.minimum((gap / tolerance) ** 2, CAP), 0.0).sum(axis=1)
+    allowed = grid[order := np.argsort(misfit, kind="stable")][misfit[order] < misfit.min() + 1.0]
+    kept = allowed[:1]
+    while (nearest := (allowed @ kept.T).max(axis=1)).min() < np.cos(CANDIDATE_RAD):
+        kept = np.concatenate([kept, allowed[[np.argmin(nearest)]]])
+    return kept
+
+
+def shortfall(model: Model, data: Readings, sun: np.ndarray, angle: float, scale: float) -> np.ndarray:
+    """How far (n) readings of samples (K) speak against any direction within `angle` rad of `sun` (n, K, 3)."""
+    gains = scale * model.vehicle.panel_gains
+    off = np.arccos(np.clip(sun @ model.vehicle.panel_normals_B.T, -1.0, 1.0))
+    low = gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0) * (1 - SCALE_SHARE)
+    high = gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0) * (1 + SCALE_SHARE)
+    beyond = np.maximum(np.maximum(low - data.value, data.value - high) / data.sigma - SIGMAS, 0.0)
+    return np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=(1, 2))
+
+
+def grid_edge(times: np.ndarray) -> float:
+    """Step of the grid, rad/s, for samples at `times` (s from the reference)."""
+    return TURN / (AMPLIFIED * float(np.abs(times).max()))
+
+
+def cell_count(limit: float, edge: float) -> float:
+    """Cells in a ball of rates, about."""
+    return 4 / 3 * np.pi * (limit / edge + 1.0) ** 3
+
+
+@dataclass(frozen=True)
+class Attitudes:
+    """Row -> rotations of the body at the `times` (m, s from the reference), for the rates of a grid with step `edge`.
+
+    As unit quaternions (scalar last) that take components at the reference to components at the time.
+    """
+
+    model: Model
+    times: np.ndarray
+    edge: float
+
+    @property
+    def outputs(self) -> Mapping[str, Any]:
+        return {"turn": ("float32", (len(self.times), 4))}
+
+    @property
+    def side(self) -> int:
+        """Points of the grid along an axis."""
+        return 2 * int(np.ceil(self.model.max_rate / self.edge)) + 1
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Places (n) in the cube of the grid's points within a cell's diagonal of the ball."""
+        axis = (np.arange(self.side) - self.side // 2) * self.edge
+        square = axis[:, None, None] ** 2 + axis[None, :, None] ** 2 + axis**2
+        return np.flatnonzero(square <= (self.model.max_rate + np.sqrt(3) * self.edge) ** 2)
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.places)
+
+    def identity(self) -> dict[str, Any]:
+        return asked(self, self.model)
+
+    def rates(self, places: np.ndarray) -> np.ndarray:
+        """Rates (n, 3) at places of the cube; halves and quarters between points are made by the caller."""
+        return (np.stack(np.unravel_index(places, (self.side,) * 3), axis=-1) - self.side // 2) * self.edge
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        model = self.model
+        omega = self.rates(self.places[index]) + 1e-6 * self.edge  # no row is exactly at rest
+        nominal = State(omega, np.tile([0.0, 0.0, 1.0], (len(omega), 1)), np.zeros((len(omega), len(model.unknowns))))
+        rows = model.rows(nominal)
+        momentum = g.total_momentum(model.vehicle, omega, rows.wheel_speed_rad_s)
+        along = momentum / np.linalg.norm(momentum, axis=1, keepdims=True)
+        across = tangents(along)[0]  # any inertial direction will do for the run; one across H makes a frame with it
+        rows = model.rows(State(omega, across, nominal.u))
+        frame = np.stack([along, across, np.cross(along, across)], axis=2)
+        turns = np.empty((len(omega), len(self.times), 4), dtype=np.float32)
+        for i, t in enumerate(self.times):
+            run = model.run(rows, [t], TRIAL_ERROR)
+            h, r = run.momentum_B[:, 0], run.sun_B[:, 0]
+            h = h / np.linalg.norm(h, axis=1, keepdims=True)
+            reached = np.stack([h, r, np.cross(h, r)], axis=2)
+            with np.errstate(invalid="ignore"):
+                turn = np.einsum("nij,nkj->nik", reached, frame)
+            good = np.isfinite(turn).all(axis=(1, 2))
+            turn[~good] = np.eye(3)
+            turns[:, i] = Rotation.from_matrix(turn).as_quat()
+        return {"turn": turns}
+
+
+@dataclass(frozen=True)
+class Starts:
+    """The starts in the cells between the rows of `attitudes`, of which `turn` is the result.
+
+    `data` are the samples tried and `here` the reference's readings (P), `suns` (c, 3) directions there.
+    """
+
+    attitudes: Attitudes
+    turn: np.ndarray
+    data: Readings
+    here: np.ndarray
+    here_used: np.ndarray
+    suns: np.ndarray
+    scale: float
+
+    @cached_property
+    def row_of(self) -> np.ndarray:
+        """Row of the grid at each place of the cube, -1 outside the ball."""
+        rows = np.full(self.attitudes.side**3, -1, dtype=np.int64)
+        rows[self.attitudes.places] = np.arange(len(self.attitudes.places))
+        return rows
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """Places (n) of the lowest corners of cells all of whose corners are on the grid."""
+        side = self.attitudes.side
+        there = (self.row_of >= 0).reshape((side,) * 3)
+        whole = np.ones((side - 1,) * 3, dtype=bool)
+        for a in (0, 1):
+            for b in (0, 1):
+                for c in (0, 1):
+                    whole &= there[a : side - 1 + a, b : side - 1 + b, c : side - 1 + c]
+        full = np.zeros((side,) * 3, dtype=bool)
+        full[:-1, :-1, :-1] = whole
+        return np.flatnonzero(full)
+
+    def found(self, workers: int) -> tuple[State, np.ndarray]:
+        """The starts, best first, and how many points of the grid settled there."""
+        side = self.attitudes.side
+        corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [side**2, side, 1]
+        gains = self.scale * self.attitudes.model.vehicle.panel_gains
+        frame = np.stack([self.suns, *tangents(self.suns)], axis=1)
+        fixed = (
+            self.row_of, corners, self.turn, frame, self.attitudes.model.vehicle.panel_normals_B, gains, self.data.value,
+            self.data.used, self.here, self.here_used, self.data.sigma,
+        )  # fmt: skip
+        pieces = np.array_split(self.cells, max(1, len(self.cells) // 5_000))
+        with ThreadPoolExecutor(workers) as pool:
+            parts = list(pool.map(lambda cells: look_through(cells, *fixed), pieces))
+        rows = np.concatenate(parts)  # place, sun, x, y, z, two tangent steps, misfit
+        cell, sun = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+        omega = self.attitudes.rates(cell) + rows[:, 2:5] * self.attitudes.edge
+        size = np.linalg.norm(omega, axis=1, keepdims=True)
+        omega = omega * np.minimum(1.0, self.attitudes.model.max_rate / np.maximum(size, 1e-12))
+        state = State(omega, moved(self.suns[sun], rows[:, 5:7]), np.zeros((len(rows), len(self.attitudes.model.unknowns))))
+        best, count = _distinct(state, rows[:, 7], float(np.abs(self.data.t_s).max()))
+        return state.take(best), count
+
+
+def _distinct(state: State, cost: np.ndarray, reach_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of states in one box of rate and direction, `APART` wide at `reach_s` s, the best and their number; best first."""
+    order = np.argsort(cost, kind="stable")
+    box = np.concatenate([state.omega[order] * (reach_s / APART), state.sun[order] / APART], axis=1)
+    _, first, count = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_counts=True)
+    rank = np.argsort(first)
+    return order[first[rank]], count[rank]
+
+
+@njit(nogil=True, cache=True)
+def _load(quaternions, rows, turn):
+    """The rotations at the corners of a cell, with signs alike so that they can be interpolated."""
+    for corner in range(8):
+        for m in range(turn.shape[1]):
+            same = 0.0
+            for q in range(4):
+                quaternions[corner, m, q] = turn[rows[corner], m, q]
+                same += turn[rows[corner], m, q] * quaternions[0, m, q]
+            if same < 0:
+                for q in range(4):
+                    quaternions[corner, m, q] = -quaternions[corner, m, q]
+
+
+@njit(nogil=True, cache=True)
+def _best_point(quaternions, at, sun, normals, gains, value, used, sigma):
+    """The best point of the eighth of a cell that begins at `at`, and its misfit: infinite where none will do."""
+    least, best = np.inf, at
+    if _against(quaternions, at + 0.25, sun, normals, gains, value, used, sigma, FAR)[0] > LIMIT:
+        return best, least
+    for point in range(8):
+        x = at + 0.25 * np.array([0.5 + (point >> 2 & 1), 0.5 + (point >> 1 & 1), 0.5 + (point & 1)])
+        short, misfit = _against(quaternions, x, sun, normals, gains, value, used, sigma, NEAR)
+        if short <= LIMIT and misfit < least:
+            least, best = misfit, x
+    return best, least
+
+
+@njit(nogil=True, cache=True)
+def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used, here, here_used, sigma):
+    """The settled starts of cells, (n, 8): place, direction, x, y, z in the cell, two steps of the direction, misfit."""
+    room = 1024
+    found = np.empty((room, 8))
+    count = 0
+    quaternions = np.empty((8, turn.shape[1], 4))
+    for i in range(len(cells)):
+        _load(quaternions, row_of[cells[i] + corners], turn)
+        for eighth in range(8):
+            at = np.array([(eighth >> 2 & 1) * 0.5, (eighth >> 1 & 1) * 0.5, (eighth & 1) * 0.5])
+            for c in range(len(suns)):
+                best, least = _best_point(quaternions, at, suns[c, 0], normals, gains, value, used, sigma)
+                if least == np.inf:
+                    continue
+                x, step, misfit = _settle(quaternions, best, suns[c], normals, gains, value, used, here, here_used, sigma)
+                if misfit <= SETTLED and np.abs(x - at - 0.25).max() < 0.5:
+                    if count == room:
+                        room *= 2
+                        more = np.empty((room, 8))
+                        more[:count] = found
+                        found = more
+                    found[count, 0], found[count, 1] = cells[i], c
+                    found[count, 2:5], found[count, 5:7], found[count, 7] = x, step, misfit
+                    count += 1
+    return found[:count]
+
+
+@njit(nogil=True, cache=True)
+def _turned(quaternions, m, x, vector, out):
+    """`vector` turned by the rotation interpolated at x (3, parts of the cell)."""
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    for corner in range(8):
+        w = (x[0] if corner & 4 else 1 - x[0]) * (x[1] if corner & 2 else 1 - x[1]) * (x[2] if corner & 1 else 1 - x[2])
+        a += w * quaternions[corner, m, 0]
+        b += w * quaternions[corner, m, 1]
+        c += w * quaternions[corner, m, 2]
+        d += w * quaternions[corner, m, 3]
+    size = max(a * a + b * b + c * c + d * d, 1e-9)
+    dot = a * vector[0] + b * vector[1] + c * vector[2]
+    s = d * d - a * a - b * b - c * c
+    out[0] = (s * vector[0] + 2 * dot * a + 2 * d * (b * vector[2] - c * vector[1])) / size
+    out[1] = (s * vector[1] + 2 * dot * b + 2 * d * (c * vector[0] - a * vector[2])) / size
+    out[2] = (s * vector[2] + 2 * dot * c + 2 * d * (a * vector[1] - b * vector[0])) / size
+
+
+@njit(nogil=True, cache=True)
+def _against(quaternions, x, sun, normals, gains, value, used, sigma, angle):
+    """What speaks against all directions within `angle` of that of a point, in the worst sample; and its own misfit."""
+    worst, misfit = 0.0, 0.0
+    r = np.empty(3)
+    for m in range(quaternions.shape[1]):
+        _turned(quaternions, m, x, sun, r)
+        short = 0.0
+        for j in range(len(gains)):
+            if not used[m, j]:
+                continue
+            cosine = min(1.0, max(-1.0, normals[j, 0] * r[0] + normals[j, 1] * r[1] + normals[j, 2] * r[2]))
+            sine = np.sqrt(1.0 - cosine * cosine)
+            up = 1.0 if cosine > np.cos(angle) else cosine * np.cos(angle) + sine * np.sin(angle)
+            down = -1.0 if cosine < -np.cos(angle) else cosine * np.cos(angle) - sine * np.sin(angle)
+            low, high = gains[j] * max(down, 0.0) * (1 - SCALE_SHARE), gains[j] * max(up, 0.0) * (1 + SCALE_SHARE)
+            beyond = max(low - value[m, j], value[m, j] - high) / sigma - SIGMAS
+            if beyond > 0:
+                short += min(beyond * beyond, CAP)
+            misfit += min(((gains[j] * max(cosine, 0.0) - value[m, j]) / sigma) ** 2, 1e6)
+        worst = max(worst, short)
+    return worst, misfit
+
+
+@njit(nogil=True, cache=True)
+def _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma):
+    """Add one sample's readings to the normal equations; its misfit. `r` (3) is the direction, `column` (5, 3) its derivatives."""
+    misfit = 0.0
+    for j in range(len(gains)):
+        cosine = normals[j, 0] * r[0] + normals[j, 1] * r[1] + normals[j, 2] * r[2]
+        if not counts[j] or (cosine <= 0 and reading[j] <= 0):
+            continue
+        s = np.sqrt(sigma * sigma + (BLUR * gains[j]) ** 2)
+        residual = (reading[j] - gains[j] * max(cosine, 0.0)) / s
+        misfit += min(residual * residual, CAP)
+        if cosine <= -0.1:
+            continue
+        weight = 1.0 / (1.0 + residual * residual / 25.0)
+        slope = -gains[j] / s * (column @ normals[j])
+        for i in range(5):
+            gradient[i] += weight * slope[i] * residual
+            for q in range(i + 1):
+                normal[i, q] += weight * slope[i] * slope[q]
+    return misfit
+
+
+@njit(nogil=True, cache=True)
+def _settle(quaternions, x, frame, normals, gains, value, used, here, here_used, sigma):
+    """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit."""
+    x, step, sun = x.copy(), np.zeros(2), frame[0].copy()
+    r, other, column = np.empty(3), np.empty(3), np.empty((5, 3))
+    misfit = 0.0
+    for iteration in range(STEPS + 1):
+        normal, gradient = np.zeros((5, 5)), np.zeros(5)
+        misfit = 0.0
+        for m in range(-1, quaternions.shape[1]):
+            column[:] = 0.0
+            if m < 0:
+                r[:] = sun
+                column[3], column[4] = frame[1], frame[2]
+            else:
+                _turned(quaternions, m, x, sun, r)
+                for i in range(3):
+                    x[i] += 1e-4
+                    _turned(quaternions, m, x, sun, other)
+                    x[i] -= 1e-4
+                    column[i] = (other - r) / 1e-4
+                for i in range(2):
+                    _turned(quaternions, m, x, frame[1 + i], other)
+                    column[3 + i] = other
+            reading, counts = (here, here_used) if m < 0 else (value[m], used[m])
+            misfit += _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma)
+        if iteration == STEPS:
+            break
+        for i in range(5):
+            normal[i, i] += 1e-2 * normal[i, i] + 1e-3
+            for q in range(i):
+                normal[q, i] = normal[i, q]
+        move = -np.linalg.solve(normal, gradient)
+        size = max(np.abs(move[:3]).max() / 0.25, np.abs(move[3:]).max() / 0.3, 1.0)
+        x += move[:3] / size
+        step += move[3:] / size
+        for i in range(3):
+            x[i] = min(1.2, max(-0.2, x[i]))
+        sun = frame[0] + step[0] * frame[1] + step[1] * frame[2]
+        sun /= np.sqrt(sun[0] ** 2 + sun[1] ** 2 + sun[2] ** 2)
+    length = np.sqrt(step[0] ** 2 + step[1] ** 2)
+    if length > 0:
+        step *= np.arctan(length) / length
+    return x, step, misfit

@@ -1,0 +1,204 @@
+"""What the posterior compares motions with: readings of a window of telemetry, and other things that were observed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.sun import signals
+from sunspin.vehicle import Vehicle
+
+FREE_PHASE = "first_rebound"
+"""The phase that is taken where a file has several and none is named: of Philae's, the one without a blow and with its wheel."""
+
+MAX_SAMPLES = 600
+"""Samples beyond this are thinned evenly: the motion is overdetermined long before, and time is spent on what is not."""
+
+NOISE_OF_LARGEST = 0.02
+"""Noise assumed, as a part of the largest reading, where neither the vehicle nor readings below zero tell it."""
+
+WILD = 20.0
+"""A reading this many times the usual brightest one of a sample is no light: a wrapped count, a filler, a broken converter."""
+
+BEYOND_LARGEST = 1.5
+"""A reading that has nothing to do with the Sun is anything up to this many times the largest."""
+
+NAMED = 12
+"""Phases that are named where none of them was asked for."""
+
+KINDS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
+"""Kinds of other observations and how many numbers each is given with."""
+
+
+def group(tree: xr.DataTree, name: str) -> xr.Dataset:
+    """The variables of one group of a posterior."""
+    return tree.children[name].dataset
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Something else that was seen at `t_s` (s from the epoch of the telemetry), with one sigma of each number.
+
+    "rate": the angular speed, rad/s; "gyro": the body rate in B, rad/s; "direction": that of the Sun in B; "field": the angle (rad)
+    of the Sun from a direction seen at `axis_B` in B, such as that of the magnetic field, whose angle from the Sun is known.
+    """
+
+    kind: str
+    t_s: float
+    value: np.ndarray
+    sigma: float
+    axis_B: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of K samples of P panels.
+
+    `t_s` (K): s after the reference, increasing; `value` (K, P); `used` (K, P): it counts; `lit` (K, P): above the threshold;
+    `sigma`: one sigma stated; `threshold`; `largest`: reading; `others`: further observations, their times after the reference too.
+    """
+
+    t_s: np.ndarray
+    value: np.ndarray
+    used: np.ndarray
+    lit: np.ndarray
+    sigma: float
+    threshold: float
+    largest: float
+    others: tuple[Observation, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def outlier_density(self) -> float:
+        """Of a reading that has nothing to do with the Sun."""
+        return 1.0 / (BEYOND_LARGEST * self.largest)
+
+    @property
+    def reach_s(self) -> float:
+        """The longest time from the reference to a sample."""
+        return max(float(np.abs(self.t_s).max()), 1e-6)
+
+    def since(self, sample: int) -> Readings:
+        """The same with a sample as the reference."""
+        shift = self.t_s[sample]
+        others = tuple(replace(o, t_s=o.t_s - shift) for o in self.others)
+        return replace(self, t_s=self.t_s - shift, others=others)
+
+    def take(self, index: np.ndarray) -> Readings:
+        """Some of the samples, and what else was observed in the time that they span."""
+        t = self.t_s[index]
+        others = tuple(o for o in self.others if t.min() <= o.t_s <= t.max())
+        return replace(self, t_s=t, value=self.value[index], used=self.used[index], lit=self.lit[index], others=others)
+
+    def near(self, half_s: float) -> Readings:
+        """The samples within a time of the reference."""
+        return self.take(np.flatnonzero(np.abs(self.t_s) <= half_s))
+
+    def without(self, others: bool = False) -> Readings:
+        """The same without the other observations."""
+        return self if others else replace(self, others=())
+
+
+def readings(
+    vehicle: Vehicle, telemetry: xr.Dataset, begin_s: float | None = None, end_s: float | None = None,
+    phase: str | None = None, observations: Sequence[Mapping[str, Any]] = (),
+) -> tuple[Readings, float, list[str]]:  # fmt: skip
+    """The readings in the window, the time (s from the epoch) of the first sample, and remarks on what was done.
+
+    Raises
+    ------
+    InputError
+        Fewer than three samples with a lit panel, an unknown phase or observation, powers of other panels than the vehicle's.
+    """
+    vehicle.require_panels()
+    value = np.asarray(signals(telemetry), dtype=np.float64)
+    if value.ndim != 2 or value.shape[1] != len(vehicle.panels):
+        raise InputError(sentence("the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"))
+    times = np.asarray(telemetry["time"], dtype=np.float64)
+    keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
+    flag = np.asarray(telemetry["flag"]) if "flag" in telemetry else np.zeros(len(times), dtype=np.uint8)
+    finite = np.isfinite(value) & ~_wild(vehicle, value)
+    usable = keep & np.isfinite(times) & ((flag & 4) == 0) & finite.any(axis=1)
+    index = np.flatnonzero(usable)
+    index = index[np.concatenate([[True], np.diff(np.maximum.accumulate(times[index])) > 0])] if len(index) else index
+    if (np.isfinite(value) & ~finite)[index].any():
+        remarks.append(f"{np.count_nonzero((np.isfinite(value) & ~finite)[index])} readings far beyond full Sun were left out")
+    if int(keep.sum()) > len(index):
+        remarks.append(f"{int(keep.sum()) - len(index)} samples without readings or in disorder were left out")
+    if len(index) > MAX_SAMPLES:
+        remarks.append(f"{len(index)} samples were thinned to {MAX_SAMPLES}")
+        index = index[np.unique(np.linspace(0, len(index) - 1, MAX_SAMPLES).round().astype(int))]
+    threshold = float(vehicle.telemetry.lit_threshold or 0.0)
+    value, used = np.where(finite, value, 0.0)[index], finite[index]
+    lit = used & (value > threshold)
+    if np.count_nonzero(lit.any(axis=1)) < 3:
+        raise InputError(
+            sentence("a motion needs three samples with a lit panel", got=f"{np.count_nonzero(lit.any(axis=1))} in the window",
+                     do="widen the window; `sunspin check` says what is wrong with samples")
+        )  # fmt: skip
+    largest = float(value[used].max())
+    sigma = vehicle.telemetry.noise or dark_noise(value[used]) or NOISE_OF_LARGEST * largest
+    start = float(times[index[0]])
+    others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
+    made = Readings(times[index] - start, value, used, lit, float(sigma), threshold, largest, others)
+    return made, start, remarks
+
+
+def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
+    """Readings (n, n_panel) that no light explains."""
+    relative = np.nan_to_num(value / vehicle.panel_gains)
+    brightest = relative.max(axis=1, initial=0.0)
+    lit = brightest[brightest > 0]
+    return relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
+
+
+def _window(
+    telemetry: xr.Dataset, times: np.ndarray, begin_s: float | None, end_s: float | None, phase: str | None
+) -> tuple[np.ndarray, list[str]]:
+    keep = np.ones(len(times), dtype=bool)
+    remarks = []
+    phases = np.asarray(telemetry["phase"]).astype(str) if "phase" in telemetry.coords else np.array([], dtype=str)
+    names = list(dict.fromkeys(phases.tolist()))
+    if phase is None and begin_s is None and end_s is None and len(names) > 1:
+        if FREE_PHASE not in names:
+            raise InputError(sentence("the telemetry has several phases, which are not one motion", got=", ".join(names),
+                                      do="name one, or give begin and end"))  # fmt: skip
+        phase = FREE_PHASE
+        remarks.append(f"of the phases in the file only {phase} was used")
+    if phase is not None:
+        if phase not in names:
+            there = f"it has {', '.join(names[:NAMED])}" if names else "it names none"
+            raise InputError(sentence("the telemetry has no such phase", got=phase, do=there))
+        keep &= phases == phase
+    keep &= (times >= (-np.inf if begin_s is None else begin_s)) & (times <= (np.inf if end_s is None else end_s))
+    return keep, remarks
+
+
+def _observation(given: Mapping[str, Any], start: float, end: float) -> Observation:
+    kind = given.get("kind")
+    wanted = {"kind", "t_s", "value", "sigma"} | ({"angle_rad"} if kind == "field" else set())
+    if kind not in KINDS or wanted != set(given):
+        more = "a field also angle_rad, the Sun's from it"
+        raise InputError(
+            sentence(f"an observation has kind ({', '.join(KINDS)}), t_s, value and sigma, {more}", got=str(dict(given)))
+        )
+    value = np.atleast_1d(np.asarray(given["value"], dtype=np.float64))
+    t, sigma = float(given["t_s"]), float(given["sigma"])
+    if value.shape != (KINDS[kind],) or not np.all(np.isfinite(value)) or not (np.isfinite(sigma) and sigma > 0):
+        raise InputError(sentence(f"a {kind} is {KINDS[kind]} finite numbers with a positive sigma", got=str(dict(given))))
+    if not start <= t <= end:
+        raise InputError(sentence("an observation lies outside the window", got=f"t_s {t:g}", do=f"from {start:g} to {end:g}"))
+    if kind == "field":
+        angle, length = float(given["angle_rad"]), float(np.linalg.norm(value))
+        if not (0 <= angle <= np.pi and length > 0):
+            raise InputError(sentence("a field is a direction and an angle from 0 to pi (rad)", got=str(dict(given))))
+        return Observation("field", t - start, np.array([angle]), sigma, value / length)
+    return Observation(str(kind), t - start, value, sigma)

@@ -1,0 +1,263 @@
+"""The calibrated posterior: every motion that panel readings allow, with its probability, or the word that none fits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.special import logsumexp
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.dynamics import ensemble as k
+from sunspin.estimate.posterior.brightness import brightness
+from sunspin.estimate.posterior.check import Check, check
+from sunspin.estimate.posterior.data import Readings, group, readings
+from sunspin.estimate.posterior.fit import chunk_rows
+from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.model import Model, State, model
+from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan
+from sunspin.estimate.posterior.verdict import Found, refused, spoilt_panels, verdict
+from sunspin.estimate.posterior.widths import Sample, resampled, sample
+from sunspin.vehicle import Vehicle
+
+DIRECTION_ERROR = 1e-6
+"""Error of directions (rad) in the likelihood."""
+
+EDGE = 0.97
+"""Draws beyond this part of the largest rate searched say that the truth may be outside."""
+
+TAG_CHANCE = 0.05
+"""Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
+
+LEAST_WEIGHT = 1e-4
+"""Regions with less weight are not listed."""
+
+
+def posterior(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    *,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    phase: str | None = None,
+    observations: Sequence[Mapping[str, Any]] = (),
+    wheel_mode: str | Sequence[str] = "coast",
+    draws: int = 4000,
+    workers: int | None = None,
+    store: str | Path | None = None,
+    progress: bool = False,
+    device: str = "cpu",
+) -> xr.DataTree:
+    """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    telemetry : Dataset of `read_telemetry`
+        One stretch of motion without blows; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
+    priors : mapping, optional
+        Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain`
+        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s (unless given they are
+        taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
+        before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
+        instant; `max_rate_rad_s`, the
+        ball in which rates are uniform. Default: what the vehicle's file states, else the values in
+        `sunspin.estimate.posterior.model`; the result's attributes say which.
+    seed : int
+        The same seed gives the same bits, for any number of workers and however often the run was stopped.
+    observations : list of mappings
+        ``{"kind": "rate" | "gyro" | "direction" | "field", "t_s": ..., "value": ..., "sigma": ...}``: angular speed, body rate,
+        direction of the Sun seen otherwise, or another direction in the body, such as the magnetic field's, of which the angle
+        from the Sun is known (`angle_rad`; `sigma` in rad); `t_s` from the epoch.
+    wheel_mode : "coast", "hold", "brake", or one per wheel
+    draws : int
+        Draws in the result.
+    workers, store, progress
+        As in :func:`sunspin.compute.rows.ensemble`; the folder `store` resumes every stage.
+    device : "cpu" or "cuda"
+        Where motions run; least squares and weights are the processor's on either. Between them bits differ.
+
+    Returns
+    -------
+    xarray.DataTree
+        Group `posterior` over (chain, draw): `omega_B` (rad/s), `sun_B`, `wheel_speed_rad_s` at the first sample, the other
+        unknowns by name, `mode_id`, `log_weight` (all alike: the draws are resampled). Group `modes`: centre, covariance,
+        weight, evidence, chi-square, number of starts. Group `search`: trace of the enumeration; group `sampling`: trace of the
+        evidence. attrs: `verdict` and `verdict_word` ("unique", "aliases", "line", "not sure", "not explained"), `p_value`.
+
+    Raises
+    ------
+    InputError
+        Priors, observations or a window that make no sense; too few samples; a device that is not there.
+    """
+    _whole(seed, draws)
+    k.require_device(device)
+    data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
+    scale = brightness(vehicle, data)
+    unknown, told = model(vehicle, priors, scale, wheel_mode)
+    unknown = replace(unknown, device=device)
+    chosen = plan(unknown, data, scale)
+    there, chosen = at_reference(unknown, chosen, data)
+    here = data.since(chosen.anchor)
+    search = Search(workers, None if store is None else Path(store), progress)
+    modes = search.modes(there, here, chosen, scale)
+    likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
+    noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
+    off = checked.tag_s if noticed else 0.0
+    if off:
+        there = replace(there, time_sigma_s=off)
+        likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
+        told["time_s"] = f"{off:.2g} s (from the residuals)"
+        modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
+    tree = _tree(likelihood, modes, drawn, picked)
+    tree.attrs |= _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
+    edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
+    if edge > 0.01:
+        modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
+    _judge(tree, modes, drawn, checked, here, vehicle, remarks)
+    tree.attrs["time_sigma_s"] = there.time_sigma_s
+    return tree
+
+
+def _drawn(
+    likelihood: Likelihood, modes: Modes, seed: int, search: Search, draws: int
+) -> tuple[Likelihood, Sample, np.ndarray, Check]:
+    """The posterior about the modes: draws, those told, and whether readings like these come from them."""
+    drawn = sample(likelihood, modes, seed, search.run, chunk_rows(likelihood))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    picked = resampled(drawn.log_weight, draws, rng)
+    return likelihood, drawn, picked, check(likelihood, drawn.state.take(picked), rng)
+
+
+def _whole(seed: Any, draws: Any) -> None:
+    for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise InputError(sentence(f"{name} must be a whole number of at least {least}", got=value))
+
+
+def at_first_sample(likelihood: Likelihood, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rates, directions and wheel speeds (n, ...) at the first sample of states at the reference."""
+    model_, data = likelihood.model, likelihood.data
+    back = float(data.t_s[0])
+    rows = model_.rows(state)
+    if back == 0.0:
+        return state.omega, state.sun, rows.wheel_speed_rad_s
+    run = model_.run(rows, [back], DIRECTION_ERROR)
+    return run.omega_B[:, 0], run.sun_B[:, 0], run.wheel_speed_rad_s[:, 0]
+
+
+def _tree(likelihood: Likelihood, modes: Modes, drawn: Sample, picked: np.ndarray) -> xr.DataTree:
+    state = drawn.state.take(picked)
+    omega, sun, wheels = at_first_sample(likelihood, state)
+    values = likelihood.model.values(state.u)
+    each = ("chain", "draw")
+    variables: dict[str, Any] = {
+        "omega_B": ((*each, "axis"), omega[None], {"units": "rad s-1", "long_name": "body rate at the first sample"}),
+        "sun_B": ((*each, "axis"), sun[None], {"units": "1", "long_name": "direction to the Sun at the first sample"}),
+        "wheel_speed_rad_s": ((*each, "wheel"), wheels[None], {"units": "rad s-1"}),
+        "mode_id": (each, drawn.region[picked][None]),
+        "log_weight": (each, np.full((1, len(picked)), -np.log(len(picked))), {"units": "1"}),
+        "log_likelihood_sum": (each, drawn.log_likelihood[picked][None], {"units": "1"}),
+    }
+    for i, x in enumerate(likelihood.model.unknowns):
+        if x.kind != "wheel_speed":
+            about = {"units": x.unit, "prior_centre": x.centre, "prior_sigma": x.sigma}
+            variables[x.name] = (each, values[:, i][None], about)
+    coords = {
+        "axis": ["x", "y", "z"], "wheel": [wheel.name for wheel in likelihood.model.vehicle.wheels],
+        "chain": [0], "draw": np.arange(len(picked)),
+    }  # fmt: skip
+    groups = {
+        "posterior": xr.Dataset(variables, coords), "modes": _modes(likelihood, modes, drawn),
+        "search": xr.Dataset(
+            {name: ("stage", np.array(modes.trace)[:, i]) for i, name in enumerate(("samples", "hypotheses", "kept"))}
+        ),
+        "sampling": xr.Dataset(
+            {name: ("round", drawn.trace[:, i]) for i, name in enumerate(("log_evidence", "effective_share", "pareto_k"))}
+        ),
+    }  # fmt: skip
+    return xr.DataTree.from_dict(groups)
+
+
+def _modes(likelihood: Likelihood, modes: Modes, drawn: Sample) -> xr.Dataset:
+    """The regions, by falling weight, from their draws."""
+    count = max(1, int(np.count_nonzero(drawn.share > LEAST_WEIGHT)))
+    weight = np.exp(drawn.log_weight - logsumexp(drawn.log_weight))
+    rows = []
+    for region in range(count):
+        inside = np.flatnonzero((drawn.region == region) & (weight > 0))
+        inside = inside[np.argsort(-weight[inside], kind="stable")[:2000]]
+        share = weight[inside] / weight[inside].sum()
+        state = drawn.state.take(inside)
+        omega, sun, _ = at_first_sample(likelihood, state)
+        mean = share @ omega
+        middle = share @ sun
+        best = int(np.argmax(drawn.log_likelihood[inside]))
+        rows.append((
+            mean, np.einsum("n,ni,nj->ij", share, omega - mean, omega - mean), middle / np.linalg.norm(middle),
+            drawn.share[region], drawn.evidence + np.log(drawn.share[region]), omega[best],
+            *chi_square(likelihood, state.take([best])), int(modes.hits[drawn.of_mode == region].sum()),
+        ))  # fmt: skip
+    names = (
+        ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
+        ("sun_B", ("mode", "axis"), "1"), ("weight", ("mode",), "1"), ("log_evidence", ("mode",), "1"),
+        ("best_omega_B", ("mode", "axis"), "rad s-1"),
+        ("chi_square", ("mode",), "1"), ("lit_readings", ("mode",), "1"), ("starts", ("mode",), "1"),
+    )  # fmt: skip
+    columns = zip(names, zip(*rows, strict=True), strict=True)
+    return xr.Dataset(
+        {name: (dims, np.array(values), {"units": unit}) for (name, dims, unit), values in columns},
+        coords={"mode": np.arange(count), "axis": ["x", "y", "z"]},
+    )
+
+
+def chi_square(likelihood: Likelihood, state: State) -> tuple[float, int]:
+    """Sum of squared differences of lit readings, in stated sigmas, and their number."""
+    raw, _ = likelihood.misfit(likelihood.predict(state), state.u)
+    used, lit, _ = likelihood.kinds
+    return float(np.sum((raw[0] / likelihood.data.sigma)[used & lit] ** 2)), int(np.count_nonzero(used & lit))
+
+
+def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Model, data: Readings) -> dict[str, Any]:
+    carried = ("epoch_utc", "synthetic", "file", "sha256", "comments")
+    about = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
+    return about | {
+        "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
+        "samples": len(data), "reference_sample": chosen.anchor,
+        "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
+        "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,
+        "searched_rate_rad_s": float(chosen.limit), "device": unknown.device, "sunspin_version": metadata.version("sunspin"),
+    }  # fmt: skip
+
+
+def _judge(
+    tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
+) -> None:
+    table = group(tree, "modes")
+    doubts = list(modes.notes)
+    told = table["weight"].values >= 0.01
+    if np.any(table["starts"].values[told] == 1):
+        doubts.append("a region of weight was reached from one start only, so others may have been missed")
+    spoilt = spoilt_panels(vehicle.panel_names, checked.outliers, data.lit)
+    found = Found(
+        table["weight"].values, table["omega_B"].values,
+        np.sqrt(np.linalg.eigvalsh(table["omega_cov_B"].values)[:, -1].clip(0)), table["starts"].values,
+        float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
+        drawn.effective, doubts,
+    )  # fmt: skip
+    word, text = verdict(found)
+    if word == "not explained":
+        text += f"; rates up to {tree.attrs['searched_rate_rad_s']:.3g} rad/s were searched"
+    tree.attrs |= {
+        "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
+        "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,
+        "remarks": "; ".join(remarks), "spoilt_readings": float(checked.outliers.sum()),
+    }  # fmt: skip

@@ -1,0 +1,113 @@
+"""Hypotheses that are copies of each other, or of one family: how far apart they are, joined, and with neighbours between them."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from sunspin.estimate.posterior.likelihood import moved, tangents
+from sunspin.estimate.posterior.model import State
+
+APART = 0.4
+"""rad at the end of the next window: hypotheses nearer to each other are one."""
+
+SUN_APART = 0.3
+"""The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
+
+LOOSE, BESIDE = 0.35, 0.45
+"""rad: a hypothesis free by more than this at the end of the next window is one of a family, and gets neighbours this far away."""
+
+AGAIN = 1.35
+"""Growth of the window's end after which a hypothesis that has got neighbours, or is one, gets others."""
+
+JOINED = 2.0
+"""Squared distance, in sigmas, below which hypotheses are one while the window grows."""
+
+FREE = 3
+"""Directions of a family along which neighbours are set, the loosest."""
+
+SAME = 9.0
+"""Squared distance, in sigmas of both, below which two fits are one mode."""
+
+
+def offset(state: State, i: int, others: np.ndarray) -> np.ndarray:
+    """Coordinates (m, D) of hypotheses `others` as seen from number `i`: rates, tangent of the direction, u."""
+    return coordinates(state.take(others), state.take(np.array([i])))
+
+
+def coordinates(state: State, centre: State) -> np.ndarray:
+    """Coordinates (n, D) of states about one centre: the direction by the great circle to it."""
+    e1, e2 = tangents(centre.sun)
+    along = np.clip(state.sun @ centre.sun[0], -1.0, 1.0)
+    side = np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1)
+    size = np.linalg.norm(side, axis=1)
+    stretch = np.arctan2(size, along) / np.maximum(size, 1e-15)
+    side = side * np.where(size > 1e-15, stretch, 1.0)[:, None]
+    return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
+
+
+def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME) -> int | None:
+    """Which of the kept ones the fit `i` is a copy of, if any."""
+    if not kept:
+        return None
+    d = offset(state, i, np.array(kept))
+    distance = np.minimum(np.einsum("mi,mij,mj->m", d, hessian[kept], d), np.einsum("mi,ij,mj->m", d, hessian[i], d))
+    nearest = int(np.argmin(distance))
+    return nearest if distance[nearest] < within else None
+
+
+def _square(d: np.ndarray, metric: np.ndarray) -> np.ndarray:
+    """Squares (m) of vectors (m, D) under one metric (1, D, D) or one each (m, D, D)."""
+    return np.sum((d[:, None, :] @ metric)[:, 0] * d, axis=1)
+
+
+def joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Hypotheses (best first) without those that lie on the sheet of a better one, and the starts that each stands for.
+
+    Unknown moments, friction and wheel speed make a sheet of each motion: boxes of rate and direction cut it into many.
+    """
+    kept, count, left = [], [], np.arange(len(state))
+    while len(left):
+        d = offset(state, int(left[0]), left)
+        distance = np.minimum(_square(d, normal[left[:1]]), _square(d, normal[left]))
+        one = distance < JOINED
+        one[0] = True
+        kept.append(int(left[0]))
+        count.append(int(hits[left[one]].sum()))
+        left = left[~one]
+    return np.array(kept), np.array(count)
+
+
+def denser(
+    state: State, normal: np.ndarray, hits: np.ndarray, beside: np.ndarray, reach_s: float, widest: float
+) -> tuple[State, np.ndarray, np.ndarray]:
+    """Hypotheses, and neighbours of those that are one of a family, the starts that each stands for, and `beside`.
+
+    The fits of neighbouring starts stay a step apart where the readings leave a family of motions, and with the window that step
+    grows: without others between them the true one would be lost. `normal` (n, D, D): curvature; u as it is, since what differs by
+    u alone is found from either. `beside` (n): end of the window (s) for which neighbours were set last, 0 for none; as long as it
+    has hardly grown they are near enough. `widest`: largest rate.
+    """
+    size = np.array([reach_s] * 3 + [1.0] * 2)
+    spread = np.linalg.inv(normal[:, :5, :5].astype(np.float64) + np.diag([widest**-2] * 3 + [1.0] * 2))
+    values, vectors = np.linalg.eigh(spread * size[:, None] * size)
+    free = (np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE) & (reach_s > AGAIN * beside)[:, None]
+    beside = np.where(free.any(axis=1), reach_s, beside)
+    parts, parent = [state], [np.arange(len(state))]
+    for signs in product((0, 1, -1), repeat=FREE):
+        along = np.flatnonzero(signs)
+        rows = np.flatnonzero(free[:, along].all(axis=1)) if len(along) else along
+        if len(rows):
+            step = BESIDE * vectors[rows][:, :, ::-1][:, :, :FREE] @ np.array(signs, dtype=np.float64) / size
+            parts.append(State(state.omega[rows] + step[:, :3], moved(state.sun[rows], step[:, 3:]), state.u[rows]))
+            parent.append(rows)
+    every, origin = State.joined(parts), np.concatenate(parent)
+    _, first = np.unique(boxes(every, reach_s), axis=0, return_index=True)
+    kept = np.union1d(first, np.arange(len(state)))  # the fits themselves stay
+    return every.take(kept), np.where(kept < len(state), hits[origin[kept]], 1), beside[origin[kept]]
+
+
+def boxes(state: State, reach_s: float) -> np.ndarray:
+    """Boxes (n, 6) of rate and direction, `APART` wide at `reach_s` s."""
+    return np.floor(np.concatenate([state.omega * (reach_s / APART), state.sun / SUN_APART], axis=1)).astype(np.int64)

@@ -1,0 +1,276 @@
+"""How likely a motion is: the panel readings of all samples, dark ones included, and what else was observed.
+
+A lit reading is the panel's power with Gaussian noise. A dark one is a reading at or below the threshold, so it has the
+probability that noise keeps the power there; relative to that of no power, so that panels turned away say nothing. Any reading
+may, with probability `OUTLIERS`, have nothing to do with the Sun: a shadow, a spike, a dead panel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from sunspin.dynamics import ensemble as k
+from sunspin.estimate.posterior.data import Readings
+from sunspin.estimate.posterior.model import Model, State
+from sunspin.estimate.posterior.tags import LOG_2PI, power_slope, tagged
+
+OUTLIERS = 0.02
+"""Probability beforehand that a reading has nothing to do with the Sun."""
+
+DARK_OUTLIER = 0.5
+"""Probability that such a reading is dark."""
+
+
+RATE_STEP = 3e-4
+"""Step of the differences in rates, as a turn (rad) over the window; the second order it leaves is a part in a thousand."""
+
+UNIT_STEP = 1e-4
+"""The same of the further unknowns, in prior sigmas, over `UNIT_STEP_S` s; shorter windows take larger ones."""
+
+UNIT_STEP_S, LARGEST_UNIT_STEP = 2700.0, 3e-3
+
+DERIVATIVE_ERROR, ROUGH_ERROR = 1e-8, 1e-6
+"""Error of directions (rad) in runs that are subtracted from each other, and while hypotheses are still searched for: a likelihood
+whose own error is `SEARCH_ERROR` is asked only where steps lead."""
+
+SEARCH_ERROR = 1e-5
+
+
+def tangents(sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors (n, 3) that make a right-handed frame with each direction (n, 3)."""
+    other = np.where(np.abs(sun[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(sun, other)
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(sun, first)
+
+
+def moved(sun: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Directions (n, 3) moved along great circles by tangent vectors (n, 2) in the frame of `tangents`."""
+    e1, e2 = tangents(sun)
+    angle = np.linalg.norm(step, axis=1, keepdims=True)
+    along = (step[:, :1] * e1 + step[:, 1:] * e2) * np.sinc(angle / np.pi)
+    out = np.cos(angle) * sun + along
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """`sun`, `rate` (n, K, 3): directions and body rates at the samples; `omega` and `at` (n, others, 3): rates and directions at
+    the other observations; `fine` (n): the run could be computed."""
+
+    sun: np.ndarray
+    rate: np.ndarray
+    omega: np.ndarray
+    at: np.ndarray
+    fine: np.ndarray
+
+    def piece(self, low: int, high: int) -> Prediction:
+        part = slice(low, high)
+        return Prediction(self.sun[part], self.rate[part], self.omega[part], self.at[part], self.fine[part])
+
+    def slope(self, base: Prediction, step: float) -> Prediction:
+        """The derivative from a run whose unknown was moved by `step`."""
+        pairs = ((self.sun, base.sun), (self.rate, base.rate), (self.omega, base.omega), (self.at, base.at))
+        sun, rate, omega, at = ((a - b) / step for a, b in pairs)
+        return Prediction(sun, rate, omega, at, self.fine & base.fine)
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """A model against readings, its directions good to `direction_error` rad."""
+
+    model: Model
+    data: Readings
+    direction_error: float = SEARCH_ERROR
+
+    @cached_property
+    def _times(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Output times, and where among them the samples (K) and the other observations are."""
+        others = np.array([o.t_s for o in self.data.others])
+        times, place = np.unique(np.concatenate([self.data.t_s, others]), return_inverse=True)
+        place = place.ravel()
+        return times, place[: len(self.data)], place[len(self.data) :]
+
+    def predict(self, state: State, error: float | None = None) -> Prediction:
+        """Where the Sun is at the samples, and the rates at the times of other observations."""
+        times, samples, others = self._times
+        rows = self.model.rows(state)
+        parts, fine = [], np.ones(len(state), dtype=bool)
+        for part in (times[times < 0][::-1], times[times >= 0]):
+            if len(part):
+                result = self.model.run(rows, part, error or self.direction_error)
+                back = slice(None, None, -1 if part[0] < 0 else 1)
+                parts.append((result.sun_B[:, back], result.omega_B[:, back]))
+                fine &= result.outcome == k.Outcome.FINE
+        sun, omega = (np.concatenate(every, axis=1) for every in zip(*parts, strict=True))
+        return Prediction(sun[:, samples], omega[:, samples], omega[:, others], sun[:, others], fine)
+
+    def power(self, sun: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Expected readings (n, K, P) of directions (n, K, 3)."""
+        return self.gains(u)[:, None, :] * np.maximum(0.0, sun @ self.model.vehicle.panel_normals_B.T)
+
+    def gains(self, u: np.ndarray) -> np.ndarray:
+        """Signal of each panel at normal incidence (n, P)."""
+        model = self.model
+        scale = np.zeros(len(u))
+        for i in model.where("scale"):
+            scale = model.unknowns[i].centre + model.unknowns[i].sigma * u[:, i]
+        gains = model.relative(u, "gain", len(model.vehicle.panels))
+        return model.vehicle.panel_gains * np.exp(scale[:, None] + gains)
+
+    def noise(self, u: np.ndarray) -> np.ndarray:
+        """Sigma of a reading (n), in its unit."""
+        return self.data.sigma * np.exp(self.model.relative(u, "noise", 1)[:, 0])
+
+    def readings(self, power: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Log density (n, K, P) of each reading under expected ones of that shape and `sigma` (n)."""
+        core = self.sunlight(power, sigma[:, None, None])
+        return np.where(self.data.used, np.logaddexp(core, self.outlier), 0.0)
+
+    def sunlight(self, power: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The same if the reading is the Sun's, times the prior probability of that."""
+        data = self.data
+        lit = -0.5 * ((data.value - power) / s) ** 2 - np.log(s) - 0.5 * LOG_2PI
+        dark = log_ndtr((data.threshold - power) / s) - log_ndtr(data.threshold / s)
+        return np.where(data.lit, lit, dark) + np.log1p(-OUTLIERS)
+
+    @cached_property
+    def outlier(self) -> np.ndarray:
+        """Log density (K, P) of each reading if it has nothing to do with the Sun, times the prior probability of that."""
+        return np.log(OUTLIERS * np.where(self.data.lit, (1 - DARK_OUTLIER) * self.data.outlier_density, DARK_OUTLIER))
+
+    def samples(self, prediction: Prediction, u: np.ndarray) -> np.ndarray:
+        """Log density (n, K) of each sample, the error of its time integrated out."""
+        if self.model.time_sigma_s:
+            return tagged(self, prediction, u, self.model.time_sigma_s)[0]
+        return self.readings(self.power(prediction.sun, u), self.noise(u)).sum(axis=-1)
+
+    def others(self, prediction: Prediction) -> np.ndarray:
+        """Log density (n) of the other observations."""
+        out = np.zeros(len(prediction.fine))
+        for i, o in enumerate(self.data.others):
+            out += np.sum(-0.5 * ((self._seen(prediction, i) - o.value) / o.sigma) ** 2 - np.log(o.sigma) - 0.5 * LOG_2PI, axis=1)
+        return out
+
+    def __call__(self, state: State, error: float | None = None) -> np.ndarray:
+        """Log-likelihood (n)."""
+        prediction = self.predict(state, error)
+        out = self.samples(prediction, state.u).sum(axis=1) + self.others(prediction)
+        return np.where(prediction.fine & np.isfinite(out), out, -np.inf)
+
+    # ---- what least squares needs ------------------------------------------------------------------------------------------
+
+    @cached_property
+    def kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the R residuals, readings first: which are used, which are lit, and log density as an outlier (-inf: cannot be)."""
+        more = sum(o.value.size for o in self.data.others)
+        fixed = np.ones(more, dtype=bool)
+        return (
+            np.concatenate([self.data.used.ravel(), fixed]), np.concatenate([self.data.lit.ravel(), ~fixed]),
+            np.concatenate([self.outlier.ravel(), np.full(more, -np.inf)]),
+        )  # fmt: skip
+
+    def misfit(self, prediction: Prediction, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Differences (n, R) measured less predicted, and the variance (n, R) that errors of time tags add to them.
+
+        Readings in their unit, a dark one's as far as the prediction is above the threshold; other observations in sigmas.
+        """
+        data, n = self.data, len(u)
+        power = self.power(prediction.sun, u)
+        raw = np.where(data.lit, data.value - power, -np.maximum(power - data.threshold, 0.0))
+        raw = np.where(data.used & prediction.fine[:, None, None], raw, 0.0).reshape(n, -1)
+        parts = [raw] + [(o.value - self._seen(prediction, i)) / o.sigma for i, o in enumerate(data.others)]
+        every = np.concatenate(parts, axis=1)
+        extra = np.zeros_like(every)
+        if self.model.time_sigma_s:
+            slope = power_slope(self, prediction.sun, prediction.rate, u)
+            extra[:, : raw.shape[1]] = ((slope * self.model.time_sigma_s) ** 2).reshape(n, -1)
+        return every, extra
+
+    def _seen(self, prediction: Prediction, i: int) -> np.ndarray:
+        kind, omega = self.data.others[i].kind, prediction.omega[:, i]
+        if kind == "field":
+            return np.arccos(np.clip(prediction.at[:, i] @ self.data.others[i].axis_B, -1.0, 1.0))[:, None]
+        return {"rate": np.linalg.norm(omega, axis=1)[:, None], "gyro": omega, "direction": prediction.at[:, i]}[kind]
+
+    def weigh(self, raw: np.ndarray, extra: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Objective (n), sigma of each residual (n, R) and weights (n, R) that make least squares of it, under noise `sigma` (n).
+
+        The objective is minus the log-likelihood, relative to readings just as predicted under the stated noise; dark readings are
+        taken as Gaussian too.
+        """
+        used, lit, outlier = self.kinds
+        s = np.sqrt(sigma[:, None] ** 2 + extra)
+        s[:, self.data.value.size :] = 1.0
+        best = np.log1p(-OUTLIERS) - np.where(lit, np.log(s) + 0.5 * LOG_2PI, 0.0)
+        good = best - 0.5 * (raw / s) ** 2
+        total = np.logaddexp(good, outlier)
+        stated = np.log1p(-OUTLIERS) - np.where(lit, np.log(self.data.sigma) + 0.5 * LOG_2PI, 0.0)
+        cost = np.where(used, np.logaddexp(stated, outlier) - total, 0.0).sum(axis=1)
+        return cost, s, np.where(used, np.exp(good - total), 0.0)
+
+    def linearised(self, state: State, still: bool = False) -> tuple[Prediction, np.ndarray, np.ndarray, np.ndarray]:
+        """Prediction, differences (n, R), their added variance (n, R) and the derivatives of the former (n, R, D).
+
+        In the order rates (rad/s), direction (tangent, rad), u. By differences of runs, so that the jump at a wheel's stop is
+        in them; the direction's from one run more, as r0 -> r(t) is a rotation and does not depend on r0. `still` leaves the
+        unknowns that need a run of their own as they are.
+        """
+        n, model = len(state), self.model
+        window = self.data.reach_s
+        step = RATE_STEP / window
+        own = min(UNIT_STEP * max(UNIT_STEP_S / window, 1.0), LARGEST_UNIT_STEP)
+        moving = [] if still else model.moving
+        e1, _ = tangents(state.sun)
+        runs = [state] + [State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)]
+        runs.append(State(state.omega, e1, state.u))
+        runs += [State(state.omega, state.sun, state.u + own * np.eye(state.u.shape[1])[i]) for i in moving]
+        every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
+        base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
+        raw, extra = self.misfit(base, state.u)
+        turned, rest = parts[3], np.zeros_like(base.rate)
+        moves = [p.slope(base, step) for p in parts[:3]]
+        moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
+        moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
+        columns = [self._moving(base, state.u, move) for move in moves]
+        for i in range(state.u.shape[1]):
+            if i in moving:
+                columns.append(self._moving(base, state.u, parts[4 + moving.index(i)].slope(base, own)))
+            else:
+                columns.append(self._standing(base, state.u, i))
+        jacobian = np.stack(columns, axis=-1)
+        return base, raw, extra, np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
+
+    def _counting(self, base: Prediction, u: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """The derivative (n, K * P) of readings from that of powers (n, K, P): none where a dark panel should be dark."""
+        power = self.power(base.sun, u)
+        counts = self.data.used & (self.data.lit | (power > self.data.threshold))
+        return np.where(counts, -slope, 0.0).reshape(len(u), -1)
+
+    def _moving(self, base: Prediction, u: np.ndarray, move: Prediction) -> np.ndarray:
+        """Derivative (n, R) of the differences along a derivative of the motion."""
+        normals = self.model.vehicle.panel_normals_B.T
+        lit = base.sun @ normals > 0
+        columns = [self._counting(base, u, self.gains(u)[:, None, :] * np.where(lit, move.sun @ normals, 0.0))]
+        for i, o in enumerate(self.data.others):
+            change = {"direction": move.at[:, i]}.get(o.kind, move.omega[:, i])
+            if o.kind == "field":
+                sine = np.sqrt(np.maximum(1.0 - (base.at[:, i] @ o.axis_B) ** 2, 1e-6))
+                change = -((move.at[:, i] @ o.axis_B) / sine)[:, None]
+            if o.kind == "rate":
+                size = np.maximum(np.linalg.norm(base.omega[:, i], axis=1, keepdims=True), 1e-12)
+                change = np.sum(base.omega[:, i] * change, axis=1, keepdims=True) / size
+            columns.append(-change / o.sigma)
+        return np.concatenate(columns, axis=1)
+
+    def _standing(self, base: Prediction, u: np.ndarray, i: int) -> np.ndarray:
+        """The same along an unknown that does not change the motion: scale, gains."""
+        unknown, panels = self.model.unknowns[i], len(self.model.vehicle.panels)
+        share = {"scale": np.ones(panels), "gain": (np.arange(panels) == unknown.index) * 1.0}.get(unknown.kind, np.zeros(panels))
+        power = self.power(base.sun, u)
+        more = np.zeros((len(u), sum(o.value.size for o in self.data.others)))
+        return np.concatenate([self._counting(base, u, power * share * unknown.sigma), more], axis=1)

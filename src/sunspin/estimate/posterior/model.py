@@ -1,0 +1,306 @@
+"""The unknowns of the posterior and what is known of them beforehand.
+
+A hypothesis is a body rate, a direction to the Sun and a vector `u` of further unknowns, each in units of its prior sigma
+about its prior centre, so that its prior is the standard normal. Rates are uniform in a ball, directions on the sphere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.friction import spin_down_speed
+from sunspin.dynamics.wheel_modes import friction_limit
+from sunspin.estimate import inertia
+from sunspin.vehicle import Vehicle
+
+DEFAULT_MAX_RATE = 0.6
+"""rad/s: the ball of rates searched unless the vehicle or the caller says otherwise."""
+
+ASSUMED = {"inertia": inertia.ASSUMED, "wheel_speed": 0.005, "friction": 0.05}
+"""Relative sigmas assumed where the vehicle's file states none; known exactly they would make any answer too sure of itself."""
+
+NOISE_SIGMA = 0.3
+"""Of the logarithm of the noise about what the vehicle states."""
+
+NOISE_UNKNOWN = 1.0
+"""The same where the vehicle states none."""
+
+SCALE_SIGMA = {True: 0.06, False: 1.0}
+"""Of the logarithm of the brightness where gains have a unit (cell temperature, distance) and where they are relative."""
+
+KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale", "time_s",
+        "wheel_off_s", "wheel_off"}
+
+MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One of the further unknowns: what it is called, its unit, prior centre and sigma, and which element it is."""
+
+    name: str
+    kind: str
+    unit: str
+    centre: float
+    sigma: float
+    index: int = 0
+
+
+@dataclass(frozen=True)
+class State:
+    """n hypotheses: rates (n, 3) rad/s, directions to the Sun (n, 3), further unknowns (n, k) in prior sigmas."""
+
+    omega: np.ndarray
+    sun: np.ndarray
+    u: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    def take(self, index: Any) -> State:
+        return State(self.omega[index], self.sun[index], self.u[index])
+
+    @classmethod
+    def joined(cls, parts: list[State]) -> State:
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("omega", "sun", "u")))
+
+
+@dataclass(frozen=True)
+class Model:
+    """A vehicle with its unknowns.
+
+    Rates and direction are those at the reference, `after_s` after the first sample, wheel speeds those at the first sample.
+    `time_sigma_s` is that of each sample's time tag. `wheel_off_s`: how long before the first sample the wheels were released; the
+    vehicle's speeds are those of that instant, and the unknown "wheel_off" is added to it (never less than zero together).
+    `device`: where motions run.
+    """
+
+    vehicle: Vehicle
+    unknowns: tuple[Unknown, ...]
+    max_rate: float
+    wheel_mode: str | tuple[str, ...] = "coast"
+    time_sigma_s: float = 0.0
+    after_s: float = 0.0
+    wheel_off_s: float = 0.0
+    device: str = "cpu"
+
+    def where(self, kind: str) -> list[int]:
+        """Places of the unknowns of a kind."""
+        return [i for i, unknown in enumerate(self.unknowns) if unknown.kind == kind]
+
+    @property
+    def moving(self) -> list[int]:
+        """Places of the unknowns on which the motion depends, so that a derivative needs another run."""
+        return [i for i, x in enumerate(self.unknowns) if x.kind not in ("scale", "noise", "gain")]
+
+    @property
+    def dimension(self) -> int:
+        return 5 + len(self.unknowns)
+
+    def values(self, u: np.ndarray) -> np.ndarray:
+        """The unknowns in their own units (n, k)."""
+        centre, sigma = (np.array([getattr(x, key) for x in self.unknowns]) for key in ("centre", "sigma"))
+        return centre + sigma * u if len(self.unknowns) else u
+
+    def relative(self, u: np.ndarray, kind: str, count: int) -> np.ndarray:
+        """Values (n, count) of the unknowns of a kind in the order of their index; 0 for those that are known."""
+        out = np.zeros((len(u), count))
+        for i in self.where(kind):
+            out[:, self.unknowns[i].index] = self.unknowns[i].sigma * u[:, i]
+        return out
+
+    def wheel_speeds(self, u: np.ndarray) -> np.ndarray:
+        """Speeds at the reference (n, n_wheel), rad/s."""
+        speeds = np.tile([wheel.speed_rad_s for wheel in self.vehicle.wheels], (len(u), 1)).reshape(len(u), -1)
+        for i in self.where("wheel_speed"):
+            speeds[:, self.unknowns[i].index] = self.unknowns[i].centre + self.unknowns[i].sigma * u[:, i]
+        elapsed = self.after_s + np.maximum(self.wheel_off_s + self.relative(u, "wheel_off", 1)[:, 0], 0.0)
+        if not np.any(elapsed):
+            return speeds
+        bodies, commands = self.bodies(u), k.check_commands(self.vehicle, self.wheel_mode)
+        for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, commands, strict=True)):
+            if command != "hold":
+                brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
+                dry, viscous = bodies.coulomb_N_m[:, i] + brake, bodies.viscous_N_m_s[:, i]
+                speeds[:, i] = spin_down_speed(dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], elapsed)
+        return speeds
+
+    def rows(self, state: State) -> k.Rows:
+        """Initial states for the kernel."""
+        rows = k.Rows(state.omega, state.sun, self.wheel_speeds(state.u))
+        if not any(self.where(kind) for kind in ("inertia", "coulomb", "viscous", "wheel_inertia")):
+            return rows
+        return replace(rows, bodies=self.bodies(state.u))
+
+    def run(self, rows: k.Rows, times_s: npt.ArrayLike, direction_error: float) -> k.BlockResult:
+        """Motions from initial states at the reference to times from there, all later or all earlier."""
+        return k.run_rows(
+            self.vehicle, rows, times_s, wheel_mode=self.wheel_mode, direction_error=direction_error, device=self.device
+        )
+
+    def bodies(self, u: np.ndarray) -> k.Bodies:
+        """Inertia, wheel inertia and friction of each hypothesis."""
+        wheels = len(self.vehicle.wheels)
+        body = k.Bodies.of(self.vehicle, len(u))
+        tensor = np.array(body.inertia_kg_m2)
+        for i in self.where("inertia"):
+            a, b = divmod(self.unknowns[i].index, 3)
+            tensor[:, a, b] += self.unknowns[i].sigma * u[:, i]
+            if a != b:
+                tensor[:, b, a] += self.unknowns[i].sigma * u[:, i]
+        factors = {
+            key: np.array(getattr(body, key)) * np.exp(self.relative(u, kind, wheels))
+            for key, kind in (("wheel_inertia_kg_m2", "wheel_inertia"), ("coulomb_N_m", "coulomb"), ("viscous_N_m_s", "viscous"))
+        }
+        return replace(body, inertia_kg_m2=tensor, **factors)
+
+    def log_prior(self, state: State) -> np.ndarray:
+        """Log density (n) over rad/s cubed, the sphere, and u; minus infinity where there is no such body."""
+        ball = np.log(4 / 3 * np.pi * self.max_rate**3)
+        out = -ball - np.log(4 * np.pi) - 0.5 * np.sum(state.u**2 + np.log(2 * np.pi), axis=1)
+        allowed = np.linalg.norm(state.omega, axis=1) <= self.max_rate
+        if self.where("inertia"):
+            moments = np.linalg.eigvalsh(self.bodies(state.u).inertia_kg_m2)
+            allowed &= (moments[:, 0] > 0) & (moments[:, 2] <= moments[:, 0] + moments[:, 1])
+        return np.where(allowed, out, -np.inf)
+
+
+def rate_and_direction(max_rate: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A draw of the prior of rates, (1, 3), uniform in the ball of `max_rate`, and of directions, (1, 3), uniform on the sphere."""
+    direction = rng.standard_normal((2, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return max_rate * rng.random() ** (1 / 3) * direction[:1], direction[1:]
+
+
+def model(
+    vehicle: Vehicle, priors: Mapping[str, Any] | None, brightness: float, wheel_mode: Any = "coast"
+) -> tuple[Model, dict[str, str]]:
+    """The unknowns of a vehicle under `priors` (see :func:`sunspin.estimate.posterior.posterior`), and where each comes from.
+
+    `brightness` is a first guess of the scale, signal of a panel of gain one at normal incidence.
+    """
+    vehicle.require_inertia()
+    priors = dict(priors or {})
+    unknown = sorted(set(priors) - KEYS)
+    if unknown:
+        raise InputError(sentence(f"priors know {', '.join(sorted(KEYS))}", got=", ".join(map(str, unknown))))
+    mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
+    commands = k.check_commands(vehicle, mode)
+    told: dict[str, str] = {}
+    made = [Unknown("log_scale", "scale", "1", float(np.log(brightness)), _scale_sigma(vehicle, priors, told))]
+    made.append(Unknown("log_noise", "noise", "1", 0.0, _noise_sigma(vehicle, priors, told)))
+    made += _wheels(vehicle, priors, commands, told)
+    off = _wheel_off(vehicle, priors, commands, told)
+    made += [] if off is None else [off]
+    made += _inertia(vehicle, priors, told)
+    gain = _sigma(priors, "gain", None, 0.0, told)
+    made += [Unknown(f"log_gain_{panel.name}", "gain", "1", 0.0, gain, j) for j, panel in enumerate(vehicle.panels) if gain]
+    limit = priors.get("max_rate_rad_s") or vehicle.sensors.disturbance.max_rate_rad_s or DEFAULT_MAX_RATE
+    if not (np.isfinite(limit) and limit > 0):
+        raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
+    told["rate"] = f"uniform in a ball of {limit:g} rad/s"
+    return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, _tags(priors, told),
+                 wheel_off_s=0.0 if off is None else off.centre), told  # fmt: skip
+
+
+def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: float, told: dict[str, str]) -> float:
+    """A relative sigma: the caller's, else the file's, else the assumed one."""
+    value, source = assumed, "assumed"
+    if stated is not None:
+        value, source = stated, "vehicle file"
+    if key in priors:
+        value, source = priors[key], "given"
+    _not_negative(value, f"the prior sigma of {key} must be zero (known) or positive")
+    told[key] = f"{value:g} ({source})"
+    return float(value)
+
+
+def _not_negative(value: Any, said: str) -> None:
+    """Refuse, as it is `said`, what is no finite number or a negative one."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
+        raise InputError(sentence(said, got=value))
+
+
+def _tags(priors: Mapping[str, Any], told: dict[str, str]) -> float:
+    """Sigma of the samples' times in s."""
+    value = priors.get("time_s", 0.0)
+    _not_negative(value, "time_s, the sigma of the samples' times, must be zero or positive, in s")
+    told["time_s"] = f"{value:g} s ({'given' if 'time_s' in priors else 'assumed'})"
+    return float(value)
+
+
+def _stated(vehicle: Vehicle, key: str) -> Any:
+    fact = vehicle.facts.get(key)
+    return None if fact is None else fact.sigma
+
+
+def _scale_sigma(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> float:
+    return _sigma(priors, "scale", None, SCALE_SIGMA[vehicle.gain_unit is not None], told)
+
+
+def _noise_sigma(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> float:
+    return _sigma(priors, "noise", None, NOISE_SIGMA if vehicle.telemetry.noise else NOISE_UNKNOWN, told)
+
+
+def _wheels(vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ...], told: dict[str, str]) -> list[Unknown]:
+    made = []
+    for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):
+        at = f"wheel.{wheel.name}"
+        tail = "" if len(vehicle.wheels) == 1 else f"_{wheel.name}"
+        stated = _stated(vehicle, f"{at}.speed_rad_s")
+        speed = abs(wheel.speed_rad_s)
+        relative = None if stated is None or not speed else float(stated) / speed
+        assumed = ASSUMED["wheel_speed"] if command != "hold" else 0.0  # a motor keeps its speed
+        sigma = speed * _sigma(priors, "wheel_speed", relative, assumed, told)
+        made.append(Unknown(f"wheel_speed{tail}", "wheel_speed", "rad/s", wheel.speed_rad_s, sigma, i))
+        stated = _stated(vehicle, f"{at}.inertia_kg_m2")
+        relative = None if stated is None else float(stated) / wheel.inertia_kg_m2
+        own = _sigma(priors, "wheel_inertia", relative, 0.0, told)
+        made.append(Unknown(f"log_wheel_inertia{tail}", "wheel_inertia", "1", 0.0, own, i))
+        for kind, key, value in (
+            ("coulomb", "coulomb_N_m", wheel.friction.coulomb_N_m), ("viscous", "viscous_N_m_s", wheel.friction.viscous_N_m_s),
+        ):  # fmt: skip
+            stated = _stated(vehicle, f"{at}.friction.{key}")
+            relative = None if stated is None or not value else float(stated) / value
+            own = _sigma(priors, "friction", relative, ASSUMED["friction"], told) if value and command == "coast" else 0.0
+            made.append(Unknown(f"log_{kind}{tail}", kind, "1", 0.0, own, i))
+    return made
+
+
+def _wheel_off(
+    vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ...], told: dict[str, str]
+) -> Unknown | None:
+    """How long before the first sample the wheels were released (s), where the caller says so."""
+    given = [priors.get(key, 0.0) for key in ("wheel_off_s", "wheel_off")]
+    if not any(key in priors for key in ("wheel_off_s", "wheel_off")):
+        return None
+    for value in given:
+        _not_negative(value, "wheel_off_s and its sigma wheel_off must be zero or positive, in s")
+    if not any(command != "hold" for command in commands):
+        raise InputError(sentence("wheel_off needs a wheel that is not held", got=vehicle.name))
+    told["wheel_off"] = f"{given[0]:g} s before the first sample, sigma {given[1]:g} s (given)"
+    return Unknown("wheel_off_s", "wheel_off", "s", float(given[0]), float(given[1]))
+
+
+def _inertia(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:
+    """The moments, each with the same relative sigma, or the elements for which the file states one."""
+    tensor = np.array(vehicle.require_inertia())
+    sigma = inertia.stated_sigma(vehicle)
+    if sigma is not None and "inertia" not in priors:
+        told["inertia"] = "vehicle file"
+        return [
+            Unknown(f"inertia_{'xyz'[a]}{'xyz'[b]}", "inertia", "kg m2", tensor[a, b], float(sigma[a, b]), 3 * a + b)
+            for a in range(3) for b in range(a, 3)
+        ]  # fmt: skip
+    relative = _sigma(priors, "inertia", None, ASSUMED["inertia"], told)
+    return [
+        Unknown(f"inertia_{name}", "inertia", "kg m2", tensor[a, a], relative * tensor[a, a], 3 * a + b)
+        for name, (a, b) in MOMENTS.items()
+    ]

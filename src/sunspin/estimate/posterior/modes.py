@@ -1,0 +1,305 @@
+"""From starts to modes: least squares over windows that grow, without copies and without what the readings rule out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from sunspin.compute.rows import ensemble, worker_count
+from sunspin.estimate.posterior import cells as c
+from sunspin.estimate.posterior.data import Readings
+from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
+from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
+from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.model import Model, State
+
+GROWTH = 1.5
+"""Factor by which the window grows: what is known of the phase then still carries."""
+
+FEW = 5
+"""Samples up to which one is added at a time."""
+
+FIRST_LEVELS, LEVELS, LAST_LEVELS = ((3.0, 2), (1.0, 2)), ((3.0, 2), (1.0, 3)), ((2.0, 3), (1.0, 8))
+"""(factor on the noise, steps) of least squares on the first samples, while the window grows, and on all samples."""
+
+SLACK = 10.0
+"""What a true motion's misfit may have beyond three sigmas of its expectation: one or two readings that are no good."""
+
+SLACK_STILL = 4.0
+"""The same while inertia, friction and wheel are left as they are."""
+
+NOT_YET = 0.5
+"""What a hypothesis may be worse by, for each reading, after the steps under the wider noise."""
+
+NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
+"""Sigmas of its prior by which the noise may be larger than stated, and the logarithm of the factor that is allowed at most."""
+
+GRID_SAMPLES, FEW_STARTS = 3, 2000
+"""Samples for which the grid of starts is dense enough: neighbours are set from the next window on, or where they cost little."""
+
+LOOK = 0.6
+"""rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
+
+MOST_FEW, MOST = 100_000, 20_000
+"""Hypotheses carried on at most, on few samples and on more; the verdict says when there were more."""
+
+KEPT_ANYWAY = 100
+"""Hypotheses carried on where the readings rule out all."""
+
+SPEED_LEFT = 0.3
+"""Part of its speed that a wheel has left at a reference."""
+
+MOST_CHOICES = 40
+"""Samples looked at for the reference, evenly over those that may be it."""
+
+DROP, MOST_MODES = 30.0, 300
+"""Modes less probable than the best by exp(-30) are left out, and more than this."""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What was found, best first: centres, minus the log posterior (n) but for a constant, curvature (n, D, D), how many
+    starts came together in each (n); `trace`: samples, hypotheses before and after, at each stage; `notes` for the verdict."""
+
+    state: State
+    objective: np.ndarray
+    hessian: np.ndarray
+    hits: np.ndarray
+    trace: tuple[tuple[int, int, int], ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where the search starts: sample taken as the reference, samples tried, grid step, directions, largest rate."""
+
+    anchor: int
+    tried: np.ndarray
+    edge: float
+    suns: np.ndarray
+    limit: float
+
+
+def plan(model: Model, data: Readings, scale: float) -> Plan:
+    """The reference whose neighbourhood needs the fewest cells, of those samples at which no wheel can have stopped."""
+    lit = np.flatnonzero(data.lit.any(axis=1))
+    choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
+    choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
+    suns = {i: c.sun_candidates(model, data, scale, i) for a in choices for i in (a, *_neighbours(data, a))}
+    tried = []
+    for a in choices:
+        around = _neighbours(data, a)
+        edge = c.grid_edge(data.t_s[around] - data.t_s[a])
+        work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
+        tried.append((work, int(a), around, edge, suns[a]))
+    _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
+    limit = model.max_rate
+    if c.cell_count(limit, edge) * len(found) > c.MAX_CELLS:
+        limit = edge * ((c.MAX_CELLS / len(found) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
+    return Plan(anchor, around, edge, found, limit)
+
+
+def _runs_on(model: Model, after_s: float) -> bool:
+    """Whether every wheel still has a good part of its speed then, so that motions can be followed back through it."""
+    none = np.zeros((1, len(model.unknowns)))
+    there = np.abs(replace(model, after_s=after_s).wheel_speeds(none)[0])
+    return after_s == 0.0 or bool(np.all((there > SPEED_LEFT * np.abs(model.wheel_speeds(none)[0])) | (model.wheel_mode == "hold")))
+
+
+def ball(model: Model, after_s: float) -> float:
+    """A largest rate at a reference that holds what comes of the prior's ball at the first sample.
+
+    Wheels that run down hand over their momentum, and unequal moments let |omega| vary: uniform in a ball stays uniform, as the
+    motion keeps volumes in rate space, but its edge moves. A truth beyond the edge would be lost, and a wrong motion found.
+    """
+    if after_s == 0.0:
+        return model.max_rate
+    moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
+    none = np.zeros((1, len(model.unknowns)))
+    change = np.abs(replace(model, after_s=after_s).wheel_speeds(none) - model.wheel_speeds(none))[0]
+    spins = float(np.sum(change * [w.inertia_kg_m2 for w in model.vehicle.wheels]))
+    return model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * spins / float(moments[0])
+
+
+def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Plan]:
+    """Model and plan with the plan's sample as the reference, and a ball of rates there that holds what comes of the prior's."""
+    after = float(data.t_s[chosen.anchor])
+    wider = ball(model, after)
+    limit = chosen.limit if chosen.limit < model.max_rate else wider
+    return replace(model, after_s=after, max_rate=wider), replace(chosen, limit=limit)
+
+
+def _neighbours(data: Readings, a: int) -> np.ndarray:
+    """The sample before and the one after, or at an end the two next; dark ones count too, as they bound the direction."""
+    low = 1 if a > 0 else 0
+    around = np.array([a - 1, a + 1]) if low and a + 1 < len(data) else np.array([a + 1, a + 2] if a == 0 else [a - 2, a - 1])
+    return around[(around >= 0) & (around < len(data))]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad."""
+
+    likelihood: Likelihood
+    state: State
+    scale: float
+    outputs: ClassVar[Mapping[str, Any]] = {"allowed": ("bool", ())}
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.state)
+
+    def identity(self) -> dict[str, Any]:
+        return asked(self, self.likelihood.model)
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        seen = self.likelihood.predict(self.state.take(index)).sun
+        return {"allowed": c.shortfall(self.likelihood.model, self.likelihood.data, seen, LOOK, self.scale) <= c.LIMIT}
+
+
+class Search:
+    """One enumeration: keeps store, workers and bar for its stages."""
+
+    def __init__(self, workers: int | None, store: Path | None, progress: bool) -> None:
+        self.workers, self.store, self.progress = workers, store, progress
+        self.stage = 0
+
+    def run(self, function: Any, label: str, chunk: int) -> dict[str, np.ndarray]:
+        """All rows of a function, kept in a folder of its own."""
+        store = None if self.store is None else self.store / f"{self.stage:02d}-{label.replace(' ', '-')}"
+        self.stage += 1
+        return ensemble(function, workers=self.workers, chunk=chunk, store=store, progress=self.progress, label=label)
+
+    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
+        """Starts around the reference; `data` counts time from it."""
+        near = data.take(chosen.tried)
+        tried = replace(near, others=())
+        grid = c.Attitudes(replace(model, max_rate=chosen.limit), tried.t_s, chosen.edge)
+        turn = self.run(grid, "grid of rates", 8192)["turn"]
+        cells = c.Starts(grid, turn, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
+        return cells.found(worker_count(self.workers))
+
+    def fit(self, likelihood: Likelihood, state: State, levels: Levels, label: str, **options: Any) -> dict[str, np.ndarray]:
+        return self.run(Fit(likelihood, state, levels, **options), label, chunk_rows(likelihood))
+
+    def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
+        """All modes; `model` and `data` have the plan's sample as the reference."""
+        state, hits = self.starts(model, data, chosen, scale)
+        notes: list[str] = []
+        if chosen.limit < model.max_rate * (1 - 1e-9):
+            notes.append(f"only rates up to {chosen.limit:.3g} rad/s could be searched")
+        if not len(state):
+            state = _anything(model, chosen)
+            hits = np.ones(len(state), dtype=np.int64)
+            notes.append("no rate explains even the first samples")
+        used = np.sort(np.append(chosen.tried, chosen.anchor))
+        trace, first, beside = [], True, np.zeros(len(state))
+        noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
+        while True:
+            part = data.take(used)
+            likelihood = Likelihood(model, part)
+            still = len(used) < FEW
+            levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
+            limit = likeliest(part, still, noisy)
+            hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
+            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless)
+            following = _grown(data, used)
+            reach = float(np.abs(data.t_s[following]).max())
+            state = State(fitted["omega"], fitted["sun"], fitted["u"])
+            keep, hits, note = _thinned(state, fitted["cost"], hits, part, reach, limit)
+            notes += [f"{note} ({len(used)} samples)"] if note else []
+            before = len(state)
+            state, normal, beside, first = state.take(keep), fitted["normal"][keep], beside[keep], False
+            if not still:
+                only, hits = joined(state, normal, hits)
+                state, normal, beside = state.take(only), normal[only], beside[only]
+            trace.append((len(used), before, len(state)))
+            if len(following) == len(used):
+                return self._last(likelihood, state, hits, trace, notes)
+            if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
+                state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
+            keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
+            if keep.any():
+                state, hits, beside = state.take(keep), hits[keep], beside[keep]
+            used = following
+
+    def _looked(self, model: Model, coming: Readings, state: State, scale: float) -> np.ndarray:
+        """Which hypotheses (n) the nearest of the coming samples allows; one run each, where a fit takes fifty."""
+        nearest = coming.take(np.array([np.argmin(np.abs(coming.t_s))]))
+        look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale)
+        return self.run(look, "looking ahead", 8192)["allowed"]
+
+    def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
+        found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", curved=True)
+        order = np.argsort(found["cost"], kind="stable")
+        order = order[found["cost"][order] < found["cost"][order[0]] + DROP]
+        state, cost, hessian = State(found["omega"], found["sun"], found["u"]), found["cost"], found["hessian"]
+        kept: list[int] = []
+        count: list[int] = []
+        for i in order:
+            near = same_mode(state, hessian, int(i), kept)
+            if near is not None:
+                count[near] += int(hits[i])
+            elif len(kept) < MOST_MODES:
+                kept.append(int(i))
+                count.append(int(hits[i]))
+            elif not any("modes" in note for note in notes):
+                notes.append(f"more than {MOST_MODES} modes")
+        trace.append((len(likelihood.data), len(state), len(kept)))
+        index = np.array(kept)
+        return Modes(state.take(index), cost[index], hessian[index], np.array(count), tuple(trace), tuple(notes))
+
+
+def _anything(model: Model, chosen: Plan) -> State:
+    """Starts where there is no hope: rest, and turns about the axes."""
+    rates = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * min(0.3, 0.5 * model.max_rate)
+    suns = np.tile(chosen.suns[0], (len(rates), 1))
+    return State(rates + 1e-4, suns, np.zeros((len(rates), len(model.unknowns))))
+
+
+def _grown(data: Readings, used: np.ndarray) -> np.ndarray:
+    """The samples of the next window: one more while there are few, then all within a longer time."""
+    distance = np.abs(data.t_s)
+    rest = np.setdiff1d(np.arange(len(data)), used)
+    if not len(rest):
+        return used
+    nearest = rest[np.argmin(distance[rest])]
+    if len(used) < FEW:
+        return np.sort(np.append(used, nearest))
+    half = max(GROWTH * distance[used].max(), distance[nearest])
+    return np.union1d(used, np.flatnonzero(distance <= half * (1 + 1e-9)))
+
+
+def expected(data: Readings) -> float:
+    """Numbers that a motion must explain: lit readings and other observations."""
+    return float(data.lit.sum() + sum(o.value.size for o in data.others))
+
+
+def likeliest(data: Readings, still: bool, noisy: float) -> float:
+    """The misfit that a true motion does not exceed."""
+    n = expected(data)
+    return (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+
+
+def _thinned(
+    state: State, cost: np.ndarray, hits: np.ndarray, data: Readings, reach_s: float, limit: float
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
+    order = np.argsort(cost, kind="stable")
+    order = order[np.isfinite(cost[order])]
+    possible = order[cost[order] <= limit]
+    note = ""
+    if not len(possible):
+        possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
+    _, first, inverse = np.unique(boxes(state.take(possible), reach_s), axis=0, return_index=True, return_inverse=True)
+    counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
+    rank = np.argsort(first, kind="stable")  # best first
+    most = MOST_FEW if len(data) < FEW else MOST
+    if len(rank) > most:  # evenly by how well they fit: all of a line fits well, and its ends are wanted too
+        rank = rank[np.unique(np.linspace(0, len(rank) - 1, most).round().astype(int))]
+        note = "more hypotheses than could be followed"
+    return possible[first[rank]], counts[rank], note

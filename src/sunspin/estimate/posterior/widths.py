@@ -1,0 +1,357 @@
+"""From modes to a posterior: importance sampling with a heavy-tailed mixture that learns, and a check that it can be trusted.
+
+One mixture covers all modes, so a motion is weighed by the density with which all of them propose it: copies of a mode do not
+count twice, and modes that run into each other need no border. Proposals of earlier rounds only teach the mixture; what is
+told rests on the last round alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.special import logsumexp
+from scipy.stats import genpareto
+
+from sunspin.estimate.posterior.fit import Fit, asked
+from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
+from sunspin.estimate.posterior.model import State
+from sunspin.estimate.posterior.modes import Modes
+
+ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
+"""Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round."""
+
+SOFTS = (1, 2)
+"""Soft directions of the sheets, one kind after the other while the draws are not good. Two straighten what is free by half a
+radian and more; where one is enough a second costs what its quadratic bend misses."""
+
+WANTED = 3_000.0
+"""Effective draws for which the last round is made longer."""
+
+GOOD_SHARE = 0.25
+"""Learning ends when the draws are worth this part of as many of the posterior's own."""
+
+WIDER = 1.3
+"""Factor on the covariances of Laplace's method at first."""
+
+DEFENCE = 0.15
+"""Part of the mixture that stays with the first components, whatever was learnt."""
+
+LOCAL, LOCAL_SHRINK = 24, 0.6
+"""Where learning stalls: components put on draws of the posterior, and their covariance as a part of the whole region's."""
+
+MOST_BENT = 12
+"""Modes whose ridges are followed, the best."""
+
+RIDGE_POINTS, RIDGE_WIDTHS = 4, (0.3, 0.7, 1.3)
+"""Fits for each coefficient of a bend, and how far about the centre they are, in sigmas, one after the other."""
+
+ON_RIDGE = 9.0
+"""Squared distance for each dimension, in sigmas, up to which a mode lies on the ridge of another."""
+
+TAIL_LEAST = 30
+"""Weights that a tail must have to be fitted."""
+
+BLOCK = 2_000
+"""Draws whose densities under all components are worked on at once."""
+
+CONNECTED = 0.02
+"""Components that share this part of the draws of one of them belong to one region."""
+
+
+@dataclass(frozen=True)
+class Weigh:
+    """Row -> log-likelihood of a hypothesis."""
+
+    likelihood: Likelihood
+    state: State = field(repr=False)
+    outputs: ClassVar[Mapping[str, Any]] = {"log_likelihood": ("float64", ())}
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.state)
+
+    def identity(self) -> dict[str, Any]:
+        return asked(self, self.likelihood.model)
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        return {"log_likelihood": self.likelihood(self.state.take(index))}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Draws of the last round with their log weights (not normalised), log-likelihood, region, and how good they are.
+
+    `region` (n) counts from 0 by falling weight; `of_component` (m) is that of each component; `effective`: as many draws of the
+    posterior itself; `tail`: Pareto's k of the largest weights, above 0.7 not to be trusted; `evidence` (log);
+    `trace` (rounds, 3): log evidence, effective share, k.
+    """
+
+    state: State
+    log_weight: np.ndarray
+    log_likelihood: np.ndarray
+    region: np.ndarray
+    share: np.ndarray
+    of_mode: np.ndarray
+    effective: float
+    tail: float
+    evidence: float
+    trace: np.ndarray
+
+
+def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int) -> Sample:
+    """The posterior around the modes; `run(function, label, chunk)` computes rows.
+
+    Where sheets with one soft direction do not become good, others with two are learnt too, and both propose.
+    """
+    tracks: list[_Track] = []
+    for softs in SOFTS:
+        tracks.append(_taught(likelihood, modes, softs, seed, run, chunk))
+        if tracks[-1].share > GOOD_SHARE:
+            break
+    worth = np.array([track.share for track in tracks])
+    blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
+    count = int(np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
+    last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
+    trace = [*(row for track in tracks for row in track.trace), [last.evidence, last.effective / count, last.tail]]
+    label, of_component = regions(last.log_weight, last.parts, last.density)
+    share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
+    return Sample(
+        last.state, last.log_weight, last.log_likelihood, label, share, of_component[tracks[0].of_mode], last.effective, last.tail,
+        last.evidence, np.array(trace),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Track:
+    """What was learnt with sheets of one kind: a mixture, the component of each mode, the best share of draws, the trace."""
+
+    mixture: Mixture
+    of_mode: np.ndarray
+    share: float
+    trace: list[list[float]]
+
+
+def _taught(likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int) -> _Track:
+    """Rounds of draws from which a mixture learns; its first components stand first in it."""
+    first, of_mode = _first(likelihood, modes, softs, seed, run, chunk)
+    mixture, tried, trace = first, [], []
+    begin = SOFTS.index(softs) * ROUNDS
+    for turn in range(ROUNDS):
+        made = _round(likelihood, mixture, DRAWS, seed, begin + turn, run, chunk)
+        trace.append([made.evidence, made.effective / DRAWS, made.tail])
+        tried.append((made.effective / DRAWS, mixture))
+        if made.effective > GOOD_SHARE * DRAWS:
+            break
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
+        mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
+    share = max(share for share, _ in tried)
+    return _Track(tried[-1][1] if share > GOOD_SHARE else pooled(tried), of_mode, share, trace)
+
+
+def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
+    """The mixtures of all rounds, by what their draws were worth: none of them may be trusted to cover the posterior alone."""
+    total = sum(share for share, _ in tried)
+    weights = [share / total * m.weight / m.weight.sum() for share, m in tried]
+    n, first, second = len(weights[0]), tried[0][1], tried[1][1]
+    weights[1][:n] = sum(weight[:n] for weight in weights[1:])  # each round but the first begins with the same defence
+    parts = [first, second, *(m.take(np.arange(n, len(m.weight))) for _, m in tried[2:])]
+    return replace(Mixture.joined(parts), weight=np.concatenate([*weights[:2], *(weight[n:] for weight in weights[2:])]))
+
+
+@dataclass(frozen=True)
+class _Round:
+    state: State
+    log_weight: np.ndarray
+    log_likelihood: np.ndarray
+    parts: np.ndarray  # log of weight times density of each component
+    density: np.ndarray  # log of their sum
+    effective: float
+    tail: float
+    evidence: float
+
+
+def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, turn: int, run: Any, chunk: int) -> _Round:
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, turn)))
+    state = mixture.draw(n, rng)
+    prior = likelihood.model.log_prior(state)
+    inside = np.flatnonzero(np.isfinite(prior))
+    known = np.full(n, -np.inf)
+    known[inside] = run(Weigh(likelihood, state.take(inside)), "weighing", chunk)["log_likelihood"]
+    parts = mixture.log_densities(state)
+    density = np.concatenate([np.asarray(logsumexp(parts[rows], axis=1)) for rows in _blocks(n)])
+    weight = prior + known - density
+    weight = np.where(np.isnan(weight), -np.inf, weight)
+    share = np.exp(weight - weight.max())
+    effective = float(share.sum() ** 2 / np.sum(share**2))
+    return _Round(state, weight, known, parts, density, effective, pareto_tail(weight), float(logsumexp(weight) - np.log(n)))
+
+
+def _blocks(n: int) -> list[slice]:
+    """Draws to be worked on at once, so that what is made of many draws and components stays small."""
+    return [slice(low, min(low + BLOCK, n)) for low in range(0, n, BLOCK)]
+
+
+def pareto_tail(log_weight: np.ndarray) -> float:
+    """Shape k of the generalised Pareto law of the largest weights (Vehtari et al. 2024): errors shrink as expected below 0.7."""
+    weight = np.sort(np.exp(log_weight - log_weight.max()))
+    count = int(min(0.2 * len(weight), 3 * np.sqrt(len(weight))))
+    if count < TAIL_LEAST or weight[-count - 1] <= 0:
+        return np.inf
+    beyond = weight[-count:] - weight[-count - 1]
+    if beyond[-1] <= 0 or beyond.mean() < 1e-12 * weight[-1]:
+        return -1.0  # all alike
+    return float(genpareto.fit(beyond / beyond.mean(), floc=0)[0])
+
+
+def _first(
+    likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int
+) -> tuple[Mixture, np.ndarray]:
+    """Components by Laplace's method, bent along their ridges; and the component that each mode belongs to.
+
+    Modes on the ridge of a better one are not given a component of their own.
+    """
+    model, d = likelihood.model, modes.hessian.shape[1]
+    least = np.diag(np.concatenate([np.full(3, model.max_rate**-2), np.ones(2), np.zeros(d - 5)]))
+    laplace = np.linalg.inv(modes.hessian + least)
+    sheet = Sheet.of(d, softs, model.moving, model.where("scale"))
+    parts = [_straight(0.5 * (c + c.T), likelihood.data.reach_s, sheet) for c in laplace]
+    basis, bend, covariance = (np.array(every) for every in zip(*parts, strict=True))
+    owner = np.arange(len(covariance))
+    alike = np.ones(len(covariance))
+    mixture = Mixture(modes.state, basis, bend, np.zeros((len(covariance), d)), covariance, alike, sheet)
+    for m in range(min(len(covariance), MOST_BENT)):
+        for k in np.flatnonzero(owner[:m] == np.arange(m)):
+            off = mixture.coordinates(modes.state.take(np.array([m])), int(k))[0]
+            if off @ np.linalg.solve(covariance[k], off) < ON_RIDGE * d:
+                owner[m] = k
+                break
+        if owner[m] == m:
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, SOFTS.index(softs) * len(modes.objective) + m)))
+            _follow_ridge(likelihood, mixture, m, rng, run, chunk)
+    kept = np.flatnonzero(owner == np.arange(len(owner)))
+    mass = (-modes.objective + 0.5 * np.linalg.slogdet(laplace)[1])[kept]
+    weight = np.exp(np.maximum(0.7 * (mass - mass.max()), -8.0))
+    first = Mixture(
+        modes.state.take(kept), basis[kept], bend[kept], mixture.mean[kept], WIDER * covariance[kept], weight / weight.sum(), sheet
+    )
+    return first, np.searchsorted(kept, owner)
+
+
+def _straight(laplace: np.ndarray, reach_s: float, sheet: Sheet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Basis, linear bend and covariance in bent coordinates of one covariance (D, D).
+
+    With u held, the soft directions are those of largest variance, rates counted as what they turn in `reach_s`.
+    """
+    d = len(laplace)
+    size = np.diag([reach_s] * 3 + [1.0] * 2)
+    slope = np.linalg.solve(laplace[5:, 5:], laplace[5:, :5]).T
+    alone = size @ (laplace[:5, :5] - slope @ laplace[5:, :5]) @ size
+    values, vectors = np.linalg.eigh(0.5 * (alone + alone.T))
+    basis = vectors[:, ::-1].T @ size
+    whole = np.eye(d)
+    whole[:5, :5] = basis
+    covariance = whole @ laplace @ whole.T
+    along, stiff = sheet.along, sheet.stiff
+    answer = np.linalg.solve(covariance[np.ix_(along, along)], covariance[np.ix_(along, stiff)])
+    bend = np.zeros((sheet.terms, len(stiff)))
+    bend[: len(along)] = answer
+    left = covariance[np.ix_(stiff, stiff)] - covariance[np.ix_(stiff, along)] @ answer
+    covariance[stiff, :], covariance[:, stiff] = 0.0, 0.0
+    covariance[np.ix_(stiff, stiff)] = 0.5 * (left + left.T)
+    return basis, bend, covariance
+
+
+def _follow_ridge(likelihood: Likelihood, mixture: Mixture, m: int, rng: np.random.Generator, run: Any, chunk: int) -> None:
+    """Fit the bend of component m: the best of the stiff coordinates for values of the others about the centre's."""
+    d, sheet = mixture.covariance.shape[1], mixture.sheet
+    n, along, stiff = RIDGE_POINTS * sheet.terms, sheet.along, sheet.stiff
+    here = np.full(1, m)
+    root = np.linalg.cholesky(mixture.covariance[m][np.ix_(along, along)])
+    free = np.eye(d)
+    free[:5, :5] = np.linalg.inv(mixture.basis[m])
+    for width in RIDGE_WIDTHS:  # a narrow part first: its bend takes the starts of the wider ones near the ridge
+        x = np.zeros((n, d))
+        x[:, along] = width * rng.standard_normal((n, len(along))) @ root.T
+        start = mixture.states(x, np.repeat(here, n))
+        found = run(Fit(likelihood, start, ((3.0, 2), (1.0, 4)), free=free[:, stiff]), "ridge", chunk)
+        flat = replace(mixture, bend=np.zeros_like(mixture.bend))
+        answer = flat.coordinates(State(found["omega"], found["sun"], found["u"]), m)
+        terms, good = monomials(answer, sheet), np.isfinite(found["cost"])
+        good &= found["cost"] < np.median(found["cost"][good]) + 3.0 * d
+        scale = np.linalg.cholesky(mixture.covariance[m][np.ix_(stiff, stiff)])
+        for _ in range(4):  # points that fell to another ridge are let go
+            if good.sum() < 1.5 * sheet.terms:
+                return
+            bend = np.linalg.lstsq(terms[good], answer[good][:, stiff], rcond=None)[0]
+            off = np.linalg.norm(np.linalg.solve(scale, (answer[:, stiff] - terms @ bend).T), axis=0)
+            good &= off < max(4.0 * np.median(off[good]), 1.0)
+        mixture.bend[m] = bend
+
+
+def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np.random.Generator) -> Mixture:
+    """The mixture with the moments of the weighted draws, each draw shared out among the components that may have made it."""
+    weight = made.log_weight - made.log_weight.max()
+    cut = logsumexp(weight) - np.log(len(weight)) / 2  # no draw counts for more than a root of their number
+    weight = np.exp(np.minimum(weight, cut))
+    share = np.exp(made.parts - made.density[:, None]) * (weight / weight.sum())[:, None]
+    used = np.flatnonzero(share.sum(axis=0) > 1e-4)
+    means, covariances, masses = [], [], []
+    for m in used:
+        part, mass = share[:, m] / share[:, m].sum(), share[:, m].sum()
+        x = mixture.coordinates(made.state, int(m))
+        keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
+        mean = keep * (part @ x) + (1 - keep) * mixture.mean[m]
+        spread = np.einsum("n,ni,nj->ij", part, x - mean, x - mean)
+        means.append(mean)
+        covariances.append(keep * spread + (1 - keep) * mixture.covariance[m])
+        masses.append(mass)
+    origin, mean, learnt, shares = used, np.array(means), np.array(covariances), np.array(masses) / np.sum(masses)
+    if local:
+        pick = rng.choice(len(weight), LOCAL, p=weight / weight.sum())
+        owner = np.argmax(share[np.ix_(pick, used)], axis=1)
+        points = [mixture.coordinates(made.state.take(pick[[i]]), int(used[o]))[0] for i, o in enumerate(owner)]
+        origin, mean = np.concatenate([used, used[owner]]), np.concatenate([mean, points])
+        learnt = np.concatenate([learnt, LOCAL_SHRINK * learnt[owner]])
+        shares = np.concatenate([0.4 * shares, np.full(LOCAL, 0.6 / LOCAL)])
+    learnt = learnt + 1e-9 * np.einsum("mii,ij->mij", learnt, np.eye(learnt.shape[1]))
+    return Mixture(
+        State.joined([first.centre, mixture.centre.take(origin)]), np.concatenate([first.basis, mixture.basis[origin]]),
+        np.concatenate([first.bend, mixture.bend[origin]]), np.concatenate([first.mean, mean]),
+        np.concatenate([2.0 * first.covariance, learnt]),
+        np.concatenate([DEFENCE * first.weight, (1 - DEFENCE) * shares / shares.sum()]), mixture.sheet,
+    )  # fmt: skip
+
+
+def regions(log_weight: np.ndarray, parts: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The region of each draw (n) and of each component (m; -1: none of weight); arguments as in `_Round`."""
+    weight = np.exp(log_weight - logsumexp(log_weight))
+    count = parts.shape[1]
+    mass, overlap = np.zeros(count), np.zeros((count, count))
+    for rows in _blocks(len(weight)):
+        share = np.exp(parts[rows] - density[rows, None])
+        mass += weight[rows] @ share
+        overlap += (weight[rows, None] * share).T @ share
+    alike = overlap > CONNECTED * np.maximum(np.minimum(mass[:, None], mass[None, :]), 1e-300)
+    alike &= (mass[:, None] >= 1e-12) & (mass >= 1e-12)
+    label = connected_components(alike, directed=False)[1]
+    of_draw = label[np.argmax(parts, axis=1)]
+    names, inverse = np.unique(of_draw, return_inverse=True)
+    order = np.argsort(-np.bincount(inverse, weights=weight), kind="stable")
+    rank = np.empty(len(names), dtype=np.int64)
+    rank[order] = np.arange(len(names))
+    place = {int(name): int(rank[i]) for i, name in enumerate(names)}
+    return rank[inverse], np.array([place.get(int(name), -1) for name in label])
+
+
+def resampled(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Indices (n) of draws of equal weight, systematic, in a random order."""
+    edges = np.cumsum(np.exp(log_weight - logsumexp(log_weight)))
+    which = np.minimum(np.searchsorted(edges, (np.arange(n) + rng.random()) / n * edges[-1]), len(edges) - 1)
+    return rng.permutation(which)
+
+

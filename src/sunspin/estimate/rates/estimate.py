@@ -1,0 +1,326 @@
+"""Body rates and attitude from where the Sun was, seen now and then: from directions, panel powers, with or without a gyro."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import metadata
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.rates import torque
+from sunspin.estimate.rates.clock import lateness, suspected
+from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
+from sunspin.estimate.rates.dense import Dense
+from sunspin.estimate.rates.earth import is_told, with_beam
+from sunspin.estimate.rates.field import with_drift
+from sunspin.estimate.rates.link import linked
+from sunspin.estimate.rates.motion import Body, require_followed
+from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, refined, settled
+from sunspin.estimate.rates.observe import observations, passes, usable
+from sunspin.estimate.rates.seed import distinct_index, guesses, search
+from sunspin.estimate.rates.smooth import cost_limit
+from sunspin.estimate.rates.spread import with_spread
+from sunspin.estimate.rates.start import coarse
+from sunspin.estimate.rates.state import Motion, Observations, Track, joined
+from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import Clock as Lateness
+
+MAX_MODES = 6
+"""Modes reported for each pass."""
+
+LEAST_WEIGHT = 1e-3
+"""Modes of less weight are not reported."""
+
+NOISE_RANGE = (1e-9, 1.0)
+"""rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
+
+DEFAULT_MAX_RATE = 1.0
+"""rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
+
+DECIDED = 0.9
+"""A mode with at least this weight is called decided."""
+
+
+SUSPECTED = "the data alone, not counted"
+"""Where a lateness comes from that the vehicle file does not speak of."""
+
+
+class Pass(NamedTuple):
+    """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
+    smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3)."""
+
+    index: np.ndarray
+    kept: np.ndarray
+    track: Track
+    weight: np.ndarray
+    mean: np.ndarray
+    mean_sigma: np.ndarray
+
+
+def rates(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    *,
+    source: str | None = None,
+    max_rate_rad_s: float | None = None,
+    acceleration_noise: float | None = None,
+    gap_s: float | None = None,
+) -> xr.Dataset:
+    """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
+
+    Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start;
+    starts grow over the pass by smoothing (:mod:`sunspin.estimate.rates.smooth`): rigid-body motion with the vehicle's inertia
+    and wheels (nearly a sphere where no inertia is known) and white angular acceleration for what it leaves out, measurements with
+    Student tails.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`, or of `sun_directions`
+        A gyro or magnetometer in it is used where the vehicle describes one.
+    source : {"panels", "sun_sensor", "directions"}, optional
+        Where the Sun comes from; default: what the telemetry has.
+    max_rate_rad_s : float, optional
+        No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most
+        1 rad/s.
+    acceleration_noise : float, optional
+        rad/s^1.5; default: the vehicle's, else the best supported by the first passes.
+    gap_s : float, optional
+        A longer gap parts two passes; default: six usual intervals.
+
+    Returns
+    -------
+    xarray.Dataset
+        On `time` (all samples used; the search keeps 40 of a pass, the motion carries what it finds to the others), of each
+        pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
+        On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
+        fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
+        mean, all modes counted. On `sample`: `why`:
+        what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`, `sensors_late_sigma_s`.
+
+    Raises
+    ------
+    InputError
+        Too few samples, or no rate below the largest fits.
+    """
+    o, why, source = observations(vehicle, telemetry, source)
+    parts = passes(o, why, gap_s)
+    sensors = vehicle.sensors
+    rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
+    given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
+    body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None)
+    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
+        low, high = NOISE_RANGE
+        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
+    momenta = wheel_momenta(vehicle, telemetry)
+    for part in parts:
+        require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
+    noise, o, wheels = choose(o, parts, body, rate_max, given, momenta)
+    motion = Motion(body, noise, rate_max / 2)
+    use = usable(o, why)
+    wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
+    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
+    if not _torque_told(vehicle, o):
+        motion = replace(motion, torque=torque.prior_sigma(noise))
+    ready = [(with_unknowns(some), track) for some, track in tracks]
+    if given is None:
+        motion = replace(motion, noise=refined(ready, motion))
+    clock, late = _clock(sensors.clock, ready, motion)
+    each = zip(wholes, parts, (track for _, track in tracks), strict=True)
+    found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise) for one in each], motion)
+    result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
+    missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
+    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
+    result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
+    return result.assign_attrs(verdict=verdict(result))
+
+
+def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
+    """The vehicle's acceleration noise: another one where its dipole cannot be modelled, the field not being measured."""
+    disturbance = vehicle.sensors.disturbance
+    modelled = disturbance.dipole is None or _torque_told(vehicle, o)
+    return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+
+
+def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
+    """Whether the vehicle file has a dipole, and the field that pulls at it is measured."""
+    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field).all(axis=1).any())
+
+
+def _clock(
+    told: Lateness | None, tracks: list[tuple[Observations, Track]], motion: Motion
+) -> tuple[Clock | None, dict[str, float | str]]:
+    """The clock with which the passes are finished, narrowed by all of them, and what is said of it."""
+    nothing = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
+    if told is None:
+        late = suspected(tracks, motion)
+        if late is None:
+            return None, nothing
+        return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
+    clock = Clock(told.late_s, told.sigma_s)
+    late = lateness(tracks, motion, clock) if told.sigma_s > 0 else None
+    if late is not None:
+        clock = Clock(late.late_s, late.sigma_s)
+    words = "vehicle file" if late is None else "vehicle file and data"
+    return clock, {"sensors_late_s": clock.late_s, "sensors_late_sigma_s": clock.sigma_s, "sensors_late_from": words}
+
+
+def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
+    """The heavier modes of one pass, best first."""
+    found = []
+    for guess in guesses(o):
+        track = search(guess, motion, rate_max)
+        order, weight = _ranked(track)
+        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]))
+    return joined(found)
+
+
+def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
+    """The hypotheses' order, heaviest first, and their weights in it, that of the first being one."""
+    order = np.argsort(-track.log_weight, kind="stable")
+    return order, np.exp(track.log_weight[order] - track.log_weight[order[0]])
+
+
+def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
+    """Modes found as if strong torques acted, then fitted with the inertia as it may be: where that of the file fits no motion."""
+    loose = replace(motion, noise=max(LOOSER[0], motion.noise))
+    return with_common(with_unknowns(plain), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
+
+
+def finished(
+    every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
+    rate_max: float, begin: float,
+) -> Pass:
+    """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
+    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
+    plain = every.take(kept)
+    o = with_unknowns(plain)
+    common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
+    if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
+        other = loosened(plain, motion, clock, rate_max)
+        common = other if other.track.cost.min() < common.track.cost.min() else common
+    if common is not None:  # with their common errors two hypotheses may have become one
+        common = common.take(distinct_index(common.track, o.t_s))
+    between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
+    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
+    if common is not None:
+        track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
+    order, weight = _ranked(track)
+    whole = between.filled(track, motion).take(order)
+    return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
+
+
+def with_unknowns(o: Observations) -> Observations:
+    """A pass with all that is estimated beside its motion."""
+    drifting = with_drift(o)
+    return with_beam(drifting) if is_told(drifting) else drifting
+
+
+def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
+    """The passes with weights that count their neighbours in, best mode first, hopeless ones left out; and the walk."""
+    middle = [float(o.t_s[p.index].mean()) for p in found]
+    means, sigmas = [p.mean for p in found], [p.mean_sigma for p in found]
+    weights, walk = linked(middle, means, sigmas, [p.weight for p in found], motion.rate_prior)
+    result = []
+    for p, weight in zip(found, weights, strict=True):
+        order = np.argsort(-weight, kind="stable")
+        keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
+        result.append(Pass(p.index, p.kept, p.track.take(keep), weight[keep], p.mean[keep], p.mean_sigma[keep]))
+    return result, walk
+
+
+def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> float:
+    if given is not None:
+        if not (np.isfinite(given) and given > 0):
+            raise InputError(sentence("max_rate_rad_s must be positive", got=given))
+        return float(given)
+    usual = float(np.median([np.sort(np.diff(o.t_s[part]))[: max(2, len(part) // 8)].mean() for part in parts]))
+    return min(1.5 * 2 * np.pi / usual, DEFAULT_MAX_RATE)
+
+
+def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Sigma (3) about the best mode's mean rate when the other modes, by their weights, are counted in."""
+    share = (weight / weight.sum())[:, None]
+    return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
+
+
+def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
+    count = max(len(p.weight) for p in found)
+
+    def padded(values: list[np.ndarray]) -> np.ndarray:
+        out = np.full((len(values), count, *values[0].shape[1:]), np.nan)
+        for row, value in zip(out, values, strict=True):
+            row[: len(value)] = value
+        return out
+
+    index = np.concatenate([p.index for p in found])
+    best = [p.track.take(np.array([0])) for p in found]
+    attitude = np.concatenate([track.attitude[0] for track in best])
+    covariance = np.concatenate([track.covariance[0] for track in best])
+    sun = np.concatenate([track.sun_B[0] for track in best])
+    means = [(p.mean, p.mean_sigma) for p in found]
+    spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
+    sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
+    carried = ("epoch_utc", "synthetic", "file", "sha256")
+    attrs: dict[str, Any] = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
+    attrs |= {
+        "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
+        "acceleration_noise_from": "evidence of the data" if chosen else "given",
+        "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
+        "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
+        "attitude_used": int(np.isfinite(o.attitude[index]).any()), "earth_light": o.earth_light if is_told(o) else 0.0,
+        "sunspin_version": metadata.version("sunspin"),
+    }  # fmt: skip
+    result = xr.Dataset(
+        {
+            "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, 3:, 3:], {"units": "rad2 s-2"}),
+            "sun_B": (("time", "axis"), sun, {"units": "1", "long_name": "direction to the Sun, smoothed"}),
+            "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
+            "B_from_N": (("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
+            "pass_of": ("time", np.repeat(np.arange(len(found)), [len(p.index) for p in found])),
+            "weight": (("pass_id", "mode"), padded([p.weight for p in found]), {"units": "1"}),
+            "omega_mean_B": (("pass_id", "mode", "axis"), padded([m[0] for m in means]), {"units": "rad s-1"}),
+            "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
+            "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
+            "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
+            "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found], {"units": "1"}),
+            "why": ("sample", why.astype(np.str_)),
+        },
+        coords={
+            "time": ("time", o.t_s[index], {"units": "s"}), "sample": o.t_s, "axis": ["x", "y", "z"],
+            "pass_id": np.arange(len(found)), "quaternion": ["x", "y", "z", "w"],
+        },
+        attrs=attrs,
+    )  # fmt: skip
+    return result
+
+
+def verdict(result: xr.Dataset) -> str:
+    """What the data can tell, in words."""
+    best = result["weight"].values[:, 0]
+    bad = result["cost"].values[:, 0] > result["cost_limit"].values
+    decided = int(np.count_nonzero((best >= DECIDED) & ~bad))
+    text = f"{decided} of {len(best)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight"
+    if bad.any():
+        text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    if decided + np.count_nonzero(bad) < len(best):
+        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    if missed := result.attrs["coarse_passes"]:
+        text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
+    late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
+    if result.attrs["sensors_late_from"] == SUSPECTED:
+        text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
+    elif np.isfinite(result.attrs["sensors_late_s"]):
+        text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
+    if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
+        text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
+        if result.attrs["no_sphere"]:
+            text += "; the body is far from the sphere that the search takes it for, and another motion may fit: GIVE ITS INERTIA"
+    return text

@@ -1,0 +1,115 @@
+"""How strong the unknown torques are that a pass of :mod:`sunspin.estimate.rates` shows: white angular acceleration, by evidence.
+
+Twice: for the search, which holds the body for what its file says and takes all that it is not for torques; and once the motion is
+found, with inertia, a magnetic torque and the light of the Earth as unknowns, which then explain most of that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.rates.common import Clock, Common, cooler, with_common
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.seed import SEED_NOISE, cooled, guesses, seeds
+from sunspin.estimate.rates.state import Motion, Observations, Track
+
+NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
+"""Angular-acceleration noises (rad/s^1.5) tried where none is given; at 3e-4 a rate wanders by 0.3 deg/s in 5 minutes."""
+
+HIGHER_NOISES = (1e-3, 3e-3)
+"""Tried where the highest of these is the best: strong torques, or a body with other moments than the file says."""
+
+LADDER_PASSES = 2
+"""Passes whose evidence chooses among them."""
+
+CLEARLY = 2.0
+"""Log of the evidence: where the data hardly tell, less noise would promise more than is known."""
+
+EVIDENCE_MODES = 4
+"""Hypotheses that are fitted with gains that are unknown where the evidence of a noise is asked for."""
+
+SPHERE_NOISES = (1e-2,)
+"""Tried too where no inertia is known: for the search the body is a sphere, and all that it is not looks like torques."""
+
+
+def choose(
+    o: Observations, parts: list[np.ndarray], body: Body, rate_max: float, noise: float | None, wheels: dict[str, np.ndarray]
+) -> tuple[float, Observations, str]:
+    """The acceleration noise (of `NOISE_LADDER`, unless given) and what the wheels do, by their evidence over the passes with
+    the most samples; with these wheels in the observations, and in words."""
+    noises = NOISE_LADDER if noise is None else (noise,)
+    if len(noises) * len(wheels) == 1:
+        name = next(iter(wheels))
+        return noises[0], replace(o, momentum=wheels[name]), name
+    longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
+    evidence: dict[tuple[float, str], float] = {}
+    ladder = (noises, HIGHER_NOISES) if len(noises) == 1 or not body.spherical else (noises + HIGHER_NOISES + SPHERE_NOISES,)
+    for what, momentum in wheels.items():
+        for rungs in ladder:
+            each = [_evidence(replace(o, momentum=momentum).take(part), body, rungs, rate_max) for part in longest]
+            evidence |= {(rung, what): float(total) for rung, total in zip(rungs, np.sum(each, axis=0), strict=True)}
+            own = {rung: value for (rung, other), value in evidence.items() if other == what}
+            if noise is not None or max(own, key=lambda rung: own[rung]) != NOISE_LADDER[-1]:
+                break
+    level, name = max(evidence, key=lambda one: evidence[one])
+    others = [value for (_, other), value in evidence.items() if other != name]
+    told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name
+    return level, replace(o, momentum=wheels[name]), told
+
+
+def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
+    """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
+
+    From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
+    vehicle file's, what they do to the Sun's direction would pass for strong torques. The inertia is the file's.
+    """
+    return np.logaddexp.reduce([_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)], axis=0)
+
+
+def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
+    """The same with the motions that are found as `guess` has the measurements."""
+    found = np.full(len(noises), -np.inf)
+    motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
+    try:
+        track, last = seeds(guess, motion, rate_max, pairs=1), motion.noise
+    except InputError:
+        return found
+    for k in np.argsort(noises)[::-1]:
+        motion = replace(motion, noise=noises[k])
+        track, last = cooled(guess, track, last, motion), noises[k]
+        known = replace(motion, body=replace(body, errors=body.errors[:0]))
+        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
+        found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
+    return found
+
+
+def falling(begin: float, end: float = 0.0) -> list[float]:
+    """The rungs (rad/s^1.5) from that of the search downward, as far as `end`."""
+    between = (noise for noise in sorted(NOISE_LADDER + HIGHER_NOISES, reverse=True) if end < noise < begin)
+    return [begin, *between, *([end] if 0.0 < end < begin else [])]
+
+
+def refined(passes: list[tuple[Observations, Track]], motion: Motion) -> float:
+    """The acceleration noise (rad/s^1.5) with all unknowns of a pass in place, at most that of the search: by the evidence of the
+    best modes of the longest passes, falling rung by rung, the largest that is not clearly worse than the best."""
+    longest = sorted(passes, key=lambda one: len(one[0]), reverse=True)[:LADDER_PASSES]
+    rungs = falling(motion.noise)
+    total = np.zeros(len(rungs))
+    for o, track in longest:
+        fit = with_common(o, track.take(np.array([0])), motion, None)
+        for k, noise in enumerate(rungs):
+            fit = cooler(o, fit, replace(motion, noise=noise))
+            total[k] += float(fit.track.log_weight[0]) - 6 * (len(o) - 1) * np.log(noise)
+    return rungs[int(np.argmax(total > total.max() - CLEARLY))]
+
+
+def settled(o: Observations, track: Track, motion: Motion, clock: Clock | None, begin: float) -> Common:
+    """Hypotheses that were found under an acceleration noise `begin`, fitted with all unknowns, there first, then rung by rung."""
+    first, *others = falling(begin, motion.noise)
+    fit = with_common(o, track, replace(motion, noise=first), clock)
+    for noise in others:
+        fit = cooler(o, fit, replace(motion, noise=noise), clock, 20 if noise == motion.noise else 8)
+    return fit

@@ -1,0 +1,277 @@
+"""How :mod:`sunspin.estimate.rates` searches: starts of a pair of neighbours are tried on samples around, and grow.
+
+Starts (:mod:`sunspin.estimate.rates.start`) are coarse, and a Student law lets a start that misses most samples rest where it is. So
+they are tried, and first smoothed, with errors as wide as the starts are apart; the best are smoothed as measured, and the window
+grows by a sixth at either end while hypotheses that have become alike or improbable are dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.rates.motion import step
+from sunspin.estimate.rates.shoot import carried, shot
+from sunspin.estimate.rates.smooth import cost_limit, measured, smooth
+from sunspin.estimate.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
+from sunspin.estimate.rates.state import Motion, Observations, Track, joined
+
+WINDOW = 2
+"""Samples on either side of the first pair on which the rates are first tried."""
+
+DENSE_RAD = 2.2
+"""Samples so close that the body turns by less than this between them leave no doubt about whole turns."""
+
+CROWD, PAIRED, CHOSEN = 3000, 20_000, 1500
+"""More starts than the first number are thinned before they are tried on the whole window: on the pair, to the second number at
+most, and smoothed on the four samples around it, to the third."""
+
+BLUR = 0.6
+"""Errors of starts as a share of their distance from each other."""
+
+SEED_NOISE = 1e-4
+"""rad/s^1.5; hypotheses grow under at least this much of unknown torque, however well the motion is known."""
+
+COOLING = 1.7
+"""The unknown torque falls by exp(1.7) at each step from there to what is asked for."""
+
+GROW_SHARE = 6
+"""The window grows by a sixth of its samples at either end: what is known then still carries."""
+
+POOR, DRIFT_RAD = 0.4, 0.1
+"""A hypothesis that costs more than this share of what is called bad is shot anew, where unknown torques turn the body by less
+than the second number."""
+
+PAIRS, MORE_PAIRS, BADLY = 3, 2, 0.8
+"""Pairs to start from; how many more where even the best hypothesis costs more than this share of what is called bad."""
+
+BLIND_PAIRS = 4
+"""Pairs to start from where panels lie in one plane, so that a sample limited by the battery looks like a Sun that stands aside."""
+
+DIM_PENALTY = 3.0
+"""So much longer is a pair of samples reckoned where both are dark."""
+
+SUN_SHARE = 0.35
+"""Directions of the Sun count so much less than turns there: they part mirror images, not what is still on its way to one place."""
+
+BRIGHTEST, OTHER_SCALE = 0.95, 0.1
+"""Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
+
+MAX_TURNS = 100
+"""Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
+
+KEEP_FIRST, KEEP = 120, 32
+"""Hypotheses kept after the first trial, and while the window grows."""
+
+DROP = 18.0
+"""Hypotheses less probable than the best by exp(-18) are dropped."""
+
+ALIKE_RAD = 0.25
+"""Two hypotheses whose turns between neighbours and whose directions of the Sun differ by less everywhere are one: panels on the
+sides alone leave two mirror images, which turn nearly alike where the body spins about the axis that nothing looks along."""
+
+
+def wider(o: Observations, noise: float, index: int, apart_rad: float) -> Observations:
+    """The same measurements, trusted as far as starts at sample `index` go: those are `apart_rad` apart at the next sample, and
+    the farther a sample is the more unknown torques (`noise`, rad/s^1.5) have changed."""
+    t = np.abs(o.t_s - o.t_s[index])
+    dt = o.t_s[index + 1] - o.t_s[index]
+    drift = np.hypot(noise * np.sqrt(t**3 / 3), BLUR * apart_rad * t / dt)
+    size = np.linalg.norm(np.nan_to_num(o.field), axis=1).max(initial=0.0)
+    return replace(
+        o,
+        sun_cov=o.sun_cov + (drift**2)[:, None, None] * np.eye(3),
+        power_sigma=np.hypot(o.power_sigma, drift[:, None] * np.linalg.norm(o.rows, axis=1) * o.scale[:, None]),
+        field_sigma=np.hypot(o.field_sigma, drift.max() * size / 2),
+        gyro_sigma=float(np.hypot(o.gyro_sigma, np.hypot(BLUR * apart_rad / dt, noise * np.sqrt(t.max())))),
+        attitude_sigma=float(np.hypot(o.attitude_sigma, drift.max())),
+    )
+
+
+def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float, trust: bool = False) -> tuple[Track, int, int]:
+    """The best rates around the pair (index, index + 1), smoothed on samples low to high - 1; `trust`: the gyro is one of them."""
+    low, high = max(0, index - WINDOW), min(len(o), index + 2 + WINDOW)
+    o, index = o.part(low, high), index - low
+    dt = o.t_s[index + 1] - o.t_s[index]
+    if not rate_max * dt < 2 * np.pi * MAX_TURNS:
+        raise InputError(
+            sentence("too many whole turns fit between two samples to try them all", got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
+                     do="give a smaller --max-rate (max_rate_rad_s)")
+        )  # fmt: skip
+    suns, rates, apart = starts(o, index, motion, rate_max, trust)
+    if len(rates) > CROWD:
+        suns, rates = _thinned(o, index, suns, rates, motion, apart)
+    if not len(rates):
+        return Track(np.zeros((0, len(o), 3, 3)), np.zeros((0, len(o), 3))), low, high
+    track = _best(o, index, suns, rates, motion, apart, KEEP_FIRST)
+    for share in (1.0, 0.3, 0.0):
+        track = distinct(shot(wider(o, motion.noise, index, share * apart), index, track, motion, 4), o.t_s, KEEP_FIRST)
+    return distinct(smooth(o, track, motion, steps=6), o.t_s), low, high
+
+
+def _best(o, index, suns, rates, motion, apart, keep) -> Track:
+    """The `keep` starts at sample `index` that fit all samples of `o` best, moved to them."""
+    loose = wider(o, motion.noise, index, apart)
+    track = carried(o, index, suns, rates, motion)
+    parts = np.array_split(np.arange(len(rates)), 1 + len(rates) // 4000)
+    cost = np.concatenate([measured(loose, track.take(part))[2].sum(axis=1) for part in parts])
+    cost += (rates**2).sum(axis=1) / (2 * motion.rate_prior**2)
+    return track.take(np.argsort(cost, kind="stable")[:keep])
+
+
+def _thinned(o, index, suns, rates, motion, apart) -> tuple[np.ndarray, np.ndarray]:
+    """The better ones of a crowd of starts, smoothed on four samples at errors as wide as the starts are apart."""
+    pair = _best(o.part(index, index + 2), 0, suns, rates, motion, apart, PAIRED)
+    low, high = max(0, index - 1), min(len(o), index + 3)
+    around, index = o.part(low, high), index - low
+    track = _best(around, index, pair.sun_B[:, 0], pair.omega[:, 0], motion, apart, CHOSEN)
+    track = shot(wider(around, motion.noise, index, apart), index, track, motion, 3)
+    track = distinct(track, around.t_s, CHOSEN, np.inf)
+    return track.sun_B[:, index], track.omega[:, index]
+
+
+def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> Track:
+    """Without the improbable and without copies, best first."""
+    return track.take(distinct_index(track, times, keep, drop))
+
+
+def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> np.ndarray:
+    """Which hypotheses those are."""
+    order = np.argsort(track.cost, kind="stable")
+    if not len(order):
+        return order
+    order = order[track.cost[order] < track.cost[order[0]] + drop]
+    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
+    angle = np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
+    chosen = np.zeros(0, dtype=int)
+    for i in order:
+        apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
+        if not len(chosen) or apart.min() > ALIKE_RAD**2:
+            chosen = np.append(chosen, i)
+        if len(chosen) == keep:
+            break
+    return chosen
+
+
+def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
+    """Carry hypotheses of samples low to high - 1 over all samples."""
+    while len(track.omega) and (low > 0 or high < len(o)):
+        attitude, omega = track.attitude, track.omega
+        for _ in range(max(1, (high - low) // GROW_SHARE)):
+            if high < len(o):
+                dt = np.full(len(omega), o.t_s[high] - o.t_s[high - 1])
+                made, rate = step(motion.body, omega[:, -1], dt, o.wheels(high - 1, high))
+                attitude = np.concatenate([attitude, (made @ attitude[:, -1])[:, None]], axis=1)
+                omega = np.concatenate([omega, rate[:, None]], axis=1)
+                high += 1
+            if low > 0:
+                dt = np.full(len(omega), o.t_s[low - 1] - o.t_s[low])
+                made, rate = step(motion.body, omega[:, 0], dt, o.wheels(low, low - 1))
+                attitude = np.concatenate([(made @ attitude[:, 0])[:, None], attitude], axis=1)
+                omega = np.concatenate([rate[:, None], omega], axis=1)
+                low -= 1
+        part = o.part(low, high)
+        track = _freed(part, distinct(smooth(part, Track(attitude, omega), motion, steps=4), part.t_s), motion)
+    return track
+
+
+def _freed(o: Observations, track: Track, motion: Motion) -> Track:
+    """Hypotheses that fit badly, in a window so short that no torque has told yet, moved by shooting: the smoother creeps there."""
+    poor = np.flatnonzero(track.cost > POOR * cost_limit(o))
+    middle = len(o) // 2
+    drift = motion.noise * np.sqrt(np.abs(o.t_s - o.t_s[middle]).max() ** 3 / 3)
+    if not len(poor) or drift > DRIFT_RAD:
+        return track
+    moved = smooth(o, shot(wider(o, motion.noise, middle, 0.0), middle, track.take(poor), motion, 8), motion, steps=4)
+    good = np.setdiff1d(np.arange(len(track.cost)), poor)
+    both = moved if not len(good) else joined([track.take(good), moved])
+    return distinct(both, o.t_s)
+
+
+def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
+    """All modes of a pass, best first."""
+    loose = replace(motion, noise=max(motion.noise, SEED_NOISE))
+    return cooled(o, seeds(o, loose, rate_max, pairs), loose.noise, motion)
+
+
+def forgiving(o: Observations) -> Observations:
+    """The same with a gyro trusted no further than its zero and scale, and panels no further than gains that are unknown: the
+    search holds them at what the vehicle file says."""
+    common = np.sqrt((o.gyro_common**2).sum(axis=1).mean()) if o.gyro_common.size else 0.0
+    unknown = np.linalg.norm(o.row_unknowns, axis=(0, 2)) / np.maximum(np.linalg.norm(o.rows, axis=-1), 1e-300)
+    sigma = np.hypot(o.power_sigma, np.nan_to_num(o.power) * unknown) if len(o.row_unknowns) else o.power_sigma
+    return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)), power_sigma=sigma)
+
+
+def guesses(o: Observations) -> list[Observations]:
+    """What is searched: the forgiving measurements, and where panels lie in one plane and their brightest samples do not look
+    like full Sun, also those with all gains as these samples have them: either the Sun never came near the plane, or the full
+    scale is wrong."""
+    loose = forgiving(o)
+    if blind_axis(o) is None or not len(o.row_unknowns):
+        return [loose]
+    full = float(np.quantile(np.linalg.norm(relative(o), axis=1), BRIGHTEST))
+    return [loose] if abs(full - 1) < OTHER_SCALE else [loose, replace(loose, rows=o.rows * full)]
+
+
+def relative(o: Observations) -> np.ndarray:
+    """Readings (n, n_panel) as shares of full Sun, zero where they say nothing."""
+    return np.where(np.isfinite(o.power_sigma), np.nan_to_num(o.power) / np.linalg.norm(o.rows, axis=1), 0.0) / o.scale[:, None]
+
+
+def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:
+    """Hypotheses of a loose motion (`noise`) brought to a stiffer one by steps: at once, they would stay where they are."""
+    steps = int(np.ceil(abs(np.log(noise / motion.noise)) / COOLING))
+    for level in np.geomspace(noise, motion.noise, steps + 1)[1:]:
+        track = distinct(smooth(o, track, replace(motion, noise=float(level)), steps=12), o.t_s)
+    return distinct(smooth(o, track, motion, steps=25), o.t_s)
+
+
+def bright_pairs(o: Observations) -> np.ndarray:
+    """Pairs of neighbours, those first whose whole windows are bright: there the Sun stands in the plane of the panels and the
+    battery limits nothing. Windows that overlap come later, since what spoils one spoils the other."""
+    dim = 1 - np.minimum(np.linalg.norm(relative(o), axis=1), 1.0)
+    ends = np.arange(len(o) - 1)
+    window = [dim[max(0, i - 1) : i + 3].mean() for i in ends]
+    order = np.argsort(np.diff(o.t_s) * (1 + DIM_PENALTY * np.array(window)), kind="stable")
+    first: list[int] = []
+    for i in order:
+        if all(abs(i - j) > WINDOW for j in first):
+            first.append(i)
+    return np.array(first + [i for i in order if i not in first])
+
+
+def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
+    """Modes under a loose motion: from the `pairs` shortest intervals, grown over the whole pass and joined.
+
+    Default: three, or one where the samples begin so close together that no rate hides between them, where a grid holds all
+    rates anyway, or a gyro tells. Where nothing found fits, more are tried before that is said. Panels in one plane bound the Sun
+    so little that four pairs are tried in any case, and each motion found is tried mirrored.
+    """
+    blind = blind_axis(o)
+    quality = np.where(o.told, 1.0, 2.0)
+    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable") if blind is None else bright_pairs(o)
+    dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
+    trust = gyro_decides(o, int(order[0]))
+    one = dense or trust or not steady(o, int(order[0]), motion, rate_max)
+    pairs = BLIND_PAIRS if blind is not None else pairs or (1 if one else PAIRS)
+    tracks: list[Track] = []
+    for i in order[: pairs + MORE_PAIRS]:
+        best = min((float(track.cost[0]) for track in tracks), default=np.inf)
+        if len(tracks) >= pairs and best < BADLY * cost_limit(o):
+            break
+        track = grow(o, *first_tracks(o, int(i), motion, rate_max, trust and not tracks), motion)
+        tracks += [track] if len(track.omega) else []
+    if not tracks:
+        raise InputError(
+            sentence(
+                "no rate up to the largest allowed takes the Sun from one sample to the next",
+                got=f"largest rate {rate_max:.4g} rad/s", do="raise --max-rate, or check the times and the directions",
+            )
+        )  # fmt: skip
+    track = distinct(joined(tracks), o.t_s)
+    if blind is None:
+        return track
+    return distinct(joined([track, smooth(o, mirrored(track, blind), motion)]), o.t_s)

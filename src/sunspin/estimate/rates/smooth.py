@@ -1,0 +1,197 @@
+"""The smoother behind :func:`sunspin.rates`: attitude and rate at every sample, by Gauss-Newton, many hypotheses at once.
+
+The unknowns are the attitude (a turn, 3) and the rate (3) at every sample; what was measured at a sample and the equations of
+motion between neighbours are residuals, so that the normal equations are block-tridiagonal and cost a step linear in the
+number of samples. Starting every interval anew (multiple shooting) lets a start be poor without the end of a pass being
+wild. Only the Sun is known in N, as its z axis: the turn about it is held by a weak prior and reported as unknown.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sunspin.estimate.rates.light import cross_matrix, student, sun_measured
+from sunspin.estimate.rates.motion import Ends, step_with_answer, turn, turn_between
+from sunspin.estimate.rates.state import Motion, Observations, Track
+
+RATE_LIMIT = 4.0
+"""No trial rate exceeds this many times the prior's sigma (twice the largest rate of the search)."""
+
+TURN_PRIOR = 10.0
+"""rad; holds the turn about the Sun line, which nothing measures, without telling anything."""
+
+BAD_COST = 3.7
+"""Cost per sample beyond which even the best motion does not fit; sound ones, of skCUBE and of twins, stay below 3.6."""
+
+THREE_READINGS = 1.5
+"""What three sound readings cost in the mean."""
+
+
+def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal matrices (K, n, 6, 6), gradients (K, n, 6) and costs (K, n) of what was measured at each sample."""
+    k, n = track.omega.shape[:2]
+    matrix, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
+    matrix[..., :3, :3], slope[..., :3], cost = sun_measured(observations, track)
+    known = np.all(np.isfinite(observations.gyro), axis=1)
+    if known.any():
+        value = np.where(known[:, None], (track.omega - np.nan_to_num(observations.gyro)) / observations.gyro_sigma, 0.0)
+        weight, part = student(value)
+        matrix[..., 3:, 3:] += (weight * known)[..., None, None] * np.eye(3) / observations.gyro_sigma**2
+        slope[..., 3:] += (weight * known)[..., None] * value / observations.gyro_sigma
+        cost += part
+    return matrix, slope, cost
+
+
+def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the motion and the field say of neighbours: residuals (K, n-1, m), Jacobians to the first and second of them."""
+    dt = np.diff(o.t_s)
+    start, end = track.attitude[:, :-1], track.attitude[:, 1:]
+    relative = end @ np.swapaxes(start, -1, -2)
+    pair = field_pairs(o)
+    b0, b1 = np.nan_to_num(o.field[:-1]) * pair[:, None], np.nan_to_num(o.field[1:]) * pair[:, None]
+    ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
+    if pair.any() and np.any(motion.body.dipole):
+        ends = ends._replace(field=b0, field_end=b1)
+    ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
+    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
+    defect = np.concatenate([turn_between(made, relative), track.omega[:, 1:] - rate], axis=-1)
+    white = whitening(dt, motion.noise)
+    value = np.einsum("nij,knj->kni", white, defect)
+    first = -np.einsum("nij,knjl->knil", white, answer)
+    second = np.broadcast_to(white, (*value.shape, 6)).copy()
+    if pair.any() and np.isfinite(o.field_sigma):
+        more = _field_residuals(o, relative, b0, b1, pair)
+        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    known = np.isfinite(o.attitude[:, 0, 0])
+    if (pair := known[:-1] & known[1:]).any():
+        more = _attitude_residuals(o, relative, pair)
+        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    return value, first, second
+
+
+def _attitude_residuals(o, relative, pair):
+    """The turn between neighbours less that of the given attitudes, in sigma; small, so that turns add as vectors."""
+    given = np.where(pair[:, None, None], o.attitude[1:] @ np.swapaxes(o.attitude[:-1], -1, -2), np.eye(3))
+    inverse = np.where(pair, 1 / (np.sqrt(2) * o.attitude_sigma), 0.0)[:, None]
+    value = turn_between(np.broadcast_to(given, relative.shape), relative) * inverse
+    first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))
+    second[..., :3] = np.eye(3) * inverse[..., None]
+    first[..., :3] = -relative * inverse[..., None]
+    return value, first, second
+
+
+def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
+    """Inverse square roots (n, 6, 6) of the covariance of turn and rate that white angular acceleration makes in `dt` (n)."""
+    covariance = np.zeros((len(dt), 6, 6))
+    eye = np.eye(3)
+    covariance[:, :3, :3] = (dt**3 / 3)[:, None, None] * eye
+    covariance[:, :3, 3:] = covariance[:, 3:, :3] = (dt**2 / 2)[:, None, None] * eye
+    covariance[:, 3:, 3:] = dt[:, None, None] * eye
+    return np.linalg.inv(np.linalg.cholesky(covariance)) / noise
+
+
+def field_pairs(o: Observations) -> np.ndarray:
+    """Which neighbours (n - 1) both have a field."""
+    met = np.all(np.isfinite(o.field), axis=1)
+    return met[:-1] & met[1:]
+
+
+def field_sigmas(o: Observations) -> np.ndarray:
+    """One sigma (n - 1) of the field's change between neighbours: of two readings, and of its turning."""
+    return np.sqrt(2 * o.field_sigma**2 + (np.linalg.norm(o.field[:-1], axis=1) * o.field_turn_rate * np.diff(o.t_s)) ** 2)
+
+
+def _field_residuals(o, relative, b0, b1, pair):
+    inverse = np.where(pair, 1 / field_sigmas(o), 0.0)[:, None]
+    carried = np.einsum("knij,nj->kni", relative, b0)
+    value = (carried - b1) * inverse
+    first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))
+    second[..., :3] = cross_matrix(carried) * inverse[..., None]
+    first[..., :3] = -relative @ cross_matrix(b0) * inverse[..., None]
+    return value, first, second
+
+
+def cost_limit(o: Observations) -> float:
+    """The cost beyond which even the best motion does not fit: so much for each sample's Sun, and what sound readings of the
+    other sensors cost in the mean."""
+    more = [np.all(np.isfinite(o.gyro), axis=1)]
+    field_known = np.all(np.isfinite(o.field), axis=1)
+    for known, used in ((field_known, np.isfinite(o.field_sigma)), (np.isfinite(o.attitude[:, 0, 0]), True)):
+        more.append(known[:-1] & known[1:] & used)
+    return BAD_COST * len(o) + THREE_READINGS * sum(int(part.sum()) for part in more)
+
+
+def normal_equations(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, ...]:
+    """Diagonal (K, n, 6, 6) and upper (K, n-1, 6, 6) blocks, gradient (K, n, 6), cost (K) of the whole pass; and what one unit
+    of damping adds to the diagonal (K, 6)."""
+    diagonal, slope, cost = measured(o, track)
+    damping = damping_scale(diagonal, o.t_s)
+    value, first, second = between(o, track, motion)
+    diagonal[:, :-1] += np.swapaxes(first, -1, -2) @ first
+    diagonal[:, 1:] += np.swapaxes(second, -1, -2) @ second
+    upper = np.swapaxes(first, -1, -2) @ second
+    slope[:, :-1] += np.einsum("knmi,knm->kni", first, value)
+    slope[:, 1:] += np.einsum("knmi,knm->kni", second, value)
+    total = cost.sum(axis=1) + (value**2).sum(axis=(1, 2)) / 2
+    sun = track.sun_B[:, 0]
+    diagonal[:, 0, :3, :3] += sun[:, :, None] * sun[:, None, :] / TURN_PRIOR**2
+    diagonal[:, 0, 3:, 3:] += np.eye(3) / motion.rate_prior**2
+    slope[:, 0, 3:] += track.omega[:, 0] / motion.rate_prior**2
+    return diagonal, upper, slope, total + (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2), damping
+
+
+def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
+    """Damping (K, 6) of turn and rate in the measure of what was measured (K, n, 6, 6): one in that of the equations of motion,
+    which are stiff where samples are close together, would hold a whole hypothesis in its place."""
+    size = np.einsum("knii->kni", told).mean(axis=1)
+    turn_size = size[:, :3].mean(axis=1, keepdims=True)
+    step_s = np.diff(t_s).mean() if len(t_s) > 1 else 1.0
+    rate_size = size[:, 3:].mean(axis=1, keepdims=True) + turn_size * step_s**2
+    return np.repeat(np.concatenate([turn_size, rate_size], axis=1), 3, axis=1)
+
+
+def solve(diagonal: np.ndarray, upper: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Step (K, n, 6), marginal covariances (K, n, 6, 6) and log determinant (K) of block-tridiagonal normal equations."""
+    n = diagonal.shape[1]
+    pivots, carried = diagonal.copy(), -slope
+    gain = np.zeros_like(upper)
+    for i in range(n - 1):
+        gain[:, i] = np.linalg.solve(pivots[:, i], upper[:, i])
+        pivots[:, i + 1] = pivots[:, i + 1] - np.swapaxes(upper[:, i], -1, -2) @ gain[:, i]
+        carried[:, i + 1] = carried[:, i + 1] - np.einsum("kji,kj->ki", gain[:, i], carried[:, i])
+    inverse = np.linalg.inv(pivots)
+    change, covariance = np.einsum("knij,knj->kni", inverse, carried), inverse.copy()
+    for i in range(n - 2, -1, -1):
+        change[:, i] -= np.einsum("kij,kj->ki", gain[:, i], change[:, i + 1])
+        covariance[:, i] += gain[:, i] @ covariance[:, i + 1] @ np.swapaxes(gain[:, i], -1, -2)
+    return change, covariance, np.linalg.slogdet(pivots)[1].sum(axis=1)
+
+
+def shortened(omega: np.ndarray, limit: float) -> np.ndarray:
+    """Rates (..., 3) shortened to `limit`: a step far out of the basin must not overflow."""
+    size = np.linalg.norm(omega, axis=-1, keepdims=True)
+    return omega * np.minimum(1.0, limit / np.maximum(size, 1e-300))
+
+
+def smooth(o: Observations, track: Track, motion: Motion, steps: int = 8) -> Track:
+    """Damped Gauss-Newton on K hypotheses at once; returns them with cost, weight and covariance."""
+    damping = np.full(len(track.omega), 1e-3)
+    parts = normal_equations(o, track, motion)
+    each = np.arange(6)
+    for _ in range(steps):
+        diagonal = parts[0].copy()
+        diagonal[..., each, each] += (damping[:, None] * parts[4])[:, None]
+        change = solve(diagonal, parts[1], parts[2])[0]
+        omega = shortened(track.omega + change[..., 3:], RATE_LIMIT * motion.rate_prior)
+        trial = Track(turn(track.attitude, change[..., :3]), omega)
+        new = normal_equations(o, trial, motion)
+        better = new[3] < parts[3]
+        track = Track(*(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
+                        for a, b in ((trial.attitude, track.attitude), (trial.omega, track.omega))))  # fmt: skip
+        gained = np.where(better, parts[3] - new[3], 0.0)
+        parts = tuple(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(new, parts, strict=True))
+        damping = np.where(better, damping / 5, damping * 8)
+        if np.all((gained < 1e-3) & (damping < 1e6) & better):
+            break
+    covariance, size = solve(parts[0], parts[1], parts[2])[1:]
+    return Track(track.attitude, track.omega, parts[3], -parts[3] - size / 2, covariance)

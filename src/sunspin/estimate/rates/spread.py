@@ -1,0 +1,72 @@
+"""How far the answer of :mod:`sunspin.estimate.rates` may be off: the mean rate of a pass, and what errors in common add.
+
+The panels' gains are wrong by the same amount in every sample of a pass, and the Earth lights the same side of a turning body, so
+that more samples do not help. Gains that the brightness of all samples has told, and the Earth's light, are "considered" and not
+estimated here: the answer's shift for each, times its sigma, is added to the covariance. Gains that are not told so, a gyro's zero
+and scale and the inertia are estimated (:mod:`sunspin.estimate.rates.common`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from sunspin.estimate.rates.common import Clock, Common, sun_part
+from sunspin.estimate.rates.smooth import measured, normal_equations, solve
+from sunspin.estimate.rates.state import Motion, Observations, Track
+
+Shift = Callable[[Observations, np.ndarray], np.ndarray]
+"""What other readings change (k, n, 6) in the states of the hypotheses (k)."""
+
+
+def with_spread(
+    o: Observations, track: Track, motion: Motion, mean: np.ndarray, common: Common | None = None, clock: Clock | None = None
+) -> tuple[Track, np.ndarray]:
+    """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates
+    over the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors in common, fitted with
+    this `clock`."""
+    if common is None:
+        diagonal, upper, *_ = normal_equations(o, track, motion)
+
+        def answer(slope: np.ndarray) -> np.ndarray:
+            return solve(diagonal, upper, slope)[0]
+
+        def slopes(other: Observations) -> tuple[np.ndarray, ...]:
+            return (measured(other, track)[1],)
+    else:
+        answer = common.shift
+
+        def slopes(other: Observations) -> tuple[np.ndarray, ...]:
+            part = sun_part(other, track, common.error, motion, clock)
+            return part.slope, part.error_slope
+
+    variance = np.empty((len(track.omega), 3))
+    for axis in range(3):
+        variance[:, axis] = np.einsum("kni,kni->k", mean[..., axis, :], answer(-mean[..., axis, :]))
+    covariance, before = track.covariance, slopes(o)
+    for other, share in [*_other_gains(o), *_earth_lit(o, track if common is None else common.seen)]:
+        shift = share * answer(*(new - old for new, old in zip(slopes(other), before, strict=True)))
+        covariance = covariance + shift[..., :, None] * shift[..., None, :]
+        variance += np.einsum("knji,kni->kj", mean, shift) ** 2
+    return replace(track, covariance=covariance), np.sqrt(np.maximum(variance, 0.0))
+
+
+def _other_gains(o: Observations) -> list[tuple[Observations, float]]:
+    """With one sigma more of each common error of the panels' gains."""
+    return [(replace(o, rows=o.rows + error), 1.0) for error in o.row_errors]
+
+
+def _earth_lit(o: Observations, track: Track) -> list[tuple[Observations, float]]:
+    """With the Earth's light as each hypothesis sees it, from each end of three axes that are fixed in space.
+
+    It may come from anywhere: the mean over the six stands for that over all directions.
+    """
+    if not (o.earth_light > 0 and o.power.size):
+        return []
+    found = []
+    for side in np.vstack([np.eye(3), -np.eye(3)]):
+        light = o.earth_light * o.scale[:, None] * np.maximum(track.attitude @ side @ o.rows.T, 0.0)
+        found.append((replace(o, power=o.power + light), 1 / np.sqrt(6)))
+    return found

@@ -1,0 +1,176 @@
+"""Where a search of :mod:`sunspin.estimate.rates.seed` starts: rates that take the Sun from one sample to the next.
+
+Two directions a known time apart leave a family of constant rates: one angle, the sign of the axis, and whole turns. Where the
+body's own motion or its wheels turn the rate between the two, no constant rate is a start, and a grid of rates takes its place.
+What a gyro or an attitude sensor says is a start as well.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sunspin.estimate.rates.motion import Body, nutation
+from sunspin.estimate.rates.smooth import measured
+from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.vehicle.response.cosine import sphere
+
+ANGLES = 36
+"""Turns tried in each full turn, 10 degrees apart: the smoother's basin is wider than that."""
+
+GRID = 500
+"""Directions on the sphere (about 9 degrees apart) tried where powers alone bound the Sun."""
+
+CANDIDATES = 10
+"""Directions kept of such a region."""
+
+SHARP_RAD = 0.15
+"""A direction better than this is a point to start from; a worse one is a region."""
+
+PRECESSION_RAD = 0.5
+"""A rate that turns in the body by more than this between samples: a constant rate is no start then."""
+
+COARSE_RAD = 0.6
+"""A grid with wider steps than this, as turns between two samples, may miss a motion."""
+
+GYRO_RAD = 0.5
+"""A gyro that errs by less than this between two samples is a start good enough to be the only one."""
+
+GRID_RAD, GRID_MOST = 0.35, 200_000
+"""Step of the grid of rates, as a turn between the first pair of samples, and how many starts it may make."""
+
+
+FLAT = 1e-6
+"""Panels' normals out of one plane by less than this see no difference between a Sun on either side of it."""
+
+
+def blind_axis(o: Observations) -> np.ndarray | None:
+    """The direction (3) along which no panel looks, where the Sun is known from panels in one plane alone; else None."""
+    if o.told.any() or not o.power.size:
+        return None
+    seeing = o.rows[np.isfinite(o.power_sigma).any(axis=0)]
+    size, axes = np.linalg.svd(seeing / np.linalg.norm(seeing, axis=1, keepdims=True))[1:]
+    return axes[2] if np.count_nonzero(size > FLAT) == 2 else None
+
+
+def mirrored(track: Track, axis: np.ndarray) -> Track:
+    """Hypotheses as a mirror across the plane of `axis` shows them: panels in that plane read the same."""
+    mirror = np.eye(3) - 2 * np.outer(axis, axis)
+    return Track(mirror @ track.attitude @ np.diag([-1.0, 1.0, 1.0]), -track.omega @ mirror)
+
+
+def facing(sun_B: np.ndarray) -> np.ndarray:
+    """Some attitude (..., 3, 3), B_from_N, that shows the Sun of N in the direction `sun_B` (..., 3)."""
+    other = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    x = np.cross(other, sun_B)
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, np.cross(sun_B, x), sun_B], axis=-1)
+
+
+def candidates(o: Observations, index: int) -> np.ndarray:
+    """Directions (n, 3) of the Sun that the sample `index` allows, best first."""
+    if o.told[index] and np.trace(o.sun_cov[index]) < 3 * SHARP_RAD**2:
+        return o.sun_B[index : index + 1]
+    grid = sphere(GRID)
+    still = Track(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
+    cost = measured(o.part(index, index + 1), still)[2][:, 0]
+    allowed = grid[cost < cost.min() + 3.0]
+    first = grid[np.argmin(cost)][None]
+    while len(first) < min(CANDIDATES, len(allowed)):  # the farthest from those taken already: they span the region
+        first = np.concatenate([first, allowed[[np.argmin((allowed @ first.T).max(axis=1))]]])
+    return first
+
+
+def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: float) -> np.ndarray:
+    """Constant rates (n, 3) rad/s that carry one direction (3) in the body to another (3) in `dt` s, `rate_max` at most."""
+    apart = float(np.arccos(np.clip(first @ second, -1, 1)))
+    middle = first + second
+    side = np.cross(first, second)
+    if np.linalg.norm(side) < 1e-6:
+        side = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
+    if np.linalg.norm(middle) < 1e-6:
+        middle = np.cross(side, first)
+    middle, side = middle / np.linalg.norm(middle), side / np.linalg.norm(side)
+    angle = np.linspace(apart, np.pi, ANGLES // 2)  # larger ones are turns the other way about the opposite axis
+    tilt = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)  # sine of the axis's angle from the Sun
+    along = np.sqrt(1 - tilt**2) / max(np.cos(apart / 2), 1e-9)
+    along = np.clip(np.concatenate([along, -along]), -1, 1)
+    axis = along[:, None] * middle + np.sqrt(1 - along**2)[:, None] * side
+    turns = np.arange(int(rate_max * dt / (2 * np.pi)) + 1)
+    total = np.concatenate([angle, angle])[:, None] + 2 * np.pi * turns
+    # the body's turn is the opposite of the Sun's; a turn by the rest of a circle goes the other way about the axis
+    found: list[np.ndarray] = []
+    found += [-axis[:, None] * total[..., None] / dt, axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None] / dt]
+    if apart < 0.5 and len(turns) > 1:  # nearly whole turns: about any axis
+        found.append(sphere(80)[:, None] * (2 * np.pi * turns[1:])[:, None] / dt)
+    rates = np.concatenate([np.reshape(rate, (-1, 3)) for rate in found])
+    return rates[np.linalg.norm(rates, axis=1) <= rate_max]
+
+
+def unsteadiness(body: Body, momentum: np.ndarray, rate_max: float) -> float:
+    """rad/s at which uneven moments and the wheels' momenta (..., 3) turn a rate of `rate_max` round in the body, at most."""
+    low, middle, high = np.linalg.eigvalsh(body.inertia)
+    return nutation(body, momentum) + rate_max * (high - low) / middle
+
+
+def steady(o: Observations, index: int, motion: Motion, rate_max: float) -> bool:
+    """Whether rates up to the largest hardly turn in the body from sample `index` to the next."""
+    turned = unsteadiness(motion.body, o.momentum[index : index + 2], rate_max) * (o.t_s[index + 1] - o.t_s[index])
+    return bool(turned < PRECESSION_RAD)
+
+
+def gyro_decides(o: Observations, index: int) -> bool:
+    """Whether a gyro tells the turn from sample `index` to the next, so that no other rate need be tried."""
+    told = np.isfinite(o.gyro[index : index + 2]).all()
+    return bool(told and o.gyro_sigma * (o.t_s[index + 1] - o.t_s[index]) < GYRO_RAD)
+
+
+def starts(
+    o: Observations, index: int, motion: Motion, rate_max: float, trust: bool = False
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Directions of the Sun (K, 3) and rates (K, 3) at sample `index` from which the next sample may be reached, and how far
+    (rad) the turn between the two may be from that of the nearest start. `trust`: take the gyro's word, where it decides."""
+    dt = float(o.t_s[index + 1] - o.t_s[index])
+    suns = candidates(o, index)
+    told = told_rates(o, index, rate_max)
+    if trust and gyro_decides(o, index) and len(told):
+        return np.repeat(suns, len(told), axis=0), np.tile(told, (len(suns), 1)), max(2 * np.pi / ANGLES, 2 * o.gyro_sigma * dt)
+    if not steady(o, index, motion, rate_max):
+        size = grid_step(len(suns), dt, rate_max)
+        rates = np.concatenate([_ball(size, rate_max), told])
+        return np.repeat(suns, len(rates), axis=0), np.tile(rates, (len(suns), 1)), size * dt
+    found = [(s0, np.concatenate([*(rates_between(s0, s1, dt, rate_max) for s1 in candidates(o, index + 1)), told])) for s0 in suns]
+    return (np.concatenate([np.broadcast_to(s0, rates.shape) for s0, rates in found]),
+            np.concatenate([rates for _, rates in found]), 2 * np.pi / ANGLES)  # fmt: skip
+
+
+def grid_step(suns: int, dt: float, rate_max: float) -> float:
+    """Step (rad/s) of a grid of rates: fine enough for the smoother, unless that were too many."""
+    return max(GRID_RAD / dt, rate_max * (4 * np.pi / 3 * suns / GRID_MOST) ** (1 / 3))
+
+
+def coarse(o: Observations, motion: Motion, rate_max: float) -> bool:
+    """Whether the shortest interval of a pass is so long for the largest rate that the grid of starts may miss a motion."""
+    index = int(np.argmin(np.diff(o.t_s)))
+    dt = float(o.t_s[index + 1] - o.t_s[index])
+    return not steady(o, index, motion, rate_max) and grid_step(1, dt, rate_max) * dt > COARSE_RAD
+
+
+def _ball(size: float, rate_max: float) -> np.ndarray:
+    axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid[np.linalg.norm(grid, axis=1) <= rate_max]
+
+
+def told_rates(o: Observations, index: int, rate_max: float) -> np.ndarray:
+    """Rates (n, 3) that a gyro or the change of a given attitude tells at sample `index`, with whole turns more or less."""
+    found = [o.gyro[index : index + 2]]
+    if np.isfinite(o.attitude[index : index + 2]).all():
+        dt = o.t_s[index + 1] - o.t_s[index]
+        angle = -Rotation.from_matrix(o.attitude[index + 1] @ o.attitude[index].T).as_rotvec()
+        size = max(float(np.linalg.norm(angle)), 1e-9)
+        turns = np.arange(-int(rate_max * dt / (2 * np.pi)) - 1, int(rate_max * dt / (2 * np.pi)) + 1)
+        found.append(angle / dt * (1 + 2 * np.pi * turns[:, None] / size))
+    rates = np.concatenate(found)
+    rates = rates[np.isfinite(rates).all(axis=1)]
+    return rates[np.linalg.norm(rates, axis=1) <= rate_max]

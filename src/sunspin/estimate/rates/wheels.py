@@ -1,0 +1,60 @@
+"""How fast the wheels turn while a satellite is watched: measured, held at their nominal speed, or coasting against friction.
+
+The smoother of :mod:`sunspin.estimate.rates` needs the wheels' momentum at every sample. Given as a function of time it is exact
+whatever torque makes it so; what a coasting wheel gains from the body's own turning is below J / Theta of it and left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from sunspin.dynamics.friction import spin_down_speed
+from sunspin.estimate.rates.motion import mean_moment
+from sunspin.vehicle import Vehicle
+
+MEASURED = "measured"
+HELD = "held at the nominal speed"
+COASTING = "coasting from the nominal speed at the first sample"
+
+
+def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarray]:
+    """What the wheels may be doing -> their momentum at each sample (n, 3), in mean moments of inertia times rad/s.
+
+    Measured speeds leave one possibility. Without them the wheels are held, or coast with the friction of the vehicle file or
+    with one of its alternatives: which, is for the data to say.
+    """
+    t = np.asarray(telemetry["time"], dtype=np.float64)
+    none = np.zeros((len(t), 3))
+    if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
+        return {"none": none}
+    if "wheel_speed_rad_s" in telemetry:
+        return {MEASURED: _momentum(vehicle, _filled(t, telemetry["wheel_speed_rad_s"].values, vehicle))}
+    nominal = np.array([wheel.speed_rad_s for wheel in vehicle.wheels])
+    found = {HELD: _momentum(vehicle, np.broadcast_to(nominal, (len(t), len(nominal))))}
+    if np.any(nominal):
+        names = dict.fromkeys(name for wheel in vehicle.wheels for name in wheel.alternative_frictions)
+        for name in (None, *names):
+            frictions = [w.friction if name is None else w.alternative_frictions.get(name, w.friction) for w in vehicle.wheels]
+            if any(friction.coulomb_N_m or friction.viscous_N_m_s for friction in frictions):
+                speed = [
+                    spin_down_speed(f.coulomb_N_m, f.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, t - t[0])
+                    for w, f in zip(vehicle.wheels, frictions, strict=True)
+                ]
+                found[COASTING + (f", friction {name!r}" if name else "")] = _momentum(vehicle, np.stack(speed, axis=1))
+    return found
+
+
+def _momentum(vehicle: Vehicle, speed: np.ndarray) -> np.ndarray:
+    axes = np.array([wheel.inertia_kg_m2 * np.asarray(wheel.axis_B) for wheel in vehicle.wheels])
+    return speed @ axes / mean_moment(vehicle)
+
+
+def _filled(t: np.ndarray, speed: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """Speeds (n, n_wheel) with gaps bridged linearly; a wheel never read keeps its nominal speed."""
+    full = np.empty(speed.shape)
+    for k, wheel in enumerate(vehicle.wheels):
+        known = np.flatnonzero(np.isfinite(speed[:, k]))
+        known = known[np.argsort(t[known], kind="stable")]
+        full[:, k] = np.interp(t, t[known], speed[known, k]) if len(known) else wheel.speed_rad_s
+    return full

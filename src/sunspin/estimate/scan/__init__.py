@@ -1,0 +1,1 @@
+"""A grid of initial rates, each motion compared with what was measured."""

@@ -1,0 +1,165 @@
+"""Why a direct fit fails after the touchdown: how an error of any input grows with the length of the window.
+
+The direction error of a run with one input changed by a little is measured against the unchanged run. The motion is not
+chaotic: phases drift apart, at a constant rate where a frequency is off and at a growing one where friction is. Once the
+error is of the size of a turn, E no longer tells near from far, so its valley is as narrow as one radian over that growth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.compute.rows import ensemble
+from sunspin.dynamics.propagate import propagate, wheel_speeds
+from sunspin.estimate.scan.error_maps import nominal, varied
+from sunspin.estimate.scan.mask import allows, reconstructible_mask
+from sunspin.estimate.scan.metrics import direction_error, emd
+from sunspin.estimate.scan.rows import Start, TrackRows
+from sunspin.vehicle import Vehicle
+
+RATES = ("omega_x", "omega_y", "omega_z")
+
+SMALL_CHANGE = 1e-6
+"""Relative change of an input: small against one that turns a phase by a radian, large against the propagator's 1e-12."""
+
+ONE_PERCENT = 0.01
+
+STEP_S = 2.0
+"""Between directions of a track, against a fastest turn of about 8 s."""
+
+FIT_FROM = 0.1
+"""Part of the window after which the growth is fitted by a power of time."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion to study: vehicle, initial rate (3) rad/s, direction to the Sun (3), wheel speeds (n_wheel) rad/s, length s."""
+
+    vehicle: Vehicle
+    omega_B: np.ndarray
+    sun_B: np.ndarray
+    wheel_speed_rad_s: np.ndarray
+    duration_s: float
+
+    @classmethod
+    def of(
+        cls, vehicle: Vehicle, omega_B: npt.ArrayLike, sun_B: npt.ArrayLike, wheel_speed_rad_s: Any, duration_s: float
+    ) -> Motion:
+        """Checked: the direction is made a unit vector, wheel speeds may be a number or None."""
+        sun = np.asarray(sun_B, dtype=np.float64)
+        if not (np.isfinite(duration_s) and duration_s > 0):
+            raise InputError(sentence("duration_s must be positive", got=duration_s))
+        speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
+        return cls(vehicle, np.asarray(omega_B, dtype=np.float64), sun / np.linalg.norm(sun), speeds, float(duration_s))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of what can be changed: rates, moments of inertia, and where there is a wheel its speed and friction."""
+        wheel = ("wheel_speed", "mu_0", "mu_1") if self.vehicle.wheels else ()
+        return (*RATES, "theta_xx", "theta_yy", "theta_zz", *wheel)
+
+    def changed(self, name: str, relative: float) -> Motion:
+        """With one input changed by this part of itself; a rate by this part of the angular speed."""
+        if name in RATES:
+            omega = self.omega_B.copy()
+            omega[RATES.index(name)] += relative * np.linalg.norm(self.omega_B)
+            return Motion(self.vehicle, omega, self.sun_B, self.wheel_speed_rad_s, self.duration_s)
+        if name == "wheel_speed":
+            speeds = self.wheel_speed_rad_s * (1 + relative)
+            return Motion(self.vehicle, self.omega_B, self.sun_B, speeds, self.duration_s)
+        vehicle = varied(self.vehicle, name, nominal(self.vehicle, name) * (1 + relative))
+        return Motion(vehicle, self.omega_B, self.sun_B, self.wheel_speed_rad_s, self.duration_s)
+
+    def track(self, t_s: np.ndarray) -> np.ndarray:
+        """Directions to the Sun (n, 3) at t_s."""
+        run = propagate(self.vehicle, self.omega_B, self.sun_B, self.wheel_speed_rad_s, t_s)
+        return run["sun_B"].values
+
+
+def growth(motion: Motion, relative: float = SMALL_CHANGE) -> xr.Dataset:
+    """Direction error per relative change of each input against the length of the window, by differences.
+
+    Returns
+    -------
+    xarray.Dataset
+        On (input, time): `error_rad`, the largest angle so far between changed and unchanged run over the relative change
+        (rad; of a rate: relative to the angular speed). On `input`: `power`, of time in a fit to the later nine tenths.
+    """
+    t = np.arange(0.0, motion.duration_s + STEP_S / 2, STEP_S)
+    unchanged = motion.track(t)
+    error = []
+    for name in motion.inputs:
+        chord = np.linalg.norm(motion.changed(name, relative).track(t) - unchanged, axis=1)
+        error.append(np.maximum.accumulate(2 * np.arcsin(np.minimum(chord / 2, 1.0))) / relative)
+    values = np.array(error)
+    late = t >= FIT_FROM * motion.duration_s
+    power = [float(np.polyfit(np.log(t[late]), np.log(np.maximum(row[late], 1e-12)), 1)[0]) for row in values]
+    return xr.Dataset(
+        {
+            "error_rad": (("input", "time"), values, {"units": "rad", "long_name": "direction error per relative change"}),
+            "power": ("input", power, {"units": "1", "long_name": "power of time with which the error grows"}),
+        },
+        coords={"input": list(motion.inputs), "time": ("time", t, {"units": "s"})},
+        attrs={"vehicle": motion.vehicle.name, "angular_speed_rad_s": float(np.linalg.norm(motion.omega_B))},
+    )
+
+
+def one_percent(motion: Motion, sample_step_s: float, relative: float = ONE_PERCENT) -> xr.Dataset:
+    """E and EMD between the motion and the same with one input changed by one percent, the larger of both signs.
+
+    E at samples every `sample_step_s`, EMD over the directions that the panels allow to reconstruct (paper, eqs. 12, 13).
+    On `input`: `E`, `emd`.
+    """
+    t = np.arange(0.0, motion.duration_s + STEP_S / 2, STEP_S)
+    every = max(round(sample_step_s / STEP_S), 1)
+    mask = reconstructible_mask(motion.vehicle)
+    unchanged = motion.track(t)
+    seen = unchanged[allows(mask, unchanged), 2]
+    if seen.size == 0:
+        raise InputError(sentence("none of this motion's directions could be reconstructed", do="choose another motion"))
+    table = np.zeros((len(motion.inputs), 2))
+    for i, name in enumerate(motion.inputs):
+        for sign in (1, -1):
+            track = motion.changed(name, sign * relative).track(t)
+            other = track[allows(mask, track), 2]
+            found = direction_error(track[::every], unchanged[::every]), emd(other, seen) if other.size else 1.0
+            table[i] = np.maximum(table[i], found)
+    return xr.Dataset(
+        {"E": ("input", table[:, 0], {"units": "1"}), "emd": ("input", table[:, 1], {"units": "1"})},
+        coords={"input": list(motion.inputs)},
+        attrs={"relative_change": relative},
+    )
+
+
+def valleys(
+    motion: Motion, change_rad_s: npt.ArrayLike, windows_s: npt.ArrayLike, sample_step_s: float, workers: int | None = None
+) -> xr.DataArray:
+    """E over (window, change of omega_x in rad/s) against the motion's own directions, sampled every `sample_step_s`."""
+    change, windows = np.asarray(change_rad_s, dtype=np.float64), np.asarray(windows_s, dtype=np.float64)
+    axes = [motion.omega_B[0] + change, motion.omega_B[1:2], motion.omega_B[2:]]
+    start = Start.on_grid(motion.vehicle, axes, motion.sun_B, motion.wheel_speed_rad_s)
+    found = []
+    for window in windows:
+        times = np.arange(0.0, window + sample_step_s / 2, sample_step_s)
+        rows = TrackRows(motion.vehicle, start, motion.track(times), times)
+        found.append(ensemble(rows, workers=workers, chunk=512)["E"])
+    return xr.DataArray(
+        np.array(found), dims=("window", "change"), name="E", attrs={"units": "1"},
+        coords={"window": ("window", windows, {"units": "s"}), "change": ("change", change, {"units": "rad/s"})},
+    )  # fmt: skip
+
+
+def valley_width(valley: xr.DataArray) -> np.ndarray:
+    """Full width (n_window) in rad/s of the valley around no change, at half its depth (from zero to the median of E)."""
+    change, widths = valley["change"].values, []
+    for row in valley.values:
+        above = row > np.median(row) / 2
+        left, right = change[above & (change < 0)], change[above & (change > 0)]
+        widths.append((right.min() if right.size else np.inf) - (left.max() if left.size else -np.inf))
+    return np.array(widths)

@@ -1,0 +1,219 @@
+"""The scan: a grid of initial rates, the distance of each simulated Sun track from what was measured.
+
+Two distances, as in the paper: EMD between the distributions of r_z (eq. 13), accumulated while the kernel runs and never
+storing a track; and E, the mean misfit of directions at the times of the samples (eq. 12).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.compute.rows import CHUNK, ensemble
+from sunspin.dynamics import ensemble as k
+from sunspin.estimate.scan.rows import BINS, TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows
+from sunspin.vehicle import Vehicle
+
+MAX_ROWS = 50_000_000
+"""Grids beyond this are refused."""
+
+SECONDS_PER_ROW, BYTES_PER_ROW = 1e-4, 30
+"""For estimates: 42 to 189 microseconds of a core for 45 min of Philae, and two results with their copies."""
+
+MANY_ROWS = 5_000
+"""Grids from here on nearly always hold motions near an unstable spin, which are run again by the other method: its kernel is
+compiled beside the first."""
+
+GPU_CHUNK = 65_536
+"""Rows that a GPU is given at once: 255 registers let one with 132 processors run 33,792. Each takes 1.5 kB of its memory."""
+
+
+def scan(
+    vehicle: Vehicle,
+    target_z: Any,
+    sun_B: npt.ArrayLike,
+    omega_x: npt.ArrayLike,
+    omega_y: npt.ArrayLike,
+    omega_z: npt.ArrayLike,
+    wheel_speed_rad_s: npt.ArrayLike | None,
+    duration_s: float | None = None,
+    *,
+    weights: npt.ArrayLike | None = None,
+    mask: str | None = "reconstructible",
+    wheel_mode: str | Sequence[str] = "coast",
+    emd_error: float | None = None,
+    direction_error: float | None = None,
+    workers: int | None = None,
+    store: str | Path | None = None,
+    scheduler: Any = None,
+    device: str = "cpu",
+    progress: bool = False,
+) -> xr.DataArray:
+    """Distance between simulation and measurement over a grid of initial body rates.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    target_z : (n,) or Dataset
+        Measured z components of the Sun's direction: the distance is EMD. Or a track, a Dataset with `sun_B (time, axis)`
+        and `time` (s after the start of the run): the distance is E. Samples with NaN directions are left out.
+    sun_B : (3,)
+        Direction to the Sun at the start, body axes.
+    omega_x, omega_y, omega_z : 1-D, rad/s
+        Grid of body rates at the start.
+    wheel_speed_rad_s : number, (n_wheel,) or None
+    duration_s : s
+        Length of the run (EMD); for E it is the time of the last sample.
+    weights : (n,), optional
+        Weights of `target_z`.
+    mask : "reconstructible" or None
+        Count only directions that the panels allow to reconstruct, or all. Only for EMD.
+    wheel_mode : "coast", "hold", "brake", or one per wheel.
+    emd_error : float, optional
+        Error wanted of the EMD; 1e-3 unless given. Anything tighter is much slower.
+    direction_error : float, optional
+        Instead, error wanted (rad) of the simulated Sun's direction at the end; for a track 1e-3 unless given.
+    workers : int, optional
+        Threads, or worker processes of the scheduler "local"; default one per core.
+    store : path, optional
+        Folder in which rows are kept as they are computed; the same call resumes there after any interruption.
+    scheduler : "local", address or dask.distributed.Client, optional
+        Run on a Dask cluster. Both as in :func:`sunspin.compute.rows.ensemble`.
+    device : "cpu" or "cuda"
+        Run the rows on the processor, or on an NVIDIA GPU of this machine or, with a scheduler, of each worker: to the same
+        accuracy, not to the same bits.
+    progress : bool
+        Show a progress bar on a terminal.
+
+    Returns
+    -------
+    xarray.DataArray
+        `emd` or `E` over (omega_x, omega_y, omega_z), with a coordinate `outcome` (0: computed as asked). A motion whose
+        Sun could never have been reconstructed has EMD 1, the largest there is.
+    """
+    axes = [_axis(values, name) for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))]
+    n_rows = math.prod(len(axis) for axis in axes)
+    check_size(*(len(axis) for axis in axes))
+    start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s)
+    mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
+    rows: EmdRows | TrackRows
+    if isinstance(target_z, xr.Dataset):
+        name, rows = "E", _track_rows(vehicle, start, target_z, mode, emd_error, direction_error, device)
+    else:
+        length = np.nan if duration_s is None else duration_s  # refused there
+        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, length, mask, mode, emd_error, direction_error, device)
+    if scheduler is None:
+        k.require_device(device)  # before a store is made
+        if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:
+            k.prepare(vehicle, [(rows.condition, BINS)])
+    chunk = CHUNK if device == "cpu" else GPU_CHUNK
+    out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
+    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device)
+
+
+def volume(
+    vehicle: Vehicle,
+    start: Start,
+    name: str,
+    values: np.ndarray,
+    outcome: np.ndarray,
+    mask: Any,
+    wheel_mode: Any,
+    device: str = "cpu",
+) -> xr.DataArray:
+    """Values of all rows of a grid, and their outcomes, as `scan` returns them."""
+    dims = ("omega_x", "omega_y", "omega_z")
+    axes = (start.omega_x, start.omega_y, start.omega_z)
+    result = xr.DataArray(
+        values.reshape(start.shape),
+        dims=dims,
+        coords={dim: (dim, axis, {"units": "rad/s"}) for dim, axis in zip(dims, axes, strict=True)},
+        name=name,
+        attrs={
+            "units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode),
+            "vector_bits": k.vector_bits(), "device": device,
+        },
+    )
+    result = result.assign_coords(outcome=(dims, outcome.reshape(start.shape)))
+    result["outcome"].attrs = {
+        "flag_values": [int(o) for o in k.Outcome],
+        "flag_meanings": " ".join(o.name.lower() for o in k.Outcome),
+    }
+    return result
+
+
+def check_size(*points: float) -> None:
+    """Refuse a grid of so many points along each axis that it would take unreasonably long, with an estimate."""
+    n_rows = math.prod(float(n) for n in points)
+    if n_rows > MAX_ROWS:
+        hours, memory = n_rows * SECONDS_PER_ROW / 3600, n_rows * BYTES_PER_ROW / 1e9
+        raise InputError(
+            sentence(
+                f"the grid has {n_rows:.3g} points, more than {MAX_ROWS:.3g}: it would take some {hours:.2g} h of one core and "
+                f"{memory:.2g} GB of memory",
+                got=" x ".join(f"{n:.0f}" for n in points), do="use a larger step or a smaller range",
+            )
+        )  # fmt: skip
+
+
+def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
+    axis = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if axis.ndim != 1 or axis.size == 0 or not np.all(np.isfinite(axis)):
+        raise InputError(sentence(f"{name} must be a list of finite rates in rad/s", got=f"shape {axis.shape}"))
+    return axis
+
+
+def _track_rows(
+    vehicle: Vehicle, start: Start, track: xr.Dataset, wheel_mode: str | tuple[str, ...], emd_error: float | None,
+    direction_error: float | None, device: str,
+) -> TrackRows:  # fmt: skip
+    if emd_error is not None:
+        raise InputError(sentence("a track is compared by E, not by EMD", got=f"emd_error {emd_error}", do="give direction_error"))
+    measured = np.asarray(track["sun_B"], dtype=np.float64)
+    known = np.all(np.isfinite(measured), axis=1)
+    if not known.any():
+        raise InputError(sentence("the track holds no direction to compare with"))
+    times = np.asarray(track["time"], dtype=np.float64)[known]
+    error = TRACK_DIRECTION_ERROR if direction_error is None else direction_error
+    return TrackRows(vehicle, start, measured[known], times, wheel_mode, error, device)
+
+
+def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
+    """Grid points (n, 3) in rad/s with `emd` below `factor` times the smallest (paper, eq. 14 with factor 1.1).
+
+    Parameters
+    ----------
+    emd : DataArray over omega_x, omega_y, omega_z
+        Of `scan`; its coordinates are rates in body axes.
+
+    Rows whose `outcome` says that they could not be computed take no part.
+    """
+    if not factor > 1:
+        raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=factor))
+    values = _computed(emd)
+    if not np.isfinite(values).any():
+        raise InputError(sentence("no motion of the grid could be computed", do="see its coordinate `outcome`"))
+    return _points(emd, values < factor * np.nanmin(values))
+
+
+def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
+    """Grid points (n, 3) in rad/s with EMD below a threshold; rows that could not be computed take no part."""
+    return _points(emd, _computed(emd) < threshold)
+
+
+def _computed(emd: xr.DataArray) -> np.ndarray:
+    if "outcome" in emd.coords:
+        emd = emd.where(emd["outcome"] == k.Outcome.FINE)
+    return emd.transpose("omega_x", "omega_y", "omega_z").values
+
+
+def _points(emd: xr.DataArray, chosen: np.ndarray) -> np.ndarray:
+    i, j, l = np.nonzero(chosen)
+    return np.stack([emd["omega_x"].values[i], emd["omega_y"].values[j], emd["omega_z"].values[l]], axis=-1)

@@ -1,0 +1,100 @@
+"""Synthetic telemetry of any vehicle that moves as a known truth says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.dynamics.propagate import propagate
+from sunspin.telemetry.synthetic import generator, noisy_power, on_time_grid, telemetry_dataset
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.cosine import panel_power
+
+EPOCH_UTC = "2000-01-01T12:00:00Z"
+"""Epoch of a twin whose vehicle names none: a twin need not happen on any day."""
+
+NOISE_OF_LARGEST = 0.02
+"""Where gains are relative, the scale makes the vehicle's noise this part of the largest panel's full signal."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The motion behind a twin: the state at ``t_s[0]``, the sample times, and how the panels see it.
+
+    `omega_B` (3) rad/s and `sun_B` (3) in body axes; `t_s` (n) s from the epoch; `wheel_speed_rad_s` as in `propagate`
+    (default: the vehicle's nominal speeds); `scale` the signal of a panel of gain one at normal incidence (default: 1,
+    or with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma in the unit of the
+    signal (default: the vehicle's, zero where it states none).
+    """
+
+    omega_B: npt.ArrayLike
+    sun_B: npt.ArrayLike
+    t_s: npt.ArrayLike
+    wheel_speed_rad_s: npt.ArrayLike | None = None
+    wheel_mode: Any = "coast"
+    scale: float | None = None
+    noise: float | None = None
+
+
+def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed: int = 0) -> xr.Dataset:
+    """Telemetry of a vehicle that moves as `truth` says; see :func:`sunspin.twin`, which passes a vehicle on to here."""
+    vehicle.require_panels()
+    known = _truth(truth)
+    scale, noise = _scale(known, vehicle), _noise(known, vehicle)
+    speeds = known.wheel_speed_rad_s
+    if speeds is None:
+        speeds = [wheel.speed_rad_s for wheel in vehicle.wheels]
+    t = on_time_grid(np.atleast_1d(known.t_s))
+    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode)
+    sun = track["sun_B"].values
+    power = noisy_power(vehicle, scale * panel_power(vehicle, sun), noise, generator(seed, 0))
+    told = {
+        "omega_B": np.array(known.omega_B, dtype=np.float64),
+        "sun_B": np.array(known.sun_B, dtype=np.float64),
+        "wheel_speed_rad_s": np.atleast_1d(np.array(speeds, dtype=np.float64)),
+        "wheel_mode": str(known.wheel_mode),
+        "scale": scale,
+        "noise": noise,
+        "seed": seed,
+    }
+    return telemetry_dataset(vehicle, t, power, sun, vehicle.telemetry.epoch_utc or EPOCH_UTC, told)
+
+
+def _truth(truth: Truth | Mapping[str, Any]) -> Truth:
+    if isinstance(truth, Truth):
+        return truth
+    names = [field.name for field in fields(Truth)]
+    unknown = sorted(set(truth) - set(names))
+    missing = [name for name in ("omega_B", "sun_B", "t_s") if name not in truth]
+    if unknown or missing:
+        raise InputError(
+            sentence(
+                f"a truth has the fields {', '.join(names)}",
+                got=", ".join([f"unknown {name}" for name in unknown] + [f"no {name}" for name in missing]),
+            )
+        )
+    return Truth(**truth)
+
+
+def _scale(truth: Truth, vehicle: Vehicle) -> float:
+    if truth.scale is None:
+        noise = vehicle.telemetry.noise
+        if vehicle.gain_unit is not None or noise is None:
+            return 1.0
+        return noise / (NOISE_OF_LARGEST * float(vehicle.panel_gains.max()))
+    if not (np.isfinite(truth.scale) and truth.scale > 0):
+        raise InputError(sentence("the scale of a twin must be positive", got=truth.scale))
+    return float(truth.scale)
+
+
+def _noise(truth: Truth, vehicle: Vehicle) -> float:
+    noise = truth.noise if truth.noise is not None else vehicle.telemetry.noise or 0.0
+    if not (np.isfinite(noise) and noise >= 0):
+        raise InputError(sentence("the noise of a twin must be zero or positive", got=noise))
+    return float(noise)

@@ -1,0 +1,1 @@
+"""What a motion means for a lander: collision, flight, contact, wheel strategies."""

@@ -1,0 +1,185 @@
+"""What touches the ground first, and on what the vehicle comes to rest: the convex hull of its parts against a plane.
+
+The support function of a set of points, S(d) = max over its points x of x.d, is how far the vehicle reaches from its
+centre of mass in the direction d: with d straight down it is the height of the centre of mass over flat ground at contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.vehicle import Vehicle
+
+KINDS = ("leg", "panel", "body")
+"""What a point of the shape belongs to; a corner that panels share with the bare body counts as panel."""
+
+COPLANAR = 1e-6
+"""Facets closer than this (normals, and m per m of size) are one facet."""
+
+REFINE = 16
+"""Instants per sampling interval at which the first contact is looked for once its interval is known."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Points that can touch the ground, and the facets of their convex hull.
+
+    Attributes
+    ----------
+    points_B_m : (n_point, 3) m from the centre of mass, body axes.
+    kind : (n_point) index in `KINDS`.
+    leg : (n_point) number of the leg whose end the point is, or -1.
+    panels : (n_point, n_panel) whether the point is a corner of that panel.
+    normals_B, distances_m : outward unit normals (n_facet, 3) and distances of the facets, or None: see `rest_facet`.
+    facet_kind : (n_facet) index in `KINDS` of what the vehicle rests on: "leg" if on ends of legs only, "panel" if a corner
+        of a panel takes part.
+    complete : False where no hull is given, so that the ends of the legs are all there is.
+    """
+
+    points_B_m: np.ndarray
+    kind: np.ndarray
+    leg: np.ndarray
+    panels: np.ndarray
+    normals_B: np.ndarray | None
+    distances_m: np.ndarray | None
+    facet_kind: np.ndarray | None
+    complete: bool
+
+    @property
+    def reach_m(self) -> float:
+        """Largest distance of a point from the centre of mass."""
+        return float(np.linalg.norm(self.points_B_m, axis=1).max())
+
+
+def shape_of(vehicle: Vehicle) -> Shape | None:
+    """The vehicle's shape: parts of the hull and ends of the legs; None where the file gives neither."""
+    found: dict[tuple, dict] = {}
+    for part in vehicle.hull:
+        for point in part.points_B_m:
+            entry = found.setdefault(tuple(np.round(point, 9)), {"leg": -1, "panels": set()})
+            if part.panel is not None:
+                entry["panels"].add(vehicle.panel_names.index(part.panel))
+    for k, leg in enumerate(vehicle.legs):
+        found.setdefault(tuple(np.round(leg.tip_B_m, 9)), {"panels": set()})["leg"] = k
+    if not found:
+        return None
+    points = np.array(list(found))
+    legs = np.array([entry["leg"] for entry in found.values()])
+    panels = np.zeros((len(points), len(vehicle.panels)), dtype=bool)
+    for row, entry in zip(panels, found.values(), strict=True):
+        row[list(entry["panels"])] = True
+    kind = np.where(legs >= 0, 0, np.where(panels.any(axis=1), 1, 2))
+    return Shape(points, kind, legs, panels, *_facets(points, kind), bool(vehicle.hull))
+
+
+def _facets(points: np.ndarray, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | tuple[None, None, None]:
+    """Normals, distances and kinds of the hull's facets; None where it has no volume or leaves the centre of mass out."""
+    if len(points) < 4:
+        return None, None, None
+    try:
+        equations = ConvexHull(points).equations
+    except QhullError:
+        return None, None, None
+    size = np.linalg.norm(points, axis=1).max()
+    if np.any(equations[:, 3] >= -COPLANAR * size):
+        return None, None, None
+    _, first = np.unique(np.round(equations / COPLANAR / 10), axis=0, return_index=True)
+    facets = equations[np.sort(first)]
+    normals, distances = facets[:, :3], -facets[:, 3]
+    on = np.abs(points @ normals.T - distances) < 100 * COPLANAR * size  # (point, facet)
+    facet_kind = [0 if np.all(kind[part] == 0) else 1 if np.any(kind[part] == 1) else 2 for part in on.T]
+    return normals, distances, np.array(facet_kind)
+
+
+def support(points_B_m: np.ndarray, direction_B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The support function and where it is reached.
+
+    Parameters
+    ----------
+    points_B_m : (n_point, 3) m
+    direction_B : (..., 3) unit vectors
+
+    Returns
+    -------
+    S (...) in m and the number of the point (...); among equals the first.
+    """
+    heights = direction_B @ points_B_m.T
+    index = np.argmax(heights, axis=-1)
+    return np.take_along_axis(heights, index[..., None], axis=-1)[..., 0], index
+
+
+def legs_down(shape: Shape, up_B: np.ndarray) -> np.ndarray:
+    """Whether, the ground's normal being up_B (..., 3), the lowest point of the shape is the end of a leg."""
+    return shape.kind[support(shape.points_B_m, -up_B)[1]] == 0
+
+
+def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
+    """Facet (n) on which a vehicle set down with the ground's normal at up_B (n, 3) comes to rest, rolling without speed.
+
+    The plumb line from the centre of mass meets one facet; the vehicle tips onto it, its centre of mass sinks to the
+    facet's distance, and so on until the foot of the perpendicular lies inside the facet. Each step lowers the centre of
+    mass: (plumb meets g when resting on f) d_g <= d_f n_g.n_f < d_f, so it ends.
+    """
+    normals, distances = shape.normals_B, shape.distances_m
+    if normals is None or distances is None:
+        raise InputError(sentence("this shape has no facet to rest on", do="give a hull with a volume around the centre of mass"))
+    down = -up_B
+    facet = np.full(len(up_B), -1)
+    for _ in range(len(distances) + 1):
+        beyond = np.argmax(down @ normals.T / distances, axis=1)
+        if np.array_equal(beyond, facet):
+            break
+        facet, down = beyond, normals[beyond]
+    return facet
+
+
+@dataclass(frozen=True)
+class Contact:
+    """First contact with flat ground: time (n) s, point (n), the ground's normal (n, 3) and body rate (n, 3) rad/s then."""
+
+    t_s: np.ndarray
+    point: np.ndarray
+    up_B: np.ndarray
+    omega_B: np.ndarray
+
+
+def first_contact(shape: Shape, t_s: np.ndarray, up_B: np.ndarray, omega_B: np.ndarray, approach_m_s: np.ndarray) -> Contact:
+    """Where a vehicle that turns while it comes down first touches flat ground.
+
+    Parameters
+    ----------
+    t_s : (n_t,)
+        Instants, increasing; at the last one the centre of mass would reach the plane.
+    up_B : (n, n_t, 3)
+        The ground's normal in body axes at these instants.
+    omega_B : (n, n_t, 3) rad/s
+    approach_m_s : (n,)
+        Speed of the centre of mass towards the plane, constant: gravity is left out, on a comet it adds millimetres.
+
+    Returns
+    -------
+    Contact
+        Within the sampling interval in which the lowest point first passes the plane, `REFINE` instants decide, the
+        normal interpolated by cubic Hermite pieces (du/dt = u x omega). Samples must be a fraction of a radian apart.
+    """
+    rows = np.arange(len(up_B))
+    height = approach_m_s[:, None] * (t_s[-1] - t_s)
+    below = height <= support(shape.points_B_m, -up_B)[0]
+    after = np.maximum(np.argmax(below, axis=1), 1)
+    before = after - 1
+    span = t_s[after] - t_s[before]
+    s = np.linspace(0.0, 1.0, REFINE + 1)[:, None]
+    u0, u1 = up_B[rows, before][:, None], up_B[rows, after][:, None]
+    w0, w1 = omega_B[rows, before][:, None], omega_B[rows, after][:, None]
+    slope0, slope1 = (np.cross(u, w) * span[:, None, None] for u, w in ((u0, w0), (u1, w1)))
+    up = u0 * (1 + 2 * s) * (1 - s) ** 2 + slope0 * s * (1 - s) ** 2 + u1 * s**2 * (3 - 2 * s) - slope1 * s**2 * (1 - s)
+    up /= np.linalg.norm(up, axis=-1, keepdims=True)
+    t = t_s[before][:, None] + span[:, None] * s[:, 0]
+    reach, point = support(shape.points_B_m, -up)
+    hit = np.argmax(approach_m_s[:, None] * (t_s[-1] - t) <= reach, axis=1)
+    mean = w0[:, 0] + (w1 - w0)[:, 0] * s[hit]
+    return Contact(t[rows, hit], point[rows, hit], up[rows, hit], mean)

@@ -1,0 +1,103 @@
+"""Chains of kernel runs: many motions under one schedule of wheel commands, and where a fixed direction then points.
+
+A schedule is a sequence of (time, command for all wheels); the kernel takes one command at a time, so a motion is a chain of
+runs from switch to switch. Total momentum and the direction to the Sun are two directions fixed in space: together they
+carry any third one from one instant to another (not through an impact, where the body has no time to turn).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.wheel_modes import Schedule, command_at, switch_times
+from sunspin.vehicle import Vehicle
+
+DIRECTION_ERROR = 1e-2
+"""Error (rad) wanted of each leg of a chain, for statistics over motions that are uncertain by much more."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """Motions (n) at instants (n_t): total momentum, Sun, rate (n, n_t, 3), wheel speeds (n, n_t, n_wheel); outcome (n)."""
+
+    momentum_B: np.ndarray
+    sun_B: np.ndarray
+    omega_B: np.ndarray
+    wheel_speed_rad_s: np.ndarray
+    outcome: np.ndarray
+
+    def at(self, i: int) -> k.Rows:
+        """States at one instant, to start from."""
+        return k.Rows(self.omega_B[:, i], self.sun_B[:, i], self.wheel_speed_rad_s[:, i])
+
+
+def legs_of(schedule: Schedule, begin_s: float, end_s: float) -> list[tuple[float, float, str]]:
+    """(from, to, command) between the switches; backward where the end is before the beginning."""
+    edges = [begin_s, *switch_times([schedule], begin_s, end_s), end_s]
+    return [(a, b, command_at(schedule, min(a, b))) for a, b in zip(edges, edges[1:], strict=False)]
+
+
+def fly(vehicle: Vehicle, rows: k.Rows, schedule: Schedule, begin_s: float, times_s: np.ndarray) -> Track:
+    """Run motions from `begin_s` and return them at `times_s` (n_t,): all later and increasing, or all earlier, decreasing."""
+    times = np.asarray(times_s, dtype=np.float64)
+    pieces, outcome = [], np.zeros(len(rows), dtype=np.int64)
+    for begin, end, command in legs_of(schedule, begin_s, times[-1]):
+        wanted = times[(times > begin) & (times <= end)] if end > begin else times[(times < begin) & (times >= end)]
+        stops = np.unique(np.concatenate([wanted, [end]]))
+        stops = stops if end > begin else stops[::-1]
+        result = k.run_rows(vehicle, rows, stops - begin, wheel_mode=command, direction_error=DIRECTION_ERROR)
+        piece = Track(result.momentum_B, result.sun_B, result.omega_B, result.wheel_speed_rad_s, result.outcome)
+        outcome = np.where(outcome == 0, result.outcome, outcome)
+        rows = piece.at(-1)
+        pieces.append((piece, np.isin(stops, wanted)))
+    parts = ("momentum_B", "sun_B", "omega_B", "wheel_speed_rad_s")
+    joined = {name: np.concatenate([getattr(piece, name)[:, use] for piece, use in pieces], axis=1) for name in parts}
+    return Track(**joined, outcome=outcome)
+
+
+def sun_height_shares(
+    vehicle: Vehicle, rows: k.Rows, schedule: Schedule, begin_s: float, end_s: float, bins: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Share of the time (n, bins) that r_z spends in each of `bins` equal bins of [-1, 1], and the outcome (n)."""
+    total, outcome = np.zeros((len(rows), bins)), np.zeros(len(rows), dtype=np.int64)
+    for begin, end, command in legs_of(schedule, begin_s, end_s):
+        result = k.run_rows(vehicle, rows, end - begin, wheel_mode=command, emd_error=k.EMD_ERROR, bins=bins)
+        seconds = result.hist.astype(np.float64)
+        total += seconds / seconds.sum(axis=1, keepdims=True) * ((end - begin) / (end_s - begin_s))
+        outcome = np.where(outcome == 0, result.outcome, outcome)
+        if end != end_s:
+            rows = fly(vehicle, rows, ((begin, command),), begin, np.array([end])).at(-1)
+    return total, outcome
+
+
+def triad(momentum_B: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
+    """Orthonormal triads (..., 3, 3), rows in body axes, made of two directions fixed in space; NaN where they are parallel."""
+    first = _unit(momentum_B)
+    third = _unit(np.cross(first, sun_B), smallest=1e-6)
+    return np.stack([first, np.cross(third, first), third], axis=-2)
+
+
+def _unit(vector: np.ndarray, smallest: float = 0.0) -> np.ndarray:
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.where(length > smallest, vector / np.where(length > smallest, length, 1.0), np.nan)
+
+
+def carry(direction_B: np.ndarray, start: tuple[np.ndarray, np.ndarray], end: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Body components at the end of directions fixed in space.
+
+    Parameters
+    ----------
+    direction_B : (n, 3) or several, (n_direction, n, 3), at the start
+    start, end : (momentum_B, sun_B), (n, 3) at the start and (n, ..., 3) at the end; no impact between
+
+    Returns
+    -------
+    (n, ..., 3) or (n_direction, n, ..., 3), NaN where momentum and Sun are parallel.
+    """
+    fixed = np.einsum("nij,...nj->...ni", triad(*start), direction_B)
+    frames = triad(*end)
+    fixed = fixed.reshape(*fixed.shape[:-1], *(1,) * (frames.ndim - 3), 3)
+    return sum((fixed[..., i, None] * frames[..., i, :] for i in range(3)), np.zeros(3))

@@ -1,0 +1,263 @@
+"""What may happen after a touchdown, as data: times, speeds, what is not known and how it is drawn, what the wheels are told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.dynamics.wheel_modes import Schedule, schedules
+from sunspin.landing.contact import Shape, legs_down, shape_of
+from sunspin.telemetry.case import Case
+from sunspin.vehicle import Vehicle
+
+SPIRAL = 20_000
+"""Directions, evenly over the sphere, among which the local vertical is drawn: 1.5 degrees apart."""
+
+STEEPEST_SINE = 0.2
+"""Landings flatter than this (normal speed over speed; 12 degrees) are left out: they would last too long to sample."""
+
+DRAWS = ("candidate", "leg", "polar", "azimuth", "vertical", "orbiter_polar", "orbiter_azimuth", "incidence", "heading")
+"""What is drawn for each run, in this order: uniform numbers of its own generator. New ones are added at the end."""
+
+FLOWN: Schedule = ((-np.inf, "coast"),)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """From a touchdown over a collision to the next contact with the ground. Time 0 is the touchdown.
+
+    Attributes
+    ----------
+    sun_B, wheel_speed_rad_s
+        Direction to the Sun and wheel speeds that go with the candidate rates.
+    lead_s : s from the touchdown to the instant of the candidates; the motion in between is run back, wheels coasting.
+    before_s, after_s : s from the candidates' instant to the collision, and from there to the landing.
+    collision_speed_m_s : speed of the centre of mass at the collision, its direction any with a component along
+        `collision_axis_B`; None: no collision.
+    landing_speed_m_s : speed at the landing; its angle to the ground's normal follows from a plane of any direction being
+        hit in proportion to the area it shows (cosine law), see `STEEPEST_SINE`.
+    vertical : how the ground's normal at the landing is drawn, as a direction fixed in space, body axes at the touchdown.
+        "legs_down": any for which the ends of legs were the lowest points at the touchdown; "any"; a number: within this
+        angle (rad) of the opposite of the legs' mean direction (of z without legs); three numbers: this one. The turning of
+        a celestial body under the flight (67P: 54 degrees in 111 min) is not followed: no frame kernel says about which axis
+        of the body frame, and the default is far wider.
+    orbiter : "above_horizon" of the touchdown, "any", or three numbers: direction to the orbiter, likewise.
+    """
+
+    sun_B: tuple[float, ...]
+    wheel_speed_rad_s: tuple[float, ...]
+    after_s: float
+    before_s: float = 0.0
+    lead_s: float = 0.0
+    collision_speed_m_s: float | None = None
+    collision_axis_B: tuple[float, ...] = (0.0, 0.0, -1.0)
+    landing_speed_m_s: float = 0.2
+    vertical: Any = "legs_down"
+    orbiter: Any = "above_horizon"
+
+    def __post_init__(self) -> None:
+        for name in ("sun_B", "wheel_speed_rad_s", "collision_axis_B"):
+            object.__setattr__(self, name, tuple(float(x) for x in np.ravel(getattr(self, name))))
+        sun = np.array(self.sun_B)
+        if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) < 1e-2:
+            raise InputError(sentence("sun_B must be a unit vector of three components", got=self.sun_B))
+        axis = np.array(self.collision_axis_B)
+        if axis.shape != (3,) or not (np.all(np.isfinite(axis)) and np.linalg.norm(axis) > 0):
+            raise InputError(sentence("collision_axis_B must be three numbers, not all zero", got=self.collision_axis_B))
+        object.__setattr__(self, "collision_axis_B", tuple(axis / np.linalg.norm(axis)))
+        if isinstance(self.orbiter, str):
+            known = self.orbiter in ("above_horizon", "any")
+        else:
+            known = np.shape(self.orbiter) == (3,) and np.linalg.norm(self.orbiter) > 0
+        if not known:
+            raise InputError(sentence('orbiter must be "above_horizon", "any" or three numbers', got=self.orbiter))
+        self._check_times_and_speeds()
+
+    def _check_times_and_speeds(self) -> None:
+        for name in ("before_s", "lead_s"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise InputError(sentence(f"{name} must be zero or a positive time in s", got=getattr(self, name)))
+        for name in ("after_s", "landing_speed_m_s", "collision_speed_m_s"):
+            value: float | None = getattr(self, name)
+            if value is None and name == "collision_speed_m_s":
+                continue
+            if value is None or not (np.isfinite(value) and value > 0):
+                raise InputError(sentence(f"{name} must be positive", got=value))
+
+    @property
+    def collision_s(self) -> float:
+        return self.lead_s + self.before_s
+
+    @property
+    def landing_s(self) -> float:
+        return self.collision_s + self.after_s
+
+
+class FirstSample(Protocol):
+    """Where a telemetry's candidates stand: its first direction, and how long after the touchdown and before the collision."""
+
+    @property
+    def sun_B(self) -> np.ndarray: ...
+    @property
+    def lead_s(self) -> float: ...
+    @property
+    def window_s(self) -> float: ...
+
+
+def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
+    """Section 3.3 of the paper: from the first sample at nominal wheel speed, 45 min, speed 0.2355 m/s, 65 min on.
+
+    With `rebound` from the first direction of that telemetry, at its own time.
+    """
+    published = case.published
+    return Scenario(
+        sun_B=_first_sun(case) if rebound is None else tuple(rebound.sun_B),
+        wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
+        before_s=60.0 * published["scan_duration"].value if rebound is None else rebound.window_s,
+        after_s=60.0 * published["duration_after_collision"].value,
+        collision_speed_m_s=published["collision_speed"].value,
+        landing_speed_m_s=published["kernel_speed_before_landing"].value,
+    )
+
+
+def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
+    """The case with the times of its timeline and the speeds of its trajectory kernel; candidates as in the paper.
+
+    With `rebound` candidates are at the first direction of that telemetry.
+    """
+    if case.timeline is None or "kernel_speed_before" not in case.published:
+        raise InputError(sentence(f"case {case.name!r} knows of no landing", do="give a Scenario of your own"))
+    between, published = case.timeline.seconds, case.published
+    return Scenario(
+        sun_B=_first_sun(case) if rebound is None else tuple(rebound.sun_B),
+        wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
+        lead_s=between("first_touchdown", "first_sample_after_touchdown") if rebound is None else rebound.lead_s,
+        before_s=between("first_sample_after_touchdown", "collision") if rebound is None else rebound.window_s,
+        after_s=between("collision", "second_touchdown"),
+        collision_speed_m_s=published["kernel_speed_before"].value,
+        landing_speed_m_s=published["kernel_speed_before_landing"].value,
+    )
+
+
+def _first_sun(case: Case) -> tuple[float, ...]:
+    sun = np.array(case.published["first_sun"].value)
+    return tuple(sun / np.linalg.norm(sun))
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """What all wheels are told from the touchdown on: (s after it, command) pairs."""
+
+    name: str
+    schedule: Schedule
+
+
+NAMED = {
+    "off": ((0.0, "coast"),),
+    "held": ((0.0, "hold"),),
+    "brake": ((0.0, "brake"),),
+    "after_rest": ((0.0, "hold"),),
+}
+"""Strategies by name. "after_rest" flies as "held" does: what differs happens on the ground (`strategies.settling`)."""
+
+
+def strategy_of(vehicle: Vehicle, given: Any) -> Strategy:
+    """A strategy from its name ("off", "held", "brake", "after_rest", "delay:SECONDS"), a schedule or a Strategy.
+
+    Raises
+    ------
+    InputError, MotionError
+        Unknown names, delays that are no positive number, a brake that the vehicle does not have.
+    """
+    if isinstance(given, Strategy):
+        found = given
+    elif isinstance(given, str) and given in NAMED:
+        found = Strategy(given, NAMED[given])
+    elif isinstance(given, str) and given.startswith("delay:"):
+        found = delayed(_seconds(given.removeprefix("delay:")))
+    elif isinstance(given, Sequence) and not isinstance(given, str):
+        found = Strategy("schedule", tuple((float(t), str(command)) for t, command in given))
+    else:
+        known = f"{', '.join(NAMED)}, delay:SECONDS"
+        raise InputError(sentence("there is no wheel strategy of this name", got=given, do=f"known: {known}"))
+    schedules(vehicle, found.schedule)
+    return found
+
+
+def delayed(delay_s: float) -> Strategy:
+    """Held from the touchdown on, switched off `delay_s` later."""
+    if delay_s == 0:
+        return Strategy("delay:0", NAMED["off"])
+    return Strategy(f"delay:{delay_s:g}", ((0.0, "hold"), (float(delay_s), "coast")))
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not (np.isfinite(value) and value >= 0):
+        raise InputError(sentence("a delay must be zero or a positive number of seconds", got=text, do="for example delay:600"))
+    return value
+
+
+def spiral(count: int = SPIRAL) -> np.ndarray:
+    """Directions (count, 3) evenly spread over the sphere (Fibonacci spiral)."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=-1)
+
+
+def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
+    """Equally likely normals of the ground (m, 3), body axes at the touchdown, and in words what they are."""
+    if isinstance(wanted, str):
+        if wanted == "any":
+            return spiral(), "every direction"
+        if wanted == "legs_down":
+            return _legs_down(vehicle, shape_of(vehicle))
+    elif np.ndim(wanted) == 0 and 0 < float(wanted) <= np.pi:
+        up = standing_up(vehicle)
+        return spiral()[spiral() @ up >= np.cos(float(wanted))], f"within {np.degrees(float(wanted)):g} degrees of {up}"
+    elif np.shape(wanted) == (3,) and np.linalg.norm(wanted) > 0:
+        return np.atleast_2d(np.array(wanted, float) / np.linalg.norm(wanted)), "one direction"
+    raise InputError(sentence('vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers', got=wanted))
+
+
+def standing_up(vehicle: Vehicle) -> np.ndarray:
+    """Up (3) in body axes when the vehicle stands: opposite to the legs' mean direction; +z without legs."""
+    mean = np.sum([leg.tip_B_m for leg in vehicle.legs], axis=0) if vehicle.legs else np.zeros(3)
+    length = np.linalg.norm(mean)
+    return -mean / length if length > 0 else np.array([0.0, 0.0, 1.0])
+
+
+def _legs_down(vehicle: Vehicle, shape: Shape | None) -> tuple[np.ndarray, str]:
+    if not vehicle.legs or shape is None:
+        return spiral(), "every direction (the vehicle has no legs)"
+    if not shape.complete:
+        up = standing_up(vehicle)
+        return spiral()[spiral() @ up > 0], "every direction on the legs' side (no hull is given)"
+    found = spiral()[legs_down(shape, spiral())]
+    if not len(found):
+        raise InputError(sentence("no leg of this vehicle can be its lowest point", do="check the hull, or give a vertical"))
+    return found, "every direction for which an end of a leg was the lowest point at the touchdown"
+
+
+def draws(seed: int, index: np.ndarray) -> dict[str, np.ndarray]:
+    """Uniform numbers in [0, 1) for the runs `index` (n): each of `DRAWS` -> (n). A run's numbers are its own."""
+    table = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))).random(len(DRAWS)) for i in index]
+    return dict(zip(DRAWS, np.array(table).reshape(-1, len(DRAWS)).T, strict=True))
+
+
+def about(axis_B: np.ndarray, cosine: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) at the given cosine from axis_B (n, 3), turned about it by 2 pi `turn`."""
+    helper = np.where(np.abs(axis_B[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    first = np.cross(axis_B, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(axis_B, first)
+    sine, angle = np.sqrt(np.maximum(1 - cosine**2, 0.0)), 2 * np.pi * turn
+    side = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    return cosine[:, None] * axis_B + sine[:, None] * side

@@ -1,0 +1,162 @@
+"""From runs to probabilities and densities, each with its standard error; runs may carry weights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.landing.contact import KINDS
+
+LOW_RZ = (-0.5, -0.2, 0.0)
+"""Bounds of r_z of which the paper speaks."""
+
+TRUTHS = ("touch_", "lowest_", "rest_", "rz_ever_", "antenna_at_")
+"""How the names of questions begin that a run answers with yes or no."""
+
+
+class Estimate(NamedTuple):
+    """A mean over runs and its standard error."""
+
+    value: float
+    error: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4f} +- {self.error:.4f}"
+
+
+def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
+    """Weighted mean of values (n) and its standard error sqrt(sum w^2 (x - mean)^2) / sum w; values NaN take no part.
+
+    For equal weights the error is that of the mean of n runs (with n, not n - 1); for truth values sqrt(p (1 - p) / n). One
+    value has no error that could be told (NaN).
+    """
+    x = np.asarray(values, dtype=np.float64)
+    w = np.ones_like(x) if weights is None else np.asarray(weights, dtype=np.float64)
+    if x.shape != w.shape or x.ndim != 1 or np.any(w < 0):
+        raise InputError(sentence("an estimate needs values (n) and as many weights, none negative", got=(x.shape, w.shape)))
+    use = np.isfinite(x) & (w > 0)
+    if not use.any():
+        return Estimate(np.nan, np.nan)
+    x, w = x[use], w[use]
+    mean = float(w @ x / w.sum())
+    return Estimate(mean, float(np.sqrt(w**2 @ (x - mean) ** 2) / w.sum()) if x.size > 1 else np.nan)
+
+
+def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
+    """Weighted share of truth values (n) and its standard error, as `estimate`; but what happened in all runs, or in none, is not
+    certain: its error is that of a share of (k + 1) / (n + 2), k of n runs, which is about 1 / n (rule of succession).
+    """
+    x = np.asarray(happened, dtype=np.float64)
+    found = estimate(x, weights)
+    if found.value not in (0.0, 1.0):
+        return found
+    n = effective_runs(np.isfinite(x) * (1.0 if weights is None else np.asarray(weights, dtype=np.float64)))
+    return Estimate(found.value, float(np.sqrt((n + 1) / n) / (n + 2)))
+
+
+def effective_runs(weights: npt.ArrayLike) -> float:
+    """Number of equally weighted runs worth as much: (sum w)^2 / sum w^2 (Kish)."""
+    w = np.asarray(weights, dtype=np.float64)
+    return float(w.sum() ** 2 / np.sum(w**2)) if np.any(w > 0) else 0.0
+
+
+def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int = 1) -> xr.Dataset:
+    """Probability density of r_z over time and runs (area 1; paper, Fig. 13).
+
+    Parameters
+    ----------
+    merge : int
+        Bins of the runs that become one; a divisor of their number.
+
+    Returns
+    -------
+    xarray.Dataset
+        `density (rz)` and its Monte Carlo standard error `error (rz)`. Runs, not instants, are independent: the error is
+        that of a mean over runs. Errors of neighbouring bins are correlated.
+    """
+    share = runs["rz_share"].values.astype(np.float64)
+    if merge < 1 or share.shape[1] % merge:
+        raise InputError(sentence(f"merge must divide the number of bins, {share.shape[1]}", got=merge))
+    share = share.reshape(len(share), -1, merge).sum(axis=2)
+    width = 2.0 / share.shape[1]
+    pairs = [estimate(column, weights) for column in share.T]
+    return xr.Dataset(
+        {
+            "density": ("rz", [pair.value / width for pair in pairs], {"units": "1"}),
+            "error": ("rz", [pair.error / width for pair in pairs], {"units": "1"}),
+        },
+        coords={"rz": ("rz", runs["rz"].values.reshape(-1, merge).mean(axis=1), runs["rz"].attrs)},
+        attrs={"strategy": runs.attrs["strategy"], "runs": runs.sizes["run"]},
+    )
+
+
+def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, Estimate]:
+    """Probabilities and means of all that the runs tell (names as in `per_run`); what they do not tell is absent."""
+    found = {
+        name: (probability if name.startswith(TRUTHS) else estimate)(values, weights) for name, values in per_run(runs).items()
+    }
+    return {name: value for name, value in found.items() if np.isfinite(value.value)}
+
+
+def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
+    """What each run (n) says on each question: truth values, shares of time or numbers; NaN where it says nothing.
+
+    `touch_leg`, `touch_panel`, `touch_body`: what touches first, turning and descending; `lowest_...`: what is lowest at a
+    fixed time; `touch_panel_NAME` (a corner shared by panels counts for each); `rest_leg`, `rest_panel`, `rest_body`;
+    `rz_time_below_X` share of the time, `rz_ever_below_X`; `antenna_share`, `antenna_at_contact`, `antenna_at_rest`; speeds
+    (m/s); `rate_before`, `rate_after` (rad/s).
+    """
+    found = dict(_low_sun(runs))
+    for name in ("omega_before_B", "omega_after_B"):
+        found[f"rate_{name.split('_')[1]}"] = np.linalg.norm(runs[name].values, axis=1)
+    for name in ("velocity_change", "speed_after", "contact_speed", "leg_tip_speed", "leg_tip_bound", "up_z", "antenna_share"):
+        found[name] = runs[name].values
+    for name in ("antenna_at_contact", "antenna_at_rest"):
+        found[name] = told(runs[name].values)
+    return found | _contacts(runs)
+
+
+def told(numbers: np.ndarray) -> np.ndarray:
+    """Whole numbers as floats, NaN where -1 stands for what is not told."""
+    return np.where(numbers < 0, np.nan, numbers.astype(np.float64))
+
+
+def _low_sun(runs: xr.Dataset) -> Iterator[tuple[str, np.ndarray]]:
+    share = runs["rz_share"].values.astype(np.float64)
+    edges = runs["rz"].values + 1.0 / share.shape[1]
+    for bound in LOW_RZ:
+        low = share[:, edges <= bound + 1e-9].sum(axis=1)
+        low = np.where(np.isfinite(share).all(axis=1), low, np.nan)
+        yield f"rz_time_below_{bound:g}", low
+        yield f"rz_ever_below_{bound:g}", np.where(np.isnan(low), np.nan, low > 0)
+
+
+def lowest_rz(runs: xr.Dataset) -> np.ndarray:
+    """Lower edge (n) of the lowest bin of r_z that each run reaches."""
+    share = runs["rz_share"].values
+    return np.where(np.isnan(share[:, 0]), np.nan, runs["rz"].values[np.argmax(share > 0, axis=1)] - 1.0 / share.shape[1])
+
+
+def _contacts(runs: xr.Dataset) -> dict[str, np.ndarray]:
+    found: dict[str, np.ndarray] = {}
+    for prefix, number, kinds in (
+        ("touch", "contact_point", "point_kind"),
+        ("lowest", "lowest_point", "point_kind"),
+        ("rest", "rest_facet", "facet_kind"),
+    ):
+        if kinds not in runs.coords:
+            continue
+        index, names = runs[number].values, runs[kinds].values
+        for kind in KINDS:
+            found[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, names[index] == kind)
+    if "point_on_panel" in runs.coords:
+        index = runs["contact_point"].values
+        for k, panel in enumerate(runs["panel"].values):
+            on = runs["point_on_panel"].values[index, k].astype(float)
+            found[f"touch_panel_{panel}"] = np.where(index < 0, np.nan, on)
+    return found

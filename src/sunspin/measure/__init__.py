@@ -1,1 +1,0 @@
-"""What was seen: telemetry, panel powers and the Sun directions that they tell."""

@@ -1,0 +1,158 @@
+"""Attitude and rates in the formats that other tools read: what is common to them.
+
+A CCSDS attitude ephemeris message (:mod:`sunspin.output.export.aem`), a SPICE C-kernel (:mod:`sunspin.output.export.ck`), NetCDF
+with CF attributes and Parquet (here). The Sun alone leaves the turn about the Sun line free: the frame N of a result is local
+to its pass, the files name it so, and no celestial frame is written unless the result says that its N is one.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError, OutputError, sentence
+from sunspin.base.netcdf import read_netcdf
+from sunspin.dynamics.propagate import MAX_RATE
+from sunspin.output.folder import write_netcdf, write_whole
+
+LOCAL_FRAME = "SUNSPIN_LOCAL"
+"""Name of a frame that is fixed in inertial space, but nobody knows how."""
+
+LONGEST_S = 1e10
+"""Three centuries: what is farther from the epoch is no time of a mission."""
+
+FIRST_YEAR, LAST_YEAR = 1000, 9000
+
+SOURCES = ("rates.nc", "trajectory.nc")
+"""Files of a results folder that hold an attitude."""
+
+
+class Attitude(NamedTuple):
+    """What is exported: times (n) in s from `epoch`, quaternions B_from_N (n, 4) scalar last, rates (n, 3) rad/s in B,
+    the number of the pass of each sample (n), the object's name, the frame of N, whether the telemetry was synthetic."""
+
+    t_s: np.ndarray
+    epoch: datetime
+    quaternion: np.ndarray
+    omega_B: np.ndarray
+    part: np.ndarray
+    name: str
+    frame: str
+    synthetic: bool
+
+    def utc(self, i: int) -> str:
+        """Time of sample `i`, ISO-8601 UTC to the microsecond, without a zone."""
+        return (self.epoch + timedelta(seconds=float(self.t_s[i]))).strftime("%Y-%m-%dT%H:%M:%S.%f")
+
+    def parts(self) -> list[np.ndarray]:
+        """Indices of the samples of each pass."""
+        return [np.flatnonzero(self.part == number) for number in np.unique(self.part)]
+
+
+def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
+    """The Dataset with the attitude of a results folder, and the file it comes from."""
+    for name in SOURCES:
+        path = Path(folder) / name
+        if path.is_file():
+            return read_netcdf(path, str(path), InputError), path
+    raise InputError(
+        sentence("no attitude here", got="neither " + " nor ".join(SOURCES), where=str(folder),
+                 do="write one with `sunspin rates ... --out DIR` or `sunspin simulate ... --out DIR`")
+    )  # fmt: skip
+
+
+def attitude_of(data: xr.Dataset, frame: str | None = None, epoch_utc: str | None = None) -> Attitude:
+    """The attitude of results of `rates` or `propagate`.
+
+    `frame`: the frame to write. Without a second direction N is local and only `LOCAL_FRAME` (or a name of one's own that
+    contains LOCAL) may be written; a result whose attrs name a ``celestial_frame`` may be written in that one. `epoch_utc`:
+    UTC of time zero, where the result has none.
+    """
+    known = data.attrs.get("celestial_frame")
+    wanted = frame or known or LOCAL_FRAME
+    if wanted != known and "LOCAL" not in wanted.upper():
+        raise InputError(
+            sentence(
+                "the Sun alone does not tell the turn about the Sun line, so this attitude is not known in a celestial frame",
+                got=wanted, do=f"export in {LOCAL_FRAME}, or give a second direction (a calibrated magnetometer, a star)",
+            )
+        )  # fmt: skip
+    missing = [name for name in ("B_from_N", "omega_B", "time") if name not in data.variables]
+    if missing:
+        raise InputError(sentence(f"the results have no {', '.join(missing)}"))
+    quaternion = np.asarray(data["B_from_N"], dtype=np.float64)
+    size = np.linalg.norm(np.clip(quaternion, -2.0, 2.0), axis=-1)  # a damaged file may hold what cannot be squared
+    if quaternion.ndim != 2 or quaternion.shape[1] != 4 or not np.all(np.abs(size - 1) < 1e-6):
+        raise InputError(sentence("the attitude of these results is not a list of unit quaternions", got=quaternion.shape))
+    t, omega = (np.asarray(data[name], dtype=np.float64) for name in ("time", "omega_B"))
+    if t.shape != quaternion.shape[:1] or omega.shape != (len(t), 3) or not np.isfinite(omega).all():
+        shapes = f"{t.shape}, {omega.shape}"
+        raise InputError(sentence("the times or rates of these results do not belong to their attitudes", got=shapes))
+    if np.any(np.abs(omega) > MAX_RATE):
+        raise InputError(sentence(f"these results hold rates beyond {MAX_RATE:g} rad/s", do="write them again"))
+    if not len(t) or not np.all(np.abs(t) < LONGEST_S) or np.any(np.diff(t) <= 0):
+        raise InputError(sentence("the times of these results do not increase, or are no times", got=f"{len(t)} times"))
+    part = np.asarray(data["pass_of"]) if "pass_of" in data else np.zeros(len(t), dtype=int)
+    return Attitude(
+        t, _epoch(epoch_utc or data.attrs.get("epoch_utc")), quaternion / size[:, None],
+        omega, part, str(data.attrs.get("vehicle", "UNKNOWN")), wanted,
+        bool(data.attrs.get("synthetic", 0)),
+    )  # fmt: skip
+
+
+def _epoch(text: Any) -> datetime:
+    try:
+        moment = datetime.fromisoformat(str(text))
+        moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+        if not FIRST_YEAR <= moment.year <= LAST_YEAR:  # the longest time from it must still be a date
+            raise ValueError
+    except (ValueError, OverflowError):
+        raise InputError(
+            sentence("the results do not say which UTC their time zero is", got=str(text), do="give --epoch 2026-01-01T00:00:00Z")
+        ) from None
+    return moment
+
+
+def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:
+    """NetCDF with CF attributes: time as a CF coordinate, units, long names, conventions, the frame."""
+    out = data.copy()
+    epoch = attitude.epoch.strftime("%Y-%m-%d %H:%M:%S.%f")
+    out["time"] = ("time", attitude.t_s, {"units": f"seconds since {epoch} UTC", "standard_name": "time", "calendar": "standard"})
+    out["B_from_N"].attrs |= {"units": "1", "long_name": f"attitude quaternion, scalar last, {attitude.frame} to body"}
+    out["omega_B"].attrs |= {"units": "rad s-1", "long_name": "angular velocity, body axes"}
+    out.attrs |= {"Conventions": "CF-1.11", "title": f"Attitude of {attitude.name}", "frame": attitude.frame}
+    out.attrs["source"] = _source(attitude)
+    return write_netcdf(target, out)
+
+
+def _source(attitude: Attitude) -> str:
+    return "sunspin, synthetic telemetry" if attitude.synthetic else "sunspin"
+
+
+def columns(attitude: Attitude) -> dict[str, np.ndarray]:
+    """The attitude as columns of a table."""
+    table: dict[str, Any] = {
+        "time_utc": np.array([attitude.utc(i) for i in range(len(attitude.t_s))], dtype="datetime64[us]"),
+        "time_s": attitude.t_s, "pass": attitude.part,
+    }  # fmt: skip
+    for k, name in enumerate("xyzw"):
+        table[f"q_{name}_B_from_N"] = attitude.quaternion[:, k]
+    for k, name in enumerate("xyz"):
+        table[f"omega_{name}_B_rad_s"] = attitude.omega_B[:, k]
+    return table
+
+
+def write_parquet(target: Path, attitude: Attitude) -> Path:
+    """One row per sample; frame, object and source in the file's metadata."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise OutputError(sentence("Parquet needs pyarrow", do='pip install "sunspin[parquet]"')) from None
+    table = pa.table(columns(attitude))
+    about = {"frame": attitude.frame, "object": attitude.name, "epoch_utc": attitude.epoch.isoformat(), "source": _source(attitude)}
+    return write_whole(target, lambda part: pq.write_table(table.replace_schema_metadata(about), part))

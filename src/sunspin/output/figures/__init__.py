@@ -1,0 +1,282 @@
+"""Results to figures. Each function returns a matplotlib Figure; `save` writes it as PNG and SVG.
+
+Synthetic telemetry is called so in the title of every figure that shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from sunspin.estimate.scan.lines import Line
+from sunspin.output.folder import write_whole
+from sunspin.telemetry.sun import STATUS_TEXT, SunStatus
+
+# colour-blind safe (Okabe and Ito)
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+matplotlib.rcParams["svg.hashsalt"] = "sunspin"  # the same figure gives the same bytes
+
+
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and SVG."""
+    paths = []
+    for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
+        draw = partial(figure.savefig, format=suffix, dpi=130, metadata=metadata)
+        paths.append(write_whole(folder / f"{name}.{suffix}", draw))
+    return paths
+
+
+def _title(text: str, synthetic: Any) -> str:
+    return f"{text} (synthetic telemetry)" if synthetic else text
+
+
+def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset, events: Mapping[str, float] | None = None) -> Figure:
+    """Panel signals, Sun direction components and Delta against time; samples without a direction by their reason.
+
+    `events`: name -> s of the telemetry's clock, marked by lines across all three.
+    """
+    name = "power_W" if "power_W" in telemetry else "current_A"
+    values, hours = telemetry[name], telemetry["time"].values / 3600
+    figure = Figure(figsize=(10, 8.5), layout="constrained")
+    top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.6))
+    gaps = _long_gaps(hours)
+    for k, panel in enumerate(values["panel"].values):
+        broken = np.insert(values.sel(panel=panel).values, gaps, np.nan)
+        top.plot(np.insert(hours, gaps, np.nan), broken, ".:", ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {panel}")
+    top.set_ylabel("power (W)" if name == "power_W" else "current (A)")
+    top.legend(ncols=8, fontsize=8, loc="upper right")
+    top.set_ylim(top=1.18 * float(np.nanmax(values)))
+    top.set_title(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
+    told = np.isfinite(sun["sun_B"].values[:, 0])
+    error = sun["sigma_rad"].values
+    for k, axis in enumerate("xyz"):
+        middle.errorbar(
+            hours[told], sun["sun_B"].values[told, k], yerr=error[told], fmt=".", ms=5, lw=0.8, color=COLOURS[k],
+            label=f"$n_{axis}$",
+        )  # fmt: skip
+    for piece in _connected(hours, sun):
+        for k in range(3):
+            middle.plot(hours[piece], sun["sun_B"].values[piece, k], "-", lw=0.6, alpha=0.6, color=COLOURS[k], zorder=1)
+    _mark_reasons(middle, hours, sun)
+    middle.set_ylim(-1.5, 1.75)
+    middle.set_ylabel("Sun direction, body axes (1)")
+    middle.legend(ncols=3, fontsize=8, loc="upper right")
+    checked, unchecked = (sun["status"].values == status for status in (SunStatus.OK, SunStatus.UNCHECKED))
+    low.semilogy(hours[checked], np.maximum(sun["delta"].values[checked], 1e-4), ".", color=COLOURS[6], ms=4)
+    low.plot(
+        hours[unchecked], np.full(unchecked.sum(), 1e-4), "x", color=COLOURS[7], ms=4,
+        label="exactly three panels lit: 0 whatever the powers",
+    )  # fmt: skip
+    low.set_ylim(5e-5, 60 if events else 1)  # room for the names of events
+    if unchecked.any():
+        low.legend(fontsize=8, loc="lower right")
+    low.set_ylabel(r"$\Delta$ (1)")
+    low.set_xlabel(f"time (h) since {sun.attrs.get('epoch_utc', 'the first sample')}")
+    for k, (event, second) in enumerate((events or {}).items()):
+        for axes in (top, middle, low):
+            axes.axvline(second / 3600, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
+        low.text(second / 3600, 20 / 4 ** (k % 3), f" {event}", fontsize=7, va="center", ha="right" if k % 2 == 0 and k else "left")
+    return figure
+
+
+PAUSE = 10
+"""Steps between samples after which no line connects them."""
+
+
+def _long_gaps(hours: np.ndarray) -> np.ndarray:
+    """Where the line between samples is broken: pauses of more than ten times the usual step."""
+    steps = np.diff(hours)
+    return np.flatnonzero(steps > PAUSE * np.median(steps)) + 1 if steps.size else np.zeros(0, int)
+
+
+def _connected(hours: np.ndarray, sun: xr.Dataset) -> list[np.ndarray]:
+    """Indices of the directions that a line connects: successive ones of one phase, no more than `PAUSE` usual steps apart.
+
+    A few samples without a direction in between do not break the line, as in the paper's figure.
+    """
+    told = np.flatnonzero(np.isfinite(sun["sun_B"].values[:, 0]))
+    phase = sun["phase"].values.astype(str) if "phase" in sun.coords else np.full(hours.size, "")
+    usual = float(np.median(np.diff(hours))) if hours.size > 1 else 0.0
+    parted = (phase[told[1:]] != phase[told[:-1]]) | (np.diff(hours[told]) > PAUSE * usual)
+    return [piece for piece in np.split(told, np.flatnonzero(parted) + 1) if piece.size > 1]
+
+
+def _mark_reasons(axes: Any, hours: np.ndarray, sun: xr.Dataset) -> None:
+    markers = {SunStatus.ARC: "|", SunStatus.REGION: "x", SunStatus.DARK: "v", SunStatus.RULE: "s"}
+    for status in SunStatus:
+        at = sun["status"].values == status
+        if status in (SunStatus.OK, SunStatus.UNCHECKED) or not at.any():
+            continue
+        text = STATUS_TEXT[status].split(":")[0].split(";")[0]
+        height = np.full(at.sum(), -1.1 - 0.05 * (int(status) - 2))
+        axes.plot(hours[at], height, markers.get(status, "d"), ms=4, color=COLOURS[7], label=f"{text} ({at.sum()})")
+
+
+def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) -> Figure:
+    """Reconstructed directions on the sphere for each phase of the motion (paper, Fig. 4)."""
+    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    for k, (name, part) in enumerate(parts.items()):
+        axes = figure.add_subplot(1, len(parts), k + 1, projection="3d")
+        _sphere(axes)
+        n = part["sun_B"].values
+        n = n[np.isfinite(n[:, 0])]
+        axes.plot(*n.T, ":", lw=0.6, color=COLOURS[7])
+        axes.scatter(*n.T, s=9, color=COLOURS[0], depthshade=False)
+        doubtful = part["best_B"].values[(part["status"].values == SunStatus.IMPOSSIBLE) & (part["n_lit"].values >= 3)]
+        axes.scatter(*doubtful.T, s=9, color=COLOURS[1], depthshade=False)
+        more = f", {len(doubtful)} doubtful" if len(doubtful) else ""
+        axes.set_title(f"{chr(65 + k)}: {name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9)
+    figure.suptitle(_title("Directions to the Sun in body axes", synthetic), fontsize=10)
+    return figure
+
+
+def _sphere(axes: Any) -> None:
+    u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
+    axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc")
+    axes.set_box_aspect((1, 1, 1), zoom=1.15)
+    for name in "xyz":
+        getattr(axes, f"set_{name}label")(f"{name} (1)", labelpad=-6, fontsize=8)
+        getattr(axes, f"set_{name}ticks")([-1, 0, 1])
+        axes.tick_params(axis=name, labelsize=6, pad=-3)
+
+
+def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray]) -> Figure:
+    """Wheel speed against time for several friction laws (paper, Fig. 5)."""
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    for k, (label, speed) in enumerate(curves.items()):
+        axes.plot(t_s / 60, speed, "-" if k == 0 else "--", color=COLOURS[k], label=label)
+    axes.set_xlabel("time (min)")
+    axes.set_ylabel("wheel speed (rad/s)")
+    axes.set_ylim(bottom=-20)
+    axes.axhline(0, lw=0.5, color=COLOURS[7])
+    axes.legend()
+    axes.set_title("Spin-down of the wheel, computed from published friction (no measured record is public)", fontsize=9)
+    return figure
+
+
+def examples_figure(runs: list[xr.Dataset]) -> Figure:
+    """The Sun's track on the sphere and its components for several initial rates (paper, Fig. 6)."""
+    figure = Figure(figsize=(11, 7.5), layout="constrained")
+    rows = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)[:, 0]
+    lower = rows[1].subplots(3, len(runs), sharex=True, sharey=True, squeeze=False)
+    for k, run in enumerate(runs):
+        r, minutes = run["sun_B"].values, run["time"].values / 60
+        axes = rows[0].add_subplot(1, len(runs), k + 1, projection="3d")
+        _sphere(axes)
+        axes.plot(*r.T, lw=0.4, color=COLOURS[0])
+        omega = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
+        axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
+        for i, name in enumerate("xyz"):
+            lower[i, k].plot(minutes, r[:, i], lw=0.5, color=COLOURS[i])
+            lower[i, 0].set_ylabel(f"$r_{name}$ (1)")
+        lower[2, k].set_xlabel("time (min)")
+    return figure
+
+
+def histograms_figure(runs: list[xr.Dataset]) -> Figure:
+    """Distribution of r_z over each run, as densities of area 1 (paper, Fig. 7)."""
+    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    for axes, run in zip(figure.subplots(1, len(runs)), runs, strict=True):
+        axes.hist(run["sun_B"].values[:, 2], bins=60, range=(-1, 1), density=True, color=COLOURS[0])
+        axes.set_xlabel("$r_z$ (1)")
+        omega = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
+        axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
+        axes.set_ylabel("density (1)")
+    return figure
+
+
+def level_set_figure(
+    points: np.ndarray, lines: Any, published: Sequence[Line], title: str, truth: np.ndarray | None = None
+) -> Figure:
+    """Near-minimum points in rate space with fitted (solid) and published (dashed) lines (paper, Fig. 9)."""
+    figure = Figure(figsize=(11, 5.2), layout="constrained")
+    views = (("perspective", 22, -62), ("from +z", 90, -90))
+    member = np.zeros(len(points), int) if lines is None else lines["member"].values
+    for k, (name, elevation, azimuth) in enumerate(views):
+        axes = figure.add_subplot(1, 2, k + 1, projection="3d")
+        axes.view_init(elevation, azimuth)
+        axes.scatter(*points.T, s=8, c=[COLOURS[m % 8] for m in member], depthshade=False)
+        for point, direction in published:
+            axes.plot(*_clipped(point, direction).T, "--", lw=1, color="#555555")
+        if lines is not None:
+            for i, (point, direction) in enumerate(zip(lines["point"].values, lines["direction"].values, strict=True)):
+                axes.plot(*_clipped(point, direction).T, "-", lw=1.3, color=COLOURS[i % 8])
+        if truth is not None:
+            axes.scatter(*truth, marker="*", s=130, color="#000000", label="truth of the twin")
+            axes.legend(fontsize=8, loc="upper left")
+        axes.set_xlabel(r"$\omega_x$ (rad/s)")
+        axes.set_ylabel(r"$\omega_y$ (rad/s)")
+        axes.set_zlabel(r"$\omega_z$ (rad/s)" if k == 0 else "")
+        if k:
+            axes.zaxis.set_ticks([])
+        axes.set(xlim=(-0.5, 1), ylim=(-0.5, 1), zlim=(-0.3, 0.3))
+        axes.set_title(name, fontsize=9)
+    figure.suptitle(f"{title}; dashed: the paper's lines", fontsize=10)
+    return figure
+
+
+def _clipped(point: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """The part of a line inside the scanned box."""
+    low, high = np.array([-0.5, -0.5, -0.3]), np.array([1.0, 1.0, 0.3])
+    along = np.abs(direction) > 1e-12  # a line parallel to a pair of faces meets neither
+    ends = np.sort(np.array([(low - point)[along] / direction[along], (high - point)[along] / direction[along]]), axis=0)
+    begin, end = ends[0].max(), ends[1].min()
+    return point + np.linspace(begin, max(begin, end), 2)[:, None] * direction
+
+
+def thresholds_figure(table: list[dict[str, Any]], chosen: float) -> Figure:
+    """Points of the near-minimum set, and distance of its lines from the published ones, against the factor."""
+    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    figure.suptitle("Near-minimum set of the published lines' distribution", fontsize=10)
+    left, right = figure.subplots(1, 2)
+    factors = [row["factor"] for row in table]
+    left.semilogy(factors, [max(row["points"], 1) for row in table], "o-", color=COLOURS[0])
+    left.set_ylabel("points in the set (1)")
+    for k in range(4):
+        fitted = [(row["factor"], row["mean_distance"][k]) for row in table if row["mean_distance"]]
+        right.plot(*zip(*fitted, strict=True), "o-", ms=4, color=COLOURS[k], label=f"L{k + 1}")
+    right.set_yscale("log")
+    right.set_ylabel("mean distance from the paper's line (rad/s)", fontsize=9)
+    right.legend(fontsize=8)
+    for axes in (left, right):
+        axes.axvline(chosen, lw=0.8, ls="--", color=COLOURS[7])
+        axes.set_xlabel("factor on the smallest EMD (1)")
+    return figure
+
+
+def distributions_figure(z: np.ndarray, weights_label: str, others: dict[str, np.ndarray], title: str) -> Figure:
+    """Cumulative distributions of r_z that the EMD compares."""
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axes = figure.subplots()
+    axes.step(np.sort(z), np.arange(1, len(z) + 1) / len(z), where="post", color=COLOURS[6], label=weights_label)
+    for k, (label, values) in enumerate(others.items()):
+        axes.plot(np.sort(values), np.linspace(0, 1, len(values)), lw=1, color=COLOURS[k], label=label)
+    axes.set_xlabel("$z$ component of the Sun's direction (1)")
+    axes.set_ylabel("cumulative distribution (1)")
+    axes.set_xlim(-0.05, 1.02)
+    axes.legend(fontsize=8)
+    axes.set_title(title, fontsize=10)
+    return figure
+
+
+def backward_figure(rates: np.ndarray, published: np.ndarray, smallest: float) -> Figure:
+    """Body rates at the first touchdown (paper, Fig. 12)."""
+    figure = Figure(figsize=(6.5, 5.4), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    axes.scatter(*rates.T, s=8, color=COLOURS[0], depthshade=False, label="near-minimum set, run back")
+    axes.scatter(*published.T, s=3, color=COLOURS[1], depthshade=False, label="the paper's lines, run back")
+    axes.scatter(0, 0, 0, marker="+", s=80, color="#000000", label="no rotation")
+    axes.set_xlabel(r"$\omega_x$ (rad/s)")
+    axes.set_ylabel(r"$\omega_y$ (rad/s)")
+    axes.set_zlabel(r"$\omega_z$ (rad/s)")
+    axes.set_title(rf"Rates at the first touchdown; smallest $|\omega|$ on the paper's lines {smallest:.4f} rad/s", fontsize=10)
+    axes.legend(fontsize=8)
+    return figure

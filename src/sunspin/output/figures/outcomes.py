@@ -1,0 +1,208 @@
+"""Figures of what follows a collision. Each function returns a matplotlib Figure; results come from `sunspin.landing`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from sunspin.landing.strategies import BestDelay
+from sunspin.landing.tally import Estimate, density, tally
+from sunspin.output.figures import COLOURS
+
+DOTS = (
+    (
+        "antenna's cone holds the orbiter",
+        "probability (1)",
+        (("antenna_share", "in flight"), ("antenna_at_contact", "at contact"), ("antenna_at_rest", "at rest")),
+    ),
+    (
+        "speed at first contact",
+        "mean speed over ground (m/s)",
+        (("contact_speed", "point that touches"), ("leg_tip_speed", "fastest leg tip")),
+    ),
+    (
+        "Sun below the body's equator",
+        "share of the time (1)",
+        (("rz_time_below_0", "$r_z$ < 0"), ("rz_time_below_-0.5", "$r_z$ < -0.5")),
+    ),
+    ("angular speed", "mean (rad/s)", (("rate_before", "before the collision"), ("rate_after", "after it"))),
+)
+"""Panels of the comparison: title, axis, (quantity, label) pairs."""
+
+FINER = 2
+"""Bins of the runs drawn as one, 0.05 wide."""
+
+HATCHES = ("", "//", "..", "xx")
+
+
+def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure:
+    """Densities of r_z between collision and landing, one per strategy, area 1, bars of one standard error (paper, Fig. 13)."""
+    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for k, (name, found) in enumerate(runs.items()):
+        curve = density(found, merge=FINER)
+        width = 2.0 / curve.sizes["rz"]
+        edges = np.append(curve["rz"].values - width / 2, 1.0)
+        label = f"{name}: {found.sizes['run']:,} runs".replace(",", " ")
+        axes.stairs(curve["density"].values, edges, color=COLOURS[k], lw=1.6, fill=k == 0, alpha=0.45 if k == 0 else 1, label=label)
+        axes.errorbar(
+            curve["rz"].values, curve["density"].values, yerr=curve["error"].values, fmt="none", ecolor=COLOURS[k], elinewidth=1.0
+        )
+    axes.set_xlim(-1, 1)
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis (1)")
+    axes.set_ylabel("probability density (1)")
+    axes.legend(title="wheel", loc="upper left", frameon=False)
+    axes.set_title(title or "Height of the Sun between collision and second touchdown")
+    return figure
+
+
+def strategies_figure(table: xr.Dataset) -> Figure:
+    """What touches first, on what it rests, antenna, speeds and lost upright axis for each strategy, with standard errors."""
+    figure = Figure(figsize=(11, 6.4), layout="constrained")
+    parts = figure.subplots(2, 3).ravel()
+    names = [str(name) for name in table["strategy"].values]
+    known = set(table["quantity"].values)
+    stacks = (("touches the ground first", "touch"), ("comes to rest on", "rest"))
+    for axes, (title, prefix) in zip(parts, stacks, strict=False):
+        _stack(axes, table, names, prefix, known)
+        axes.set_title(title, fontsize=10)
+    for axes, (title, label, quantities) in zip(parts[2:], DOTS, strict=True):
+        for k, (quantity, text) in enumerate(q for q in quantities if q[0] in known):
+            at = table.sel(quantity=quantity)
+            place = np.arange(len(names)) + 0.12 * (k - 0.5)
+            axes.errorbar(place, at["value"], yerr=at["error"], fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
+        axes.set_title(title, fontsize=10)
+        axes.set_ylabel(label)
+        axes.set_ylim(0, 1.3 * max([axes.dataLim.y1, 1e-3]))
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(fontsize=8, frameon=False, loc="upper center", ncols=3, columnspacing=1, handletextpad=0.3)
+    for axes in parts:
+        axes.set_xticks(range(len(names)), [_short(name) for name in names], fontsize=8)
+        axes.set_xlim(-0.6, len(names) - 0.4)
+    figure.suptitle(f"What the wheel is told after the touchdown: {table.attrs['runs']} runs each, one standard error")
+    return figure
+
+
+def _short(name: str) -> str:
+    if name.startswith("delay:"):
+        return f"off after\n{float(name[6:]) / 60:g} min"
+    return {"off": "off at\ntouchdown", "held": "held", "brake": "braked", "after_rest": "off after\nrest"}.get(name, name)
+
+
+def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[str]) -> None:
+    bottom = np.zeros(len(names))
+    for k, kind in enumerate(("leg", "panel", "body")):
+        if f"{prefix}_{kind}" not in known:
+            continue
+        at = table.sel(quantity=f"{prefix}_{kind}")
+        label = {"leg": "leg", "panel": "panel", "body": "bare body"}[kind]
+        axes.bar(
+            range(len(names)), at["value"], 0.65, bottom, color=COLOURS[k], hatch=HATCHES[k], alpha=0.85, label=label, ec="white"
+        )
+        bottom = bottom + at["value"].values
+        axes.errorbar(range(len(names)), bottom, yerr=at["error"], fmt="none", ecolor="black", elinewidth=1, capsize=2)
+    axes.set_ylabel("probability (1)")
+    axes.set_ylim(0, 1.22)
+    if np.any(bottom):
+        axes.legend(ncols=3, fontsize=8, frameon=False, loc="upper center")
+    else:
+        axes.text(0.5, 0.5, "not told: no hull", transform=axes.transAxes, ha="center")
+
+
+def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: float | None = None) -> Figure:
+    """Distributions over runs for each strategy: z axis against the ground's normal, fastest leg tip, antenna's share of time.
+
+    `published_tip_speed` (m/s): the paper's estimate, drawn as a line.
+    """
+    figure = Figure(figsize=(11.5, 3.9), layout="constrained")
+    parts = figure.subplots(1, 3)
+    panels = (
+        ("up_z", np.linspace(-1, 1, 41), "cosine of z axis to the ground's normal at contact (1)", "probability density (1)"),
+        ("leg_tip_speed", np.linspace(0, 2, 51), "fastest leg tip at first contact (m/s)", "probability density (s/m)"),
+        ("antenna_share", np.linspace(0, 1, 26), "share of time, orbiter in the antenna's cone (1)", "probability density (1)"),
+    )
+    for axes, (name, edges, x, y) in zip(parts, panels, strict=True):
+        for k, (strategy, found) in enumerate(runs.items()):
+            values = found[name].values[np.isfinite(found[name].values)]
+            counts = np.histogram(values, edges)[0] / max(values.size, 1)
+            width = edges[1] - edges[0]
+            label = _short(strategy).replace("\n", " ")
+            line = ("-", "--", "-.", ":")[k % 4]
+            axes.stairs(counts / width, edges, color=COLOURS[k % 8], lw=1.6, ls=line, label=label)
+            error = np.sqrt(counts * (1 - counts) / max(values.size, 1)) / width
+            axes.errorbar((edges[1:] + edges[:-1]) / 2, counts / width, error, fmt="none", ecolor=COLOURS[k % 8], elinewidth=0.8)
+        axes.set_xlabel(x)
+        axes.set_ylabel(y)
+        axes.set_ylim(bottom=0)
+        axes.set_xlim(edges[0], edges[-1])
+    if published_tip_speed is not None:
+        parts[1].axvline(published_tip_speed, color=COLOURS[6], lw=1, ls=":", label=f"paper: {published_tip_speed:g} m/s")
+    parts[1].legend(fontsize=8, frameon=False)
+    figure.suptitle("At the second touchdown, and on the way to it")
+    return figure
+
+
+def delay_figure(search: BestDelay) -> Figure:
+    """The search for the best delay: its metric with errors, the delays that are as good, and what else changes."""
+    figure = Figure(figsize=(8, 6.2), layout="constrained")
+    top, low = figure.subplots(2, 1, sharex=True)
+    minutes = search.delays_s / 60
+    top.errorbar(minutes, search.value, yerr=search.error, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error")
+    good = np.isin(search.delays_s, search.as_good_s)
+    top.plot(
+        minutes[good], search.value[good], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.6, label="not behind the best by 2 errors"
+    )
+    top.axvspan(
+        search.spread_s[0] / 60, search.spread_s[1] / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings"
+    )
+    top.set_ylabel({"touch_leg": "probability that a leg touches first (1)"}.get(search.metric, search.metric.replace("_", " ")))
+    top.legend(fontsize=8, frameon=False)
+    top.set_title("When to switch the wheel off")
+    quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5 (1)"), ("rest_leg", "rests on its legs (1)"),
+                  ("leg_tip_speed", "fastest leg tip at contact (m/s)"))  # fmt: skip
+    for k, (name, text) in enumerate(quantities):
+        if name in search.table["quantity"].values:
+            at = search.table.sel(quantity=name)
+            low.errorbar(
+                minutes, at["value"], yerr=at["error"], fmt="osD"[k] + "-", ms=4, color=COLOURS[k + 1], capsize=2, label=text
+            )
+    low.set_ylim(bottom=0)
+    low.set_ylabel("probability (1) or speed (m/s)")
+    low.set_xlabel("switch-off after the touchdown (min)")
+    low.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
+    """Which leg or panel touches the ground first, by strategy; corners that panels share count for each of them."""
+    figure = Figure(figsize=(8.5, 4), layout="constrained")
+    axes = figure.subplots()
+    labels: list[str] = []
+    for k, (name, found) in enumerate(runs.items()):
+        values = _parts(found)
+        labels = list(values)
+        place = np.arange(len(labels)) + 0.8 / len(runs) * (k - (len(runs) - 1) / 2)
+        axes.bar(
+            place, [v.value for v in values.values()], 0.8 / len(runs), yerr=[v.error for v in values.values()], color=COLOURS[k],
+            hatch=HATCHES[k % 4], ec="white", label=_short(name).replace("\n", " "), capsize=2,
+        )  # fmt: skip
+    axes.set_xticks(range(len(labels)), labels, fontsize=9)
+    axes.set_ylabel("probability of touching first (1)")
+    axes.legend(title="wheel", frameon=False)
+    axes.set_title("What touches the ground first at the second touchdown (a shared corner counts for each panel)", fontsize=10)
+    return figure
+
+
+def _parts(runs: xr.Dataset) -> dict[str, Estimate]:
+    found = tally(runs)
+    n, point = runs.sizes["run"], runs["contact_point"].values
+    parts = {}
+    for leg in range(int(runs["point_leg"].max()) + 1):
+        share = float(np.mean(runs["point_leg"].values[point][point >= 0] == leg))
+        parts[f"leg {leg + 1}"] = Estimate(share, float(np.sqrt(share * (1 - share) / n)))
+    parts |= {f"panel {p}": found[f"touch_panel_{p}"] for p in runs["panel"].values if f"touch_panel_{p}" in found}
+    return parts | ({"bare body": found["touch_body"]} if "touch_body" in found else {})

@@ -1,0 +1,76 @@
+"""The posterior: rates against each other, and how the search and the sampling went."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sunspin.output.figures import COLOURS, _title
+
+SHOWN_DRAWS = 3000
+
+
+def corner_figure(tree: Any, truth: Any = None) -> Figure:
+    """Components of the rate at the first sample and its size, every pair of them, one colour to a mode.
+
+    `truth` (3): a rate to mark, rad/s.
+    """
+    posterior = tree["posterior"]
+    omega = posterior["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS]
+    mode = posterior["mode_id"].values.ravel()[:SHOWN_DRAWS]
+    value = np.column_stack([omega, np.linalg.norm(omega, axis=1)])
+    marked = None if truth is None else np.append(truth, np.linalg.norm(truth))
+    names = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$", r"$|\omega|$")
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    grid = figure.subplots(4, 4, sharex="col")
+    for i in range(4):
+        for j in range(4):
+            axes = grid[i, j]
+            if j > i:
+                axes.axis("off")
+            elif i == j:
+                _histogram(axes, value[:, i], mode)
+                axes.set_yticks([])
+            else:
+                for k in np.unique(mode):
+                    axes.plot(*value[mode == k][:, [j, i]].T, ".", ms=1.5, alpha=0.4, color=COLOURS[int(k) % 8], rasterized=True)
+            if marked is not None and j <= i:
+                axes.axvline(marked[j], color=COLOURS[6], lw=0.8)
+            if i == 3:
+                axes.set_xlabel(f"{names[j]} (rad/s)")
+                axes.tick_params(axis="x", labelrotation=45, labelsize=7)
+            if j == 0 and i > 0:
+                axes.set_ylabel(f"{names[i]} (rad/s)")
+            axes.tick_params(axis="y", labelsize=7)
+    figure.suptitle(_title(f"Body rate of {tree.attrs['vehicle']} at the first sample: {tree.attrs['verdict_word']}",
+                           tree.attrs.get("synthetic")), fontsize=10)  # fmt: skip
+    return figure
+
+
+def _histogram(axes: Any, value: np.ndarray, mode: np.ndarray) -> None:
+    edges = np.histogram_bin_edges(value, 60)
+    for k in np.unique(mode):
+        axes.hist(value[mode == k], edges, color=COLOURS[int(k) % 8], alpha=0.7)
+
+
+def search_figure(tree: Any) -> Figure:
+    """Hypotheses before and after each window, and the log evidence of each round of sampling."""
+    search, sampling = tree["search"], tree["sampling"]
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    stage = np.arange(search.sizes["stage"])
+    left.semilogy(stage, np.maximum(search["hypotheses"].values, 1), "o-", color=COLOURS[0], label="fitted")
+    left.semilogy(stage, np.maximum(search["kept"].values, 1), "s-", color=COLOURS[1], label="kept")
+    left.set_xticks(stage, [str(n) for n in search["samples"].values], fontsize=7)
+    left.set_xlabel("samples in the window")
+    left.set_ylabel("hypotheses")
+    left.legend(fontsize=8)
+    right.plot(sampling["log_evidence"].values, "o-", color=COLOURS[0])
+    right.set_xlabel("round of sampling")
+    right.set_ylabel("log evidence (1)")
+    for i, (share, k) in enumerate(zip(sampling["effective_share"].values, sampling["pareto_k"].values, strict=True)):
+        right.annotate(f"{share:.0%}, k {k:.2f}", (i, sampling["log_evidence"].values[i]), fontsize=7, rotation=30)
+    figure.suptitle(_title("Search and sampling", tree.attrs.get("synthetic")), fontsize=10)
+    return figure

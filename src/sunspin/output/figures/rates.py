@@ -1,0 +1,117 @@
+"""Body rates and the Sun's direction of each pass, with what other instruments say where there are any."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from sunspin.output.figures import COLOURS, _title
+
+SHOWN = 8
+"""Passes drawn; more would not be legible."""
+
+
+def rates_figure(result: xr.Dataset, telemetry: xr.Dataset) -> Figure:
+    """Rate components (deg/s) of the best motion of each pass with one sigma, and the gyro where the file has one."""
+    passes = _chosen(result)
+    figure = Figure(figsize=(max(5.0, 2.1 * len(passes)), 6.4), layout="constrained")
+    grid = figure.subplots(3, len(passes), sharey="row", squeeze=False)
+    gyro = telemetry["gyro_B"] if "gyro_B" in telemetry else None
+    for column, number in enumerate(passes):
+        at = np.flatnonzero(result["pass_of"].values == number)
+        t = result["time"].values[at]
+        for k, axes in enumerate(grid[:, column]):
+            mean = np.degrees(result["omega_B"].values[at, k])
+            sigma = np.degrees(np.sqrt(result["omega_cov_B"].values[at, k, k]))
+            axes.fill_between((t - t[0]) / 60, mean - sigma, mean + sigma, color=COLOURS[k], alpha=0.25, lw=0)
+            axes.plot((t - t[0]) / 60, mean, ".-", color=COLOURS[k], ms=4, lw=1, label="from the Sun, one sigma")
+            if gyro is not None:
+                _gyro(axes, telemetry, gyro.values[:, k], t)
+            axes.axhline(0, color=COLOURS[7], lw=0.5)
+        grid[0, column].set_title(f"{_clock(result, t[0])}\nweight {result['weight'].values[number, 0]:.2f}", fontsize=8)
+        grid[2, column].set_xlabel("time (min)")
+    for k, axes in enumerate(grid[:, 0]):
+        axes.set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
+        axes.legend(fontsize=7, loc="best")
+    label = {"panels": "panel signals", "sun_sensor": "Sun sensors", "directions": "Sun directions"}[result.attrs["source"]]
+    figure.suptitle(_title(f"Body rates of {result.attrs['vehicle']} from {label}, best motion of each pass",
+                           result.attrs.get("synthetic")), fontsize=10)  # fmt: skip
+    return figure
+
+
+def _chosen(result: xr.Dataset) -> np.ndarray:
+    """The passes with the most samples, in the order of time."""
+    count = np.bincount(result["pass_of"].values, minlength=result.sizes["pass_id"])
+    return np.sort(np.argsort(-count, kind="stable")[:SHOWN])
+
+
+def _gyro(axes: Any, telemetry: xr.Dataset, value: np.ndarray, t: np.ndarray) -> None:
+    near = (telemetry["time"].values >= t[0] - 1) & (telemetry["time"].values <= t[-1] + 1) & np.isfinite(value)
+    if near.any():
+        axes.plot((telemetry["time"].values[near] - t[0]) / 60, np.degrees(value[near]), "x", color=COLOURS[6], ms=4, label="gyro")
+
+
+def _clock(result: xr.Dataset, t: float) -> str:
+    start = np.datetime64(str(result.attrs.get("epoch_utc", "1970-01-01")).removesuffix("Z"), "ms")
+    return str((start + np.timedelta64(int(round(t * 1000)), "ms")).astype("datetime64[s]")).replace("T", " ")
+
+
+def sun_and_rates_figure(currents: xr.Dataset, sensors: xr.Dataset, beacons: xr.Dataset, shift_s: float) -> Figure:
+    """Left: the Sun from panel currents against the Sun sensors' readings; right: rates from Sun sensors against the gyro.
+
+    `currents`, `sensors`: results of `rates`; `beacons`: the telemetry of the latter, with its gyro; `shift_s`: time of the
+    former's epoch on the latter's clock.
+    """
+    figure = Figure(figsize=(11, 7.2), layout="constrained")
+    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25), squeeze=False)[0]
+    _sun_against_sensors(left, currents, beacons, shift_s)
+    known = [n for n in _chosen(sensors) if np.isfinite(_gyro_at(sensors, beacons, n)).all()][-3:]
+    grid = right.subplots(3, len(known), sharey="row", squeeze=False)
+    for column, number in enumerate(known):
+        at = np.flatnonzero(sensors["pass_of"].values == number)
+        t = sensors["time"].values[at]
+        for k, axes in enumerate(grid[:, column]):
+            mean = np.degrees(sensors["omega_B"].values[at, k])
+            sigma = np.degrees(np.sqrt(sensors["omega_cov_B"].values[at, k, k]))
+            axes.fill_between((t - t[0]) / 60, mean - sigma, mean + sigma, color=COLOURS[k], alpha=0.25, lw=0)
+            axes.plot((t - t[0]) / 60, mean, ".-", color=COLOURS[k], ms=4, lw=1, label="Sun sensors, one sigma")
+            gyro = np.degrees(_gyro_at(sensors, beacons, number)[:, k])
+            axes.plot((t - t[0]) / 60, gyro, "x", color=COLOURS[6], ms=5, label="gyro")
+        grid[0, column].set_title(_clock(sensors, t[0]), fontsize=8)
+        grid[2, column].set_xlabel("time (min)")
+    for k, axes in enumerate(grid[:, 0]):
+        axes.set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
+        axes.legend(fontsize=7, loc="best")
+    right.suptitle("Body rates, gyro not used", fontsize=10)
+    return figure
+
+
+def _gyro_at(result: xr.Dataset, telemetry: xr.Dataset, number: int) -> np.ndarray:
+    at = result["pass_of"].values == number
+    return telemetry["gyro_B"].sel(time=result["time"].values[at]).values
+
+
+def _sun_against_sensors(figure: Any, currents: xr.Dataset, beacons: xr.Dataset, shift_s: float) -> None:
+    count = currents.sizes["pass_id"]
+    grid = figure.subplots(3, count, sharey=True, squeeze=False)
+    for number in range(count):
+        at = np.flatnonzero(currents["pass_of"].values == number)
+        t = currents["time"].values[at] + shift_s
+        near = (beacons["time"].values > t[0] - 60) & (beacons["time"].values < t[-1] + 60)
+        minutes = (beacons["time"].values[near] - t[0]) / 60
+        for k, axes in enumerate(grid[:, number]):
+            sun, sigma = currents["sun_B"].values[at, k], currents["sun_sigma_rad"].values[at]
+            axes.errorbar((t - t[0]) / 60, sun, yerr=sigma, fmt=".", ms=5, lw=0.8, color=COLOURS[k], label="currents")
+            error = np.sqrt(beacons["sun_sensor_cov_B"].values[near, k, k])
+            axes.errorbar(minutes, beacons["sun_sensor_B"].values[near, k], yerr=error, fmt="s", ms=4, lw=0.6,
+                          color=COLOURS[6], mfc="none", label="Sun sensors")  # fmt: skip
+            axes.set_ylim(-1.3, 1.3)
+        grid[0, number].set_title(_clock(currents, currents["time"].values[at][0]), fontsize=8)
+        grid[2, number].set_xlabel("time (min)")
+    for k, axes in enumerate(grid[:, 0]):
+        axes.set_ylabel(rf"Sun direction $n_{'xyz'[k]}$ (1)")
+        axes.legend(fontsize=7, loc="best")
+    figure.suptitle("The Sun: smoothed from currents, read by sensors", fontsize=10)

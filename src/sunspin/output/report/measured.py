@@ -1,0 +1,234 @@
+"""Panel signals as measured and as modelled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.output.report.passes import dense
+from sunspin.output.report.read import Results
+from sunspin.output.report.section import (
+    COLOURS,
+    SYMBOLS,
+    Plot,
+    Section,
+    Table,
+    clock,
+    instants,
+    motion_order,
+    packed,
+    thin,
+    time_axis,
+)
+from sunspin.output.text import capital
+from sunspin.telemetry.sun import is_reconstructed
+from sunspin.vehicle.response.cosine import panel_power
+
+MOST_SAMPLES = 4000
+"""Samples drawn in one plot; more are thinned evenly, and the caption says so."""
+
+MODEL_STEP = 3
+"""Every so many-th instant of a motion drawn to its end."""
+
+WINDOW_S = 900.0
+"""A tumbling body turns some sixty times in it: as much as can be read at once."""
+
+WHOLE = ("Truth", "Descent")
+"""Motions that are drawn to their end; for the others the samples soon fall beside the line, which is the point."""
+
+PHASES = {
+    "deployment": "legs folded", "descent": "descent", "first_rebound": "bounce to collision",
+    "second_rebound": "collision to landing",
+    "settling": "settling", "rest": "at rest",
+}  # fmt: skip
+
+
+def signals(data: xr.Dataset) -> xr.DataArray | None:
+    """The panels' powers or currents of a telemetry Dataset, (time, panel)."""
+    for name in ("power_W", "current_A"):
+        if name in data and set(data[name].dims) == {"time", "panel"}:
+            return data[name].transpose("time", "panel")
+    return None
+
+
+def powers(results: Results) -> Section | None:
+    """One row per panel: dots measured, line modelled, a view for each candidate."""
+    samples = results.data.get("telemetry")
+    values = None if samples is None else signals(samples)
+    if samples is None or values is None or not values.sizes["time"]:
+        return None
+    results.used.add("telemetry")
+    epoch, unit = results.epoch_utc, str(values.attrs.get("units") or ("W" if values.name == "power_W" else "A"))
+    names = [str(name) for name in values["panel"].values]
+    keep = thin(values.sizes["time"], MOST_SAMPLES)
+    t, measured = samples["time"].values[keep], values.values[keep]
+    data: list[dict[str, Any]] = []
+    views: list[dict[str, Any]] = []
+    for title, model in _models(results, names):
+        views += _modelled(data, title, model, samples, values, epoch)
+    dots = list(range(len(data), len(data) + len(names)))
+    data += [
+        {"type": "scatter", "mode": "markers", "x": clock(t, epoch), "y": packed(measured[:, k]), "yaxis": _axis(k), "xaxis": "x",
+         "marker": {"size": 8, "color": "@ink", "line": {"color": "@paper", "width": 1}},
+         "name": "measured" + (" (synthetic)" if results.synthetic else ""), "showlegend": k == 0, "legendgroup": "measured"}
+        for k in range(len(names))
+    ]  # fmt: skip
+    for view in views:
+        view["show"] = [*view["show"], *dots]
+    if views:
+        views.append({"label": "Samples only, the whole file", "show": dots, "range": instants([t[0], t[-1]], epoch), "text": ""})
+    top = 1.1 * float(np.nanmax(measured)) if np.isfinite(measured).any() else 1.0
+    layout = _rows_layout(names, unit, time_axis(epoch, t), top)
+    if views:
+        layout["xaxis"]["range"] = views[0]["range"]
+    caption = (
+        f"Signal of each panel in {unit}. Dots: {'synthetic telemetry' if results.synthetic else 'measured'}"
+        + (
+            f", every {-(-values.sizes['time'] // len(keep))}th of {values.sizes['time']} samples"
+            if len(keep) < values.sizes["time"]
+            else ""
+        )
+        + ". "
+    )
+    if views:
+        caption += (
+            "Line: what the chosen motion makes of the panels' normals, with one common factor fitted to the samples."
+        )
+    if results.command == "reproduce" and views:
+        caption += (
+            " Different motions share how often the Sun stands how high, not when: only one motion can meet the dots one by one."
+        )
+    plot = Plot(
+        "powers", data, layout,
+        f"Signals of {len(names)} panels against time, measured as dots and modelled as lines; each panel rises and falls as it "
+        f"turns "
+        "to the Sun and away.",
+        caption, 90 * len(names) + 110, views, "Modelled motion", numbers=_power_numbers(names, values, unit),
+        narrow={"margin": {"l": 48, "r": 12, "t": 30, "b": 50}, "font.size": 11},
+    )  # fmt: skip
+    return Section(
+        "powers", f"Panel {'powers' if unit == 'W' else 'signals'}, measured" + (" and modelled" if views else ""), [], [plot]
+    )
+
+
+def _modelled(
+    data: list[dict[str, Any]], title: str, model: xr.Dataset, samples: xr.Dataset, values: xr.DataArray, epoch: str | None
+) -> list[dict[str, Any]]:
+    """Append a model's lines to the traces; the views that show them: a few minutes, and all of it where that can be read."""
+    t = model["time"].values
+    factor = scale_of(samples["time"].values, values.values, t, model["panel_signal"].values)
+    long = title in WHOLE or "region" in model.attrs  # a region of a posterior fits all samples
+    keep = np.arange(0, t.size, MODEL_STEP if t.size > 2000 else 1) if long else np.flatnonzero(t <= t[0] + WINDOW_S)
+    first = len(data)
+    for k in range(values.sizes["panel"]):
+        data.append({
+            "type": "scatter", "mode": "lines", "x": clock(t[keep], epoch), "y": packed(factor * model["panel_signal"].values[keep,
+            k]),
+            "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled", "line": {"width": 1.4, "color": "@orange"},
+            "name": "modelled",
+            "showlegend": k == 0, "visible": first == 0,
+        })  # fmt: skip
+    show, about = list(range(first, len(data))), capital(str(model.attrs.get("about", "")))
+    spans = [(f"{title}, the first {WINDOW_S / 60:g} min", min(t[0] + WINDOW_S, t[-1]))] if t[-1] > t[0] + 3 * WINDOW_S else []
+    spans += [(f"{title}, all of it", t[-1])] if long or not spans else []
+    if title == "Descent":
+        spans = spans[-1:]
+    return [
+        {
+            "label": label,
+            "show": show,
+            "range": instants([t[0] - 0.01 * (end - t[0]), end + 0.01 * (end - t[0])], epoch),
+            "text": about,
+        }
+        for label, end in spans
+    ]
+
+
+def _axis(k: int) -> str:
+    return "y" if k == 0 else f"y{k + 1}"
+
+
+def _rows_layout(names: list[str], unit: str, axis: dict[str, Any], top: float) -> dict[str, Any]:
+    n = len(names)
+    layout: dict[str, Any] = {"xaxis": {**axis, "anchor": "y" if n == 1 else f"y{n}"}}
+    for k, name in enumerate(names):
+        height = 1.0 / n
+        layout["yaxis" if k == 0 else f"yaxis{k + 1}"] = {
+            "domain": [1 - (k + 1) * height + 0.012, 1 - k * height], "range": [-0.04 * top, top], "nticks": 3,
+            "title": {"text": f"{name} ({unit})", "font": {"size": 12}, "standoff": 4}, "zeroline": False,
+        }  # fmt: skip
+    layout["legend"] = {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0}
+    layout["margin"] = {"l": 64, "r": 20, "t": 46, "b": 54}
+    return layout
+
+
+def _models(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
+    found = [
+        (str(data.attrs.get("title", name)), data)
+        for name, data in results.having("panel_signal", "B_from_N") if data["panel_signal"].shape[1] == len(names)
+    ]  # fmt: skip
+    return sorted(found, key=lambda item: motion_order(item[0])) + _of_passes(results, names)
+
+
+def _of_passes(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
+    """What the motions found by `sunspin rates` make of the panels."""
+    found = results.first("B_from_N", "sun_B", "omega_B", "pass_of")
+    if found is None or results.vehicle is None or list(results.vehicle.panel_names) != names:
+        return []
+    made = []
+    for title, run in dense(found):
+        sun = run["sun_B"].values
+        signal = panel_power(results.vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+        made.append((title, run.assign(panel_signal=(("time", "panel"), signal))))
+    return made
+
+
+def scale_of(t: np.ndarray, measured: np.ndarray, when: np.ndarray, modelled: np.ndarray) -> float:
+    """The factor, by least squares over samples within the model's time, that brings the model to the measured signals."""
+    inside = (t >= when[0]) & (t <= when[-1]) & np.isfinite(measured).all(axis=1)
+    if not inside.any():
+        return 1.0
+    there = np.stack([np.interp(t[inside], when, column) for column in modelled.T], axis=1)
+    power = float((there**2).sum())
+    return float((there * measured[inside]).sum()) / power if power > 0 else 1.0
+
+
+def _power_numbers(names: list[str], values: xr.DataArray, unit: str) -> Table:
+    rows = []
+    for k, name in enumerate(names):
+        column = values.values[:, k]
+        known = column[np.isfinite(column)]
+        if known.size:
+            rows.append([name, f"{known.mean():.4g}", f"{known.max():.4g}", f"{np.mean(known <= 0):.0%}"])
+    return Table(
+        ["panel", f"mean ({unit})", f"largest ({unit})", "share of samples at or below zero"], rows, "In numbers", closed=True
+    )
+
+
+def picture(results: Results) -> Plot | None:
+    """First picture of a folder with directions only: the three components with their errors against time."""
+    sun = results.first("sun_B", "status", "sigma_rad")
+    if sun is None:
+        return None
+    told = np.flatnonzero(is_reconstructed(sun["status"].values))
+    told = told[thin(told.size, MOST_SAMPLES)]
+    if not told.size:
+        return None
+    sigma = np.nan_to_num(sun["sigma_rad"].values[told], posinf=0.0)
+    data = [
+        {"type": "scatter", "mode": "markers", "x": clock(sun["time"].values[told], results.epoch_utc),
+         "y": packed(sun["sun_B"].values[told, k]), "error_y": {"type": "data", "array": packed(sigma), "width": 0, "thickness": 1},
+         "marker": {"size": 6, "color": COLOURS[k], "symbol": SYMBOLS[k]}, "name": f"n<sub>{axis}</sub>"}
+        for k, axis in enumerate("xyz")
+    ]  # fmt: skip
+    layout = {
+        "xaxis": time_axis(results.epoch_utc, sun["time"].values[told]),
+        "yaxis": {"title": {"text": "direction to the Sun, body axes (1)"}, "range": [-1.1, 1.1]},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
+    }  # fmt: skip
+    return Plot(
+        "sun", data, layout, "Components of the direction to the Sun against time, with error bars.",
+        "Direction to the Sun in body axes; bars: one sigma." + (" Synthetic telemetry." if results.synthetic else ""), 380,
+    )  # fmt: skip

@@ -1,0 +1,153 @@
+"""The posterior: which motions the telemetry allows and with what weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sunspin.estimate.posterior.predict import intervals
+from sunspin.output.report.read import Results
+from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, packed, thin, utc_text
+
+MOST = 4000
+SHOWN = 7
+"""Regions drawn, one colour each."""
+
+PREDICTED = {
+    "rate": ("angular speed", "deg/s"), "z_to_momentum": ("angle of z from the angular momentum", "deg"),
+    "z_to_sun": ("angle of z from the Sun", "deg"), "sun_off": ("angle of the Sun from its mean direction in the body", "deg"),
+}  # fmt: skip
+"""Predicted quantities shown, in words, and their unit on the page."""
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Draws (n): rates (n, 3) in rad/s, number of the region of each, weights that add to one; regions, heaviest first."""
+
+    omega: np.ndarray
+    region: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, results: Results) -> Draws | None:
+        """Those of the folder, chains one after the other; None where there are none."""
+        data = results.first("omega_B", "log_weight", "mode_id")
+        if data is None or "axis" not in data["omega_B"].dims:
+            return None
+        each = data["mode_id"].dims
+        omega = data["omega_B"].transpose(*each, "axis").values.reshape(-1, 3).astype(float)
+        log = np.nan_to_num(data["log_weight"].transpose(*each).values.astype(float).ravel(), nan=-np.inf)
+        if not len(omega):
+            return None
+        known = np.isfinite(log)
+        weight = np.exp(log - log[known].max()) if known.any() else np.ones(log.size)
+        return cls(omega, data["mode_id"].values.ravel(), weight / weight.sum())
+
+    @property
+    def regions(self) -> list[tuple[int, float]]:
+        """(number, weight) of each region."""
+        numbers = np.unique(self.region)
+        found = [(int(k), float(self.weight[self.region == k].sum())) for k in numbers]
+        return sorted(found, key=lambda item: -item[1])
+
+
+def section(results: Results) -> Section | None:
+    """Draws of the initial rate by region, the table of regions, and what is predicted for other times."""
+    draws = Draws.of(results)
+    if draws is None:
+        return None
+    tables = [_regions(draws, results), _judged(results), _predicted(results)]
+    return Section("posterior", "The posterior", [], [_cloud(draws), *(table for table in tables if table is not None)])
+
+
+def _regions(draws: Draws, results: Results) -> Table:
+    modes = next((data for _, data in results.having("log_evidence", "chi_square", "starts", "weight")), None)
+    rows = []
+    for k, share in draws.regions[:50]:
+        inside = draws.region == k
+        part, weight = np.degrees(draws.omega[inside]), draws.weight[inside]
+        mean = np.average(part, axis=0, weights=weight if share > 0 else None)
+        sigma = np.sqrt(np.average((part - mean) ** 2, axis=0, weights=weight if share > 0 else None))
+        row = [str(k + 1), f"{share:.3g}", *(f"{m:.4g} ± {s:.2g}" for m, s in zip(mean, sigma, strict=True))]
+        more = ["", "", ""]
+        if modes is not None and k < modes.sizes["mode"]:
+            more = [f"{float(modes[name].values[k]):.4g}" for name in ("chi_square", "lit_readings", "starts")]
+        rows.append(row + more)
+    head = ["region", "weight (1)", *(f"ω{axis} (deg/s)" for axis in "xyz"), "chi-square", "lit readings", "starts that led to it"]
+    return Table(head, rows, "Regions of motions, heaviest first: rates at the first sample, body axes, and one sigma")
+
+
+def _judged(results: Results) -> Table | None:
+    """What the verdict rests on."""
+    s = results.summary
+    said = {
+        "p_value": ("chance of readings as far from the best motion as these", "below 0.002 no motion found explains them"),
+        "effective_draws": ("draws that the sample is worth", "below 700 widths and weights are rough"),
+        "pareto_k": ("Pareto's k of the weights", "above 0.55 widths and weights are rough"),
+    }
+    rows = [[what, f"{s[key]:.3g}", limit] for key, (what, limit) in said.items() if isinstance(s.get(key), int | float)]
+    return Table(["what", "value (1)", "limit"], rows, "What the verdict rests on", closed=True) if rows else None
+
+
+def _predicted(results: Results) -> Table | None:
+    found = next((data for _, data in results.having("z_to_sun", "z_to_momentum", "rate", "predicted_s")), None)
+    if found is None:
+        return None
+    rows = []
+    for row in intervals(found):
+        if row["quantity"] in PREDICTED:
+            name, unit = PREDICTED[row["quantity"]]
+            values = [f"{np.degrees(row[key]):.4g}" for key in ("median", "low_90", "high_90")]
+            rows.append([utc_text(row["t_s"], results.epoch_utc, date=True), f"{name} ({unit})", *values])
+    return Table(["time", "what", "median", "90 % from", "to"], rows, "What the body did at other times")
+
+
+def _cloud(draws: Draws) -> Plot:
+    data, chosen = [], draws.regions[:SHOWN]
+    for k, (number, share) in enumerate(chosen):
+        at = np.flatnonzero(draws.region == number)
+        at = at[thin(at.size, MOST // len(chosen))]
+        x, y, z = draws.omega[at].T
+        data.append({
+            "type": "scatter3d", "mode": "markers", "x": packed(x), "y": packed(y), "z": packed(z), "showlegend": True,
+            "name": f"region {number + 1}, weight {share:.2g}",
+            "marker": {"size": 3, "color": COLOURS[k], "symbol": SYMBOLS[k % 4]},
+        })  # fmt: skip
+    layout: dict[str, Any] = {
+        "scene": {f"{d}axis": {"title": {"text": f"ω{d} (rad/s)"}, "showspikes": False} for d in "xyz"},
+        "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+    }  # fmt: skip
+    return Plot(
+        "posterior", data, layout, "Draws of the posterior in the space of the three components of the initial body rate, marked "
+        "by region.",
+        "Draws of the rate at the first sample, body axes. Drag or use the arrow keys to turn.", 560,
+    )  # fmt: skip
+
+
+def picture(results: Results) -> Plot | None:
+    """Each component of the rate, a box for each region."""
+    draws = Draws.of(results)
+    if draws is None:
+        return None
+    omega, data = np.degrees(draws.omega), []
+    for k, (number, share) in enumerate(draws.regions[:SHOWN]):
+        at = np.flatnonzero(draws.region == number)
+        at = at[thin(at.size, 1000)]
+        for j, axis in enumerate("xyz"):
+            data.append({
+                "type": "box", "x": [f"ω{axis}"] * at.size, "y": packed(omega[at, j]), "showlegend": j == 0,
+                "name": f"region {number + 1}, weight {share:.2g}", "legendgroup": str(number), "marker": {"color": COLOURS[k]},
+                "offsetgroup": str(number), "boxpoints": False,
+            })  # fmt: skip
+    layout = {
+        "boxmode": "group", "yaxis": {"title": {"text": "rate at the first sample (deg/s)"}},
+        "xaxis": {"title": {"text": "component, body axes"}},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
+    }  # fmt: skip
+    return Plot(
+        "rates-by-region", data, layout, "Boxes of each component of the rate for the heaviest regions.",
+        "Rate at the first sample, quartiles and range of the draws of each region."
+        + (" Synthetic telemetry." if results.synthetic else ""), 400,
+    )  # fmt: skip

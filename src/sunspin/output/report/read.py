@@ -1,0 +1,180 @@
+"""A results folder, read without trust: what cannot be read is named and left out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError, SunspinError, sentence
+from sunspin.base.netcdf import read_groups
+from sunspin.output.folder import MARKER, Picture
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.file import read_vehicle
+from sunspin.vehicle.timeline import Timeline, parse_timeline
+
+MAX_BYTES = 500_000_000
+"""Larger result files are named and not read."""
+
+
+@dataclass
+class Results:
+    """What a folder holds.
+
+    Attributes
+    ----------
+    command : which `sunspin` command made the folder
+    summary : its `summary.json`, empty where there is none
+    data : file (and group) -> Dataset, in order of name
+    problems : sentences on what could not be read or shown
+    """
+
+    folder: Path
+    command: str
+    summary: dict[str, Any] = field(default_factory=dict)
+    data: dict[str, xr.Dataset] = field(default_factory=dict)
+    vehicle: Vehicle | None = None
+    timeline: Timeline | None = None
+    pictures: list[Picture] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    used: set[str] = field(default_factory=set)
+
+    def having(self, *names: str) -> Iterator[tuple[str, xr.Dataset]]:
+        """Files whose data hold all these variables."""
+        for file, data in self.data.items():
+            if all(name in data.variables for name in names):
+                self.used.add(file)
+                yield file, data
+
+    def first(self, *names: str) -> xr.Dataset | None:
+        """The first of them."""
+        return next((data for _, data in self.having(*names)), None)
+
+    def named(self, prefix: str) -> Iterator[tuple[str, xr.Dataset]]:
+        """Files whose name begins so."""
+        for file, data in self.data.items():
+            if file.startswith(prefix):
+                self.used.add(file)
+                yield file, data
+
+    def row(self, name: str) -> dict[str, Any] | None:
+        """The summary's row on this figure of the paper."""
+        rows = self.summary.get("figures")
+        found = (row for row in rows if isinstance(row, dict) and row.get("id") == name) if isinstance(rows, list) else iter(())
+        return next(found, None)
+
+    @property
+    def why_nothing(self) -> str:
+        """Why a study concludes nothing on the motion after the first touchdown; empty where it does, or is no study."""
+        missing = self.summary.get("missing")
+        if not isinstance(missing, dict) or "candidates" not in missing:
+            return ""
+        told = [str(missing[name]) for name in ("candidates", "level_set") if name in missing]
+        reasons = [text.split(": not reproduced, as ", 1)[-1] for text in told if ": not reproduced, as " in text]
+        return (reasons or told)[0].rstrip(".")
+
+    @property
+    def synthetic(self) -> bool:
+        marks = [np.asarray(data.attrs.get("synthetic", False)) for data in self.data.values()]
+        return bool(self.summary.get("synthetic_telemetry")) or any(bool(mark) for mark in marks if mark.ndim == 0)
+
+    @property
+    def epoch_utc(self) -> str | None:
+        """The epoch of the measured times, else of the timeline."""
+        known = [data.attrs.get("epoch_utc") for data in self.data.values()]
+        found = [str(epoch) for epoch in known if epoch] + ([self.timeline.epoch_utc] if self.timeline else [])
+        return found[0] if found else None
+
+
+def read_results(folder: str | Path, ours: bool = False) -> Results:
+    """Read a folder that a `sunspin` command wrote; `ours`: this process, just now, so that its files need no probe.
+
+    Raises
+    ------
+    InputError
+        No such folder, or not one of ours.
+    """
+    path = Path(folder)
+    try:
+        if not path.is_dir():
+            raise InputError(sentence("there is no such folder", do="give the --out of an earlier command", where=str(path)))
+        marker = path / MARKER
+        if not marker.is_file():
+            raise InputError(
+                sentence(
+                    f"this is not a results folder of sunspin: it has no file {MARKER}", do="give the --out of an earlier command",
+                    where=str(path),
+                )
+            )  # fmt: skip
+        command = marker.read_text("utf-8", errors="replace").strip()[:40]
+        files = sorted(path.iterdir())
+    except OSError as error:
+        raise InputError(sentence(f"the folder cannot be read ({error.strerror or error})", where=str(path))) from None
+    found = Results(path, command)
+    found.summary = _json(found, "summary.json", dict)
+    for file in files:
+        if file.suffix == ".nc" and file.is_file():
+            _netcdf(found, file, ours)
+    found.vehicle = _toml(found, "vehicle.toml", lambda p: read_vehicle(p))
+    found.timeline = _toml(found, "timeline.toml", lambda p: parse_timeline(p.read_text("utf-8"), p.name))
+    found.pictures = _pictures(found, files)
+    return found
+
+
+def _json(found: Results, name: str, kind: type) -> Any:
+    path = found.folder / name
+    if not path.is_file():
+        return kind()
+    try:
+        value = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        value = None
+    if not isinstance(value, kind):
+        found.problems.append(f"{name} could not be read, so what it says is missing here.")
+        return kind()
+    return value
+
+
+def _toml(found: Results, name: str, read: Any) -> Any:
+    path = found.folder / name
+    if not path.is_file():
+        return None
+    try:
+        return read(path)
+    except (OSError, UnicodeDecodeError, SunspinError) as error:
+        found.problems.append(f"{name} could not be read: {error}.")
+        return None
+
+
+def _netcdf(found: Results, file: Path, ours: bool) -> None:
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            found.problems.append(f"{file.name} is larger than {MAX_BYTES // 1_000_000} MB and was not read.")
+            return
+        groups = read_groups(file, file.name, InputError, probe=not ours)
+    except (OSError, InputError) as error:
+        found.problems.append(f"{file.name} could not be read: {error}")
+        return
+    for path, data in groups.items():
+        if data.variables or (path == "/" and len(groups) == 1):
+            found.data[file.stem if path == "/" else f"{file.stem}{path}"] = data
+    if "/" in groups and len(groups) > 1 and groups["/"].attrs:  # attributes of the whole stand with its first group
+        first = next((name for name in found.data if name.startswith(f"{file.stem}/")), None)
+        if first is not None:
+            found.data[first].attrs = dict(groups["/"].attrs) | found.data[first].attrs
+
+
+def _pictures(found: Results, files: list[Path]) -> list[Picture]:
+    """Drawn figures, with their captions where figures.json gives them."""
+    told = {}
+    for entry in _json(found, "figures.json", list):
+        if isinstance(entry, dict) and isinstance(entry.get("file"), str):
+            told[entry["file"]] = str(entry.get("alt", "")), str(entry.get("caption", ""))
+    order = {name: k for k, name in enumerate(told)}
+    images = sorted((f for f in files if f.suffix == ".png" and f.is_file()), key=lambda f: (order.get(f.name, len(order)), f.name))
+    return [Picture(f, *told.get(f.name, (f"Figure {f.stem.replace('_', ' ')}", f.name))) for f in images]

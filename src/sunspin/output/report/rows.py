@@ -1,0 +1,182 @@
+"""The paper against this run, row by row: what each row is, and whether it agrees."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.report.read import Results
+from sunspin.output.report.section import Section, Special
+from sunspin.output.text import number_text
+
+STATEMENT = "contradiction_"
+"""Rows that hold the paper against itself or public facts, rather than against this run, have ids that begin so."""
+
+VERDICTS = {
+    "agrees": "✓ agrees",
+    "differs": "✗ differs",
+    "uninformative": "○ uninformative",
+    "comes-back": "✓ put in, comes back",
+    "not-back": "✗ put in, does not come back",
+    "put-in": "– put in",
+    "holds": "✓ paper's arithmetic, holds",
+    "holds-not": "✗ paper's arithmetic, does not hold",
+    "arithmetic": "– paper's arithmetic, no verdict",
+    "not-comparable": "– not comparable",
+    "drawn": "– figure, side by side",
+    "contradicted": "✗ contradicted",
+    "weak": "✗ contradicted (weak)",
+    "stands": "✓ stands",
+    "open": "– statement, no verdict",
+}
+"""What a row can be, in the order of the filters, and the words for it."""
+
+TESTS = ("agrees", "differs", "uninformative")
+
+OF_KIND = {
+    "put_in": {True: "comes-back", False: "not-back", None: "put-in"},
+    "arithmetic": {True: "holds", False: "holds-not", None: "arithmetic"},
+}
+"""Kind -> whether it holds -> verdict."""
+
+CHAINS = {
+    "telemetry": "from this telemetry", "scan": "from the scan's 90 % set", "posterior": "from the posterior of the readings",
+    "published": "from the printed lines", "none": "no telemetry",
+}  # fmt: skip
+"""What made a row; anything else is the name of a file with candidates."""
+
+FIGURE = re.compile(r"figure_\d+")
+"""Ids of the rows that only say which pictures show what a figure of the paper shows."""
+
+LONG = 160
+"""Longer values are cut in the table and whole in summary.json."""
+
+WITHOUT = "no telemetry"
+"""What the heading of the section says whose tests need no telemetry."""
+
+
+def section(results: Results) -> Section | None:
+    """All rows of the summary, by section and part, with filters."""
+    given = [row for row in results.summary.get("figures", []) if isinstance(row, dict)]
+    if not given:
+        return None
+    rows = [_shown(row) for row in given]
+    groups: dict[str, dict[str, list[dict[str, str]]]] = {}
+    for row in rows:
+        groups.setdefault(row["section"], {}).setdefault(row["part"], []).append(row)
+    found = Counter(row["verdict"] for row in rows)
+    content = {
+        "sections": [
+            {"title": title, "parts": [{"title": part, "rows": members} for part, members in parts.items()]}
+            for title, parts in groups.items()
+        ],
+        "filters": [{"key": key, "label": text[2:], "count": found[key]} for key, text in VERDICTS.items() if found[key]],
+    }
+    title = "The paper against this run, row by row" if any(found[key] for key in TESTS) else "Figures of this run"
+    return Section("comparison", title, lead(rows), [Special("comparison", content)])
+
+
+def lead(rows: list[dict[str, str]]) -> list[str]:
+    """The counts in words: tests on the telemetry, tests without any, what is no test, statements of the paper."""
+    here, lines = (Counter(r["verdict"] for r in rows if (WITHOUT in r["section"]) is apart) for apart in (False, True))
+    found, told = here + lines, []
+    if any(here[key] for key in TESTS):
+        told.append(
+            f"Tests on this telemetry: {here['agrees']} agree, {here['differs']} differ, {here['uninformative']} are "
+            "uninformative: there these data leave nearly all that was possible before them, so that the row neither agrees nor "
+            "differs."
+        )
+    elif any(lines[key] for key in TESTS):
+        told.append("No row is a test on this telemetry.")
+    if any(lines[key] for key in TESTS):
+        told.append(
+            f"Tests without telemetry (the equations and the printed lines): {lines['agrees']} agree, {lines['differs']} differ"
+            + (f", {lines['uninformative']} are uninformative" if lines["uninformative"] else "")
+            + ". No telemetry can change them."
+        )
+    back, missing = found["comes-back"], found["not-back"]
+    if put := back + missing + found["put-in"]:
+        told.append(
+            f"Put in: {put} figures from which the telemetry, or a record, was made. {back} come back, {missing} do not; that "
+            "tests the code and not the paper."
+        )
+    holds, fails = found["holds"], found["holds-not"]
+    if own := holds + fails + found["arithmetic"]:
+        told.append(
+            f"The paper's own arithmetic and stored constants: {own} rows, of which {holds} hold and {fails} do not; no telemetry "
+            "enters."
+        )
+    if found["not-comparable"]:
+        told.append(f"Not comparable: {found['not-comparable']} rows show two different things side by side; the note says which.")
+    if found["contradicted"] + found["weak"]:
+        told.append(
+            f"Statements of the paper: {found['contradicted']} contradict its own figures or public facts, {found['weak']} more "
+            "are weak, hardly more than a matter of wording. They judge the paper and not this run."
+        )
+    return told
+
+
+def verdict_of(row: dict[str, Any]) -> str:
+    """The key of `VERDICTS` for a row of the summary. Only an informative test agrees or differs."""
+    kind, agrees, holds = (row.get(key) for key in ("kind", "agrees", "holds"))
+    agrees, holds = (value if isinstance(value, bool) else None for value in (agrees, holds))
+    if str(row.get("id", "")).startswith(STATEMENT):
+        if holds is False:
+            return "weak" if row.get("weak") is True else "contradicted"
+        return "stands" if holds else "open"
+    if kind in OF_KIND:
+        return OF_KIND[kind][holds]
+    if kind in ("test", None):
+        if row.get("informative") is False:
+            return "uninformative"
+        if agrees is not None:
+            return "agrees" if agrees else "differs"
+    return "drawn" if FIGURE.fullmatch(str(row.get("id", ""))) else "not-comparable"
+
+
+def _shown(row: dict[str, Any]) -> dict[str, str]:
+    verdict, tolerance = verdict_of(row), row.get("tolerance")
+    more = "" if tolerance is None or verdict not in ("agrees", "differs") else f"within {number_text(tolerance, 3)}"
+    if row.get("informative") is False and verdict == "not-comparable":
+        more = "the data leave it open"
+    chain = str(row.get("chain") or "")
+    return {
+        "id": str(row.get("id", "")),
+        "part": str(row.get("part", "")),
+        "section": str(row.get("section", "")),
+        "what": str(row.get("what", "")),
+        "published": _cut(number_text(row.get("published"), 4)),
+        "ours": _cut(number_text(row.get("ours"), 4)),
+        "interval": between(row.get("low"), row.get("high")),
+        "before": between(row.get("prior_low"), row.get("prior_high")),
+        "chain": CHAINS.get(chain, f"from the motions of {chain}" if chain else ""),
+        "unit": str(row.get("unit", "")),
+        "verdict": verdict,
+        "verdict_text": VERDICTS[verdict],
+        "more": more,
+        "note": str(row.get("note", "")),
+        "source": str(row.get("source", "")),
+    }
+
+
+def between(low: Any, high: Any) -> str:
+    """An interval as text: pair by pair where both ends are lists, nothing where one is missing."""
+    if low is None or high is None:
+        return ""
+    if isinstance(low, list) and isinstance(high, list) and len(low) == len(high):
+        return _cut("; ".join(text for pair in zip(low, high, strict=True) if (text := between(*pair))))
+    return _cut(f"{_short(low)} to {_short(high)}")
+
+
+def _short(value: Any) -> str:
+    """Four figures, and no more than five decimals of a small number: ends of an interval are no precise numbers."""
+    if isinstance(value, float) and np.isfinite(value) and abs(value) < 1:
+        value = round(value, 5)
+    return number_text(value, 3)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONG else text[: LONG - 1] + "…"

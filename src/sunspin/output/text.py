@@ -1,0 +1,45 @@
+"""Numbers as a person reads them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.folder import plain
+
+
+def number_text(value: Any, digits: int = 5) -> str:
+    """A number with so many digits, lists in brackets, anything else as it is."""
+    value = plain(value)
+    if isinstance(value, list):
+        return "[" + ", ".join(number_text(item, digits) for item in value) + "]"
+    if isinstance(value, dict):
+        return "; ".join(f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items())
+    if isinstance(value, float):
+        return f"{value:.{digits}g}" if np.isfinite(value) else "none"
+    return "none" if value is None else str(value)
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """A number and its sigma, both with as many decimals as show two figures of the sigma."""
+    if not (np.isfinite(sigma) and sigma > 0):
+        return f"{value:.3f} ± {sigma:.3g}"
+    decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
+    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+
+
+def turn_text(rate_rad_s: float) -> str:
+    """The time of one turn: seconds below two minutes, else minutes."""
+    seconds = 2 * np.pi / abs(rate_rad_s)
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
+
+
+def capital(text: str) -> str:
+    """A text that begins as a sentence does."""
+    return text[:1].upper() + text[1:]
+
+
+def counted(n: int, noun: str) -> str:
+    """3 samples, 1 sample."""
+    return f"{n:,} {noun}{'' if n == 1 else 's'}".replace(",", " ")

@@ -1,0 +1,213 @@
+"""What a telemetry file can carry: whether one Sun explains its readings, and whether the order of its samples holds a motion.
+
+Three looks, each with what the paper has beside it. Readings: the misfit Delta and lit patterns that geometry forbids. The descent:
+E of its best spin against the best spins of the same directions in random order. The rebound: its EMD does not use the order of
+the samples at all, so no order of them can raise or lower it; only the posterior uses it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimate.spin import fit_spin
+from sunspin.philae import rebound as rb
+from sunspin.philae.coverage_rows import LEAST_TOLD
+from sunspin.philae.descent import Descent
+from sunspin.philae.row import Row
+from sunspin.telemetry.case import Case
+from sunspin.telemetry.sun import SunStatus, is_reconstructed
+from sunspin.telemetry.synthetic import generator
+from sunspin.vehicle.timeline import utc_seconds
+
+SHADOWED_PHASES = ("deployment", "settling", "rest")
+"""Phases in which parts of the lander or the ground shadow the panels: the paper leaves them out of its statistics of Delta."""
+
+MOST_IMPOSSIBLE = 0.02
+"""Share of samples before the second touchdown whose lit pattern no Sun makes: the paper has none of them."""
+
+SHUFFLES = 20
+NEIGHBOUR_SHUFFLES = 200
+ORDERED = 0.5
+"""The descent's E must be below this part of the smallest among the shuffled ones: right files reach a five-hundredth."""
+
+
+@dataclass(frozen=True)
+class Carries:
+    """What the file was found to carry.
+
+    Attributes
+    ----------
+    delta : mean Delta of the directions outside `SHADOWED_PHASES`; `directions`, how many there are
+    impossible, early : samples before the second touchdown with a forbidden lit pattern, and all of them
+    told : directions between first touchdown and collision
+    descent_E, shuffled_E : E of the descent's best spin, and of the best spins of `SHUFFLES` orders of its directions; None and
+        empty where the descent could not be fitted
+    neighbours_rad, chance : mean angle between successive directions of the rebound, and the share of random orders in which it
+        is as small or smaller; NaN with fewer than three directions
+    reasons : why nothing can be concluded from the readings; empty where one Sun explains them
+    """
+
+    case: Case
+    synthetic: bool
+    delta: float
+    directions: int
+    impossible: int
+    early: int
+    told: int
+    descent_E: float | None
+    shuffled_E: np.ndarray
+    neighbours_rad: float
+    chance: float
+    reasons: tuple[str, ...]
+
+    @property
+    def one_sun(self) -> bool:
+        """Whether the readings are those of the stated panels under one Sun."""
+        return not self.reasons
+
+    @property
+    def descent_order(self) -> bool:
+        """Whether the order of the descent's samples holds a spin."""
+        return self.descent_E is not None and self.descent_E < ORDERED * float(self.shuffled_E.min())
+
+    @property
+    def first_line(self) -> str:
+        """The first line of a study: what the file can carry."""
+        return " ".join((self._readings(), self._descent(), self._rebound()))
+
+    def _readings(self) -> str:
+        published = self.case.published
+        mean = f"mean Delta {self.delta:.4f} over" if self.directions else "no Delta, from"
+        found = (
+            f"{mean} {self.directions} directions (paper {published['delta_mean'].value}), "
+            f"{self.impossible} of {self.early} samples before the second touchdown with a lit pattern that no Sun makes "
+            "(paper: none)"
+        )
+        if self.one_sun:
+            return f"The readings are those of one Sun on these panels: {found}."
+        return f"THE READINGS ARE NOT THOSE OF ONE SUN ON THESE PANELS: {found}; nothing is concluded from them."
+
+    def _descent(self) -> str:
+        if self.descent_E is None:
+            return "The descent: no spin could be fitted."
+        best = float(self.shuffled_E.min())
+        if self.descent_order:
+            return (
+                f"The descent's order of samples holds a spin: E {self.descent_E:.5f}, the best of {len(self.shuffled_E)} random "
+                f"orders {best:.3f}."
+            )
+        return (
+            f"THE DESCENT'S ORDER OF SAMPLES HOLDS NO SPIN: E {self.descent_E:.4f}, the best of {len(self.shuffled_E)} random "
+            f"orders {best:.4f}."
+        )
+
+    def _rebound(self) -> str:
+        return (
+            "The rebound: its EMD uses the heights of the Sun and not their order, so what follows from the scan holds for any "
+            "order of these samples; only --candidates posterior uses the order."
+        )
+
+
+def whole_panels(case: Case, data: xr.Dataset) -> np.ndarray:
+    """Which samples (n) lie outside the phases in which something shadows the panels, by the case's timeline."""
+    timeline = case.require_timeline()
+    shift = utc_seconds(timeline.epoch_utc, data.attrs["epoch_utc"])
+    time, whole = data["time"].values - shift, np.ones(data.sizes["time"], dtype=bool)
+    for phase in timeline.phases:
+        if phase.name in SHADOWED_PHASES:
+            whole &= ~((time >= phase.begin_s) & (time < phase.end_s))
+    return whole
+
+
+def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0) -> Carries:
+    """Look at the Sun directions of the whole landing (`sun_directions`) and at the descent's fit, if there is one."""
+    status = sun["status"].values
+    kept = is_reconstructed(status) & whole_panels(case, sun)
+    early = (sun["time"].values < rb.case_seconds(case, sun, "second_touchdown")) & (status != SunStatus.MISSING)
+    impossible = int(np.count_nonzero(early & (status == SunStatus.IMPOSSIBLE)))
+    samples = rb.rebound_samples(case, sun)
+    told = is_reconstructed(samples["status"])
+    delta = float(sun["delta"].values[kept].mean()) if kept.any() else float("nan")
+    rng = generator(seed, 9)
+    error, shuffled = (None, np.zeros(0)) if descent is None else _descent_order(descent, rng)
+    near, chance = _neighbours(samples["sun_B"].values[told], rng)
+    limit = case.published["delta_max"].value
+    reasons = []
+    if delta > limit:
+        reasons.append(f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample")
+    if impossible > MOST_IMPOSSIBLE * int(early.sum()):
+        reasons.append(f"{impossible} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "
+            "Sun makes")
+    if told.sum() < LEAST_TOLD:
+        reasons.append(f"only {int(told.sum())} samples between first touchdown and collision give a direction")
+    return Carries(
+        case, bool(sun.attrs.get("synthetic")), delta, int(kept.sum()), impossible, int(early.sum()), int(told.sum()), error,
+        shuffled, near, chance, tuple(reasons),
+    )  # fmt: skip
+
+
+def _descent_order(descent: Descent, rng: np.random.Generator) -> tuple[float, np.ndarray]:
+    t, n = descent.sun["time"].values, descent.sun["sun_B"].values
+    known, shuffled = np.flatnonzero(np.isfinite(n[:, 0])), []
+    for _ in range(SHUFFLES):
+        mixed = n.copy()
+        mixed[known] = n[rng.permutation(known)]
+        shuffled.append(fit_spin(t, mixed).E)
+    return descent.fit.E, np.array(shuffled)
+
+
+def _neighbours(directions: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
+    if len(directions) < 3:
+        return float("nan"), float("nan")
+
+    def mean_angle(order: np.ndarray) -> float:
+        cosine = np.einsum("ni,ni->n", directions[order[1:]], directions[order[:-1]])
+        return float(np.arccos(np.clip(cosine, -1, 1)).mean())
+
+    own = mean_angle(np.arange(len(directions)))
+    others = np.array([mean_angle(rng.permutation(len(directions))) for _ in range(NEIGHBOUR_SHUFFLES)])
+    return own, float(np.mean(others <= own))
+
+
+def rows(r: Carries) -> list[Row]:
+    """What the file carries, as rows: none is a test of the method, so none agrees or differs."""
+    published, whose = r.case.published, "synthetic telemetry" if r.synthetic else "this telemetry"
+    found = [
+        Row(
+            "carries_patterns", "share of samples before the second touchdown with a lit pattern that no Sun makes",
+            "none (all are self-consistent)", r.impossible / max(r.early, 1), "1", MOST_IMPOSSIBLE, None,
+            f"{whose}: {r.impossible} of {r.early}; more than {MOST_IMPOSSIBLE:.0%} and nothing is concluded", "paper, section 4",
+            kind="not_comparable", holds=r.impossible <= MOST_IMPOSSIBLE * r.early,
+        ),
+        Row(
+            "carries_delta", "mean misfit Delta: does one Sun explain the readings?", published["delta_mean"].value, r.delta, "1",
+            None, None,
+            f"{whose}: {r.directions} directions; above {published['delta_max'].value}, the paper's largest of a single sample, "
+            "nothing is concluded", "paper, section "
+                "2.1", kind="not_comparable", holds=bool(r.delta <= published["delta_max"].value),
+        ),
+    ]  # fmt: skip
+    if r.descent_E is not None:
+        found.append(
+            Row(
+                "carries_descent_order", "E of the descent's best spin over the smallest of the same directions in random order",
+                "not considered", r.descent_E / float(r.shuffled_E.min()), "1", ORDERED, None,
+                f"{whose}: E {r.descent_E:.5f}; {len(r.shuffled_E)} random orders {r.shuffled_E.min():.4f} to "
+                f"{r.shuffled_E.max():.4f}; not below {ORDERED:g} and nothing is concluded from the descent", "paper, section 3.1",
+                kind="not_comparable", holds=r.descent_order,
+            )
+        )  # fmt: skip
+    found.append(
+        Row(
+            "carries_rebound_order", "rebound: share of random orders whose successive directions are as near or nearer",
+            "not considered", r.chance, "1", None, None,
+            f"{whose}: {np.degrees(r.neighbours_rad):.0f} degrees between successive directions in the mean; two minutes "
+            "apart they "
+            "need not be nearer than chance. EMD does not use the order: rows that rest on it cannot move when samples are "
+            "exchanged", "paper, section 2.3", kind="not_comparable",
+        )
+    )  # fmt: skip
+    return found

@@ -1,0 +1,67 @@
+"""`sunspin worth`: the paper's method on twins of known truth, into a results folder."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from sunspin.output import figures as fig
+from sunspin.output.folder import Picture, results_folder, write_json, write_run
+from sunspin.output.report import write_report
+from sunspin.philae import coverage as study
+from sunspin.philae import coverage_told as worth_told
+from sunspin.philae.pictures import worth_sheet
+from sunspin.telemetry.case import load_case
+
+
+def worth(
+    out: str | Path | None = None,
+    twins: int = 400,
+    *,
+    case: str = "philae",
+    confidence: float = study.CONFIDENCE,
+    **options: Any,
+) -> dict[str, Any]:
+    """Run the study of what the answer is worth; with `out`, write `worth.json`, a figure and `report.html` there.
+
+    Parameters
+    ----------
+    out : path, optional
+        Results folder.
+    case : str
+        Name of a built-in case.
+    twins : int
+        Synthetic rebounds of each kind: truth on the published lines, truth anywhere in the scanned box.
+    confidence : float
+        Of the region whose threshold is looked for, in (0, 1).
+    options
+        seed, coarser, factor, workers, store, progress: see :func:`sunspin.philae.coverage.compute`.
+
+    Returns
+    -------
+    dict
+        `figures`: rows as in the summary of `reproduce`, each with its unit (thresholds on EMD in [0, 1], rates in rad/s);
+        `sentences`; `seconds`; `folder`.
+    """
+    began = time.perf_counter()
+    known = load_case(case)
+    folder = None if out is None else results_folder(out, "worth")  # refused before the work, not after it
+    study.check_confidence(twins, confidence)
+    found = study.compute(known, twins, **options)
+    rows, told = worth_told.rows(known, found, confidence), worth_told.sentences(found, confidence)
+    summary = {
+        "version": metadata.version("sunspin"), "synthetic_telemetry": True, "title": "What the answer is worth",
+        "command": found.command, "seed": found.seed,
+        "confidence": confidence, "seconds": round(time.perf_counter() - began, 1), "sentences": told,
+        "figures": [asdict(row) for row in rows],
+    }  # fmt: skip
+    if folder is not None:
+        write_json(folder / "worth.json", study.to_json(found))
+        sheet = worth_sheet(found, known.published, confidence)
+        picture = Picture(fig.save(sheet.make(), folder, sheet.name)[0], sheet.alt, sheet.caption)
+        write_run(folder, summary, case, None, [picture])
+        write_report(folder, ours=True)
+    return summary | {"folder": None if folder is None else str(folder)}

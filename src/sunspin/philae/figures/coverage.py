@@ -1,0 +1,103 @@
+"""What the paper's answer is worth: the method on twins of known truth (paper, sections 2.3 and 3.2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from sunspin.output.figures import COLOURS
+from sunspin.philae.coverage import CONFIDENCE, Share, Twins, Worth
+
+NAMES = {"lines": "truth on the published lines", "grid": "truth anywhere in the box"}
+DEGREES = np.degrees(1.0)
+BOUND_TOP = 0.4
+"""rad/s; end of the axis of lower bounds."""
+
+
+def draw(worth: Worth, published: dict[str, float], confidence: float = CONFIDENCE) -> Figure:
+    """EMD of the truth against the smallest; coverage against the factor; the lines' wandering; the lower bound.
+
+    `published`: "emd_min" (1) and "rate_at_touchdown_min" (rad/s).
+    """
+    figure = Figure(figsize=(11.5, 8.4), layout="constrained")
+    (scatter, cover), (turned, bound) = figure.subplots(2, 2)
+    _scatter(scatter, worth, published["emd_min"])
+    _coverage(cover, worth, confidence)
+    _turned(turned, worth)
+    _bound(bound, worth, published["rate_at_touchdown_min"], confidence)
+    figure.suptitle(
+        f"The method repeated on synthetic rebounds of known truth: {worth.twins['lines'].n} twins of each kind", fontsize=11
+    )
+    return figure
+
+
+def _scatter(axes: Any, worth: Worth, published: float) -> None:
+    for k, (kind, twins) in enumerate(worth.twins.items()):
+        axes.loglog(twins.twin["emd_min"], twins.twin["emd_truth"], "o^"[k], ms=3.5, mfc="none", mew=0.7, color=COLOURS[k],
+                    label=NAMES[kind])  # fmt: skip
+    low, high = axes.get_xlim()
+    x = np.array([low, high])
+    axes.loglog(x, x, lw=0.8, color=COLOURS[7])
+    axes.loglog(x, worth.factor * x, "--", lw=1, color=COLOURS[6], label=f"{worth.factor:g} times the smallest")
+    axes.axvline(published, ls=":", lw=1.2, color=COLOURS[2], label="published smallest EMD")
+    axes.set(xlim=(low, high), xlabel="smallest EMD of the scan (1)", ylabel="EMD of the true motion (1)")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.legend(fontsize=8, loc="lower right")
+    axes.set_title("the truth is rarely the best", fontsize=9)
+
+
+def _coverage(axes: Any, worth: Worth, confidence: float) -> None:
+    at = np.geomspace(1.0, 10.0, 200)
+    for k, (kind, twins) in enumerate(worth.twins.items()):
+        shares = [twins.in_set(factor) for factor in at]
+        band = np.array([share.interval for share in shares])
+        axes.fill_between(at, band[:, 0], band[:, 1], color=COLOURS[k], alpha=0.25, lw=0)
+        axes.semilogx(at, [share.value for share in shares], "-" if k == 0 else "--", color=COLOURS[k], label=NAMES[kind])
+    axes.axvline(worth.factor, ls="--", lw=1, color=COLOURS[6], label=f"the paper's {worth.factor:g}")
+    axes.axhline(confidence, ls=":", lw=1, color=COLOURS[7])
+    axes.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
+    axes.minorticks_off()
+    axes.set(xlabel="factor on the smallest EMD (1)", ylabel="share of twins whose truth lies in the set (1)", ylim=(0, 1.02))
+    axes.legend(fontsize=8, loc="lower right")
+    axes.set_title("how often the level set holds the truth (band: 95 % sampling error)", fontsize=9)
+
+
+def _turned(axes: Any, worth: Worth) -> None:
+    lines = worth.twins["lines"]
+    bins = np.linspace(0, 90, 31)
+    for k in range(lines.twin["line_angle"].shape[1]):
+        angle = lines.twin["line_angle"][:, k] * DEGREES
+        angle = angle[np.isfinite(angle)]
+        median = f", median {np.median(angle):.0f} deg" if angle.size else ""
+        axes.hist(angle, bins, histtype="step", lw=1.3, color=COLOURS[k], label=f"L{k + 1}{median}")
+    fitted = Share(int(np.isfinite(lines.twin["line_angle"][:, 0]).sum()), lines.n)
+    axes.set(xlabel="angle between fitted and published line (deg)", ylabel="twins per 3 deg (1)")
+    axes.legend(fontsize=8)
+    axes.set_title(f"lines fitted to EMD < {worth.factor:g} EMD_min; possible in {fitted.value:.0%} of the twins", fontsize=9)
+
+
+def _bound(axes: Any, worth: Worth, published: float, confidence: float) -> None:
+    lines: Twins = worth.twins["lines"]
+    table = lines.levels
+    speed = np.where(np.isfinite(table["speed"]), table["speed"], np.nan)
+    top = np.where(np.isfinite(speed[:, 2]), speed[:, 2], BOUND_TOP)  # more than 5 % of the sets are empty and bound nothing
+    axes.fill_between(table["at"], speed[:, 0], top, color=COLOURS[0], alpha=0.25, lw=0, label="5 to 95 % of the twins")
+    axes.plot(table["at"], speed[:, 1], color=COLOURS[0], label="median twin")
+    axes.plot([], [], color=COLOURS[3], label="share of twins in which it is a bound (right)")
+    value, low, high = lines.threshold(confidence, False)
+    axes.axvspan(low, high, color=COLOURS[4], alpha=0.35, lw=0)
+    axes.axvline(value, lw=1, color=COLOURS[4], label=f"holds the truth with {confidence:.0%}")
+    axes.axhline(published, ls="--", lw=1, color=COLOURS[6], label="published bound")
+    axes.set(xlabel="threshold on EMD (1)", ylabel=r"smallest $|\omega|$ at the touchdown (rad/s)", xlim=(table["at"][0], 0.12))
+    axes.set_ylim(0, BOUND_TOP)
+    right = axes.twinx()
+    right.plot(table["at"], table["holds"] / lines.n, color=COLOURS[3], lw=1)
+    right.set(ylim=(0, 1.02), ylabel="share of twins (1)")
+    axes.legend(fontsize=8, loc=(0.4, 0.6))
+    axes.set_title("lower bound on the angular speed, truth on the published lines", fontsize=9)

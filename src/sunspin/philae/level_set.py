@@ -1,0 +1,107 @@
+"""The scan of initial rates against the telemetry, and the paper's recipe on it: near-minimum set, lines (section 2.3, Fig. 9).
+
+The paper's own lines, which need no telemetry, are in :mod:`sunspin.philae.published_lines`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimate.scan.metrics import emd
+from sunspin.estimate.scan.table import make_table
+from sunspin.philae import rebound as rb
+from sunspin.philae.candidates import Scanned, scanned
+from sunspin.philae.row import Row, published_row
+from sunspin.telemetry.case import Case
+
+FOUND_RAD_S = 0.03
+"""A published line is found again where a fitted one is nearer on average than this, two grid steps."""
+
+
+@dataclass(frozen=True)
+class LevelSet:
+    """The scan against the telemetry.
+
+    Attributes
+    ----------
+    seed : of the random choices of the line fit
+    scan : table, EMD of every motion, the rebound
+    near : near-minimum set by the paper's factor, and the lines fitted to it
+    truth : "omega_B" (3) rad/s and "emd" where the telemetry is the case's own twin, else empty
+    """
+
+    case: Case
+    seed: int
+    scan: Scanned
+    near: rb.Families
+    truth: dict[str, Any]
+
+    @property
+    def measured_z(self) -> np.ndarray:
+        """The z components (n) that the rebound's directions have."""
+        return self.scan.rebound.z
+
+    @property
+    def synthetic(self) -> bool:
+        return bool(self.scan.rebound.samples.attrs.get("synthetic"))
+
+    @property
+    def lines_found(self) -> int:
+        """How many of the published lines come out of the near-minimum set."""
+        return sum(bool(deviation["mean"] <= FOUND_RAD_S) for deviation in self.near.deviation)
+
+
+def compute(
+    case: Case, sun: xr.Dataset, seed: int = 0, coarser: int = 1, workers: int | None = None, progress: bool = False
+) -> LevelSet:
+    """Scan every `coarser`-th grid point against the directions `sun` (of `sun_directions`, whole landing)."""
+    rebound = rb.rebound_of(case, sun)
+    table = make_table(
+        case.vehicle, rebound.sun_B, rb.grid(case, coarser), rb.nominal_speed(case.vehicle), rebound.window_s, workers=workers,
+        progress=progress,
+    )  # fmt: skip
+    near = rb.families(case, table.volume(rebound.z), case.published["near_minimum_factor"].value, seed)
+    return LevelSet(case, seed, scanned(rebound, table), near, truth_emd(case, rebound.z))
+
+
+def truth_emd(case: Case, measured_z: np.ndarray) -> dict[str, Any]:
+    """For a twin: its true rate at the first sample after touchdown and the EMD that the truth itself reaches."""
+    truth = rb.twin_truth(case)
+    if truth is None:
+        return {}
+    return {"omega_B": truth, "emd": emd(rb.seen_z(case, truth), measured_z)}
+
+
+def rows(result: LevelSet) -> list[Row]:
+    """Figures of section 2.3 that need telemetry, beside ours."""
+    case, near, truth = result.case, result.near, result.truth
+    whose = "synthetic telemetry" if result.synthetic else "this telemetry"
+    note = f"{len(near.points)} grid points below {near.factor} times the smallest"
+    if truth:
+        note += f"; the truth of the synthetic telemetry reaches {truth['emd']:.4f}"
+    count = len(rb.published_lines(case))
+    each = ", ".join(f"L{i + 1} {deviation['mean']:.3f}" for i, deviation in enumerate(near.deviation))
+    told = f"mean distances of the fitted lines (rad/s): {each}" if each else "too few points in the set for four lines"
+    return [
+        published_row(
+            case, "emd_min", result.scan.smallest, None,
+            f"{whose}, not the flown one, of {result.measured_z.size} directions; {note}", kind="not_comparable",
+        ),
+        Row(
+            "scan_runs", "initial conditions scanned", rb.grid_size(case), int(near.emd.size), "1", 0,
+            True if near.emd.size == rb.grid_size(case) else None,
+            "101 x 101 x 41 grid points", "paper, section 2.3, from range and step", kind="arithmetic", chain="none",
+        ),
+        Row(
+            "lines_found", "published lines that the paper's recipe finds in this telemetry", count, result.lines_found, "1", 0.0,
+            result.lines_found == count,
+            f"{whose}; found: a fitted line within {FOUND_RAD_S:g} rad/s (two grid steps) on average over omega_z in "
+            f"{list(rb.LINE_RANGE)}; {told}; {note}. The printed lines follow from the model and a clean distribution of "
+            "r_z: see the "
+            "section on the published lines", "paper, section 2.3, Fig. 9", chain="scan",
+        ),
+    ]  # fmt: skip

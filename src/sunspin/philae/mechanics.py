@@ -1,0 +1,87 @@
+"""The mechanical model: spin-down of the wheel, example motions (paper, section 2.2, Figs. 5 to 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.dynamics.friction import fit_spin_down, spin_down_curve, spin_down_speed, spin_down_time
+from sunspin.dynamics.propagate import propagate
+from sunspin.philae import rebound as rb
+from sunspin.philae.row import Row, published_row
+from sunspin.telemetry.case import Case
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """`examples`: runs as `propagate` returns them; `spin_down`: see `spin_down`."""
+
+    case: Case
+    examples: list[xr.Dataset]
+    spin_down: dict[str, Any]
+
+
+def compute(case: Case) -> Mechanics:
+    """Nothing here depends on telemetry."""
+    return Mechanics(case, examples(case), spin_down(case))
+
+
+def examples(case: Case) -> list[xr.Dataset]:
+    """The example trajectories of Figs. 6 and 7."""
+    t = np.arange(0.0, 60.0 * case.published["example_duration"].value + 0.5, 1.0)
+    return [
+        propagate(case.vehicle, omega, rb.first_sun(case), rb.nominal_speed(case.vehicle), t)
+        for omega in case.published["example_rates"].value
+    ]
+
+
+def spin_down(case: Case) -> dict[str, Any]:
+    """Fig. 5: the wheel on a body that stays at rest, with the fitted and with the printed friction; the fit recovered."""
+    wheel = case.vehicle.wheels[0]
+    printed = case.vehicle.with_friction("printed").wheels[0].friction
+    c1, c2, c3 = case.published["spin_down_coefficients"].value
+    t = np.linspace(0.0, 0.999 * np.log(-c3 / c1) / c2, 200)  # up to just before the stop
+    record = spin_down_curve(t, c1, c2, c3)
+    fit = fit_spin_down(t, record, wheel.inertia_kg_m2)
+    return {
+        "t_s": t,
+        "record": record,
+        "fit": fit,
+        "printed": spin_down_speed(printed.coulomb_N_m, printed.viscous_N_m_s, wheel.inertia_kg_m2, record[0], t),
+        "stop_printed_s": spin_down_time(printed, wheel.inertia_kg_m2, wheel.speed_rad_s),
+    }
+
+
+def rows(result: Mechanics) -> list[Row]:
+    """Figures of section 2.2 beside ours."""
+    case, fall = result.case, result.spin_down
+    still = result.examples[0]
+    stop = [float(t) for t in still["event_time_s"].values]
+    z = still["sun_B"].values[:, 2]
+    fit = fall["fit"]
+    return [
+        published_row(
+            case, "spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s], [0.1, 1e-8, 0.1],
+            "fitted to a record made from the published coefficients: the measured one is not public",
+        ),
+        published_row(
+            case, "friction_coulomb", fit.friction.coulomb_N_m, 1e-4, "not rounded; it follows from c2 c3 J",
+            kind="arithmetic", chain="none"),
+        published_row(
+            case, "friction_viscous", fit.friction.viscous_N_m_s, 2e-8,
+            "J = 0.0058; the printed value implies 0.005775", kind="arithmetic", chain="none",
+        ),
+        published_row(
+            case, "wheel_stop", stop[0] / 60 if stop else None, 0.5,
+            f"with the printed, rounded friction {fall['stop_printed_s'] / 60:.1f} min",
+        ),
+        Row(
+            "example_still_z", "omega = 0: range of r_z over 46 min", "constant",
+            [float(z.min()), float(z.max())], "1", 0.01, bool(np.ptp(z) < 0.01),
+            "criterion: it changes by less than 0.01; Philae is not quite axisymmetric, so it is nearly constant",
+            "paper, section 2.2, Fig. 6 A",
+        ),
+    ]  # fmt: skip

@@ -1,0 +1,226 @@
+"""`sunspin reproduce`: the whole Philae study into a results folder."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shlex
+import time
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.output.folder import CITE, Picture, results_folder, write_run, write_whole
+from sunspin.output.report import write_report
+from sunspin.output.text import number_text
+from sunspin.philae import coverage_told as worth_told
+from sunspin.philae import rebound as rb
+from sunspin.philae import touchdown
+from sunspin.philae.headline import headline, score
+from sunspin.philae.pictures import draw
+from sunspin.philae.row import Row
+from sunspin.philae.stored import store
+from sunspin.philae.study import SECTIONS, Options, Reproduction, compute, require_wheel, sections, titles, with_vehicle
+from sunspin.telemetry.case import Case, load_case
+from sunspin.telemetry.reader import read_telemetry
+from sunspin.vehicle import load_vehicle
+
+FIGURES = "The figures of the paper"
+
+SHOWN_BY_THE_PAPER = (
+    "structure of Philae", "panels, legs, wheel", "panel powers and Sun directions over time", "Sun directions in four phases",
+    "spin-down of the wheel", "three example motions", "histograms of r_z in these", "E over rates and over parameters",
+    "near-minimum points and four lines", "simulated and measured directions of the descent", "E against omega_0",
+    "angular velocities at the first touchdown", "densities of r_z after the collision, wheel off and held",
+)  # fmt: skip
+"""What Figs. 1, 2 ... of the paper show."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """Where a study was written: the folder, the page in it, and the summary's content."""
+
+    folder: Path
+    report: Path
+    summary: dict[str, Any]
+
+
+def reproduce(
+    out: str | Path = "results",
+    telemetry: str | Path | None = None,
+    *,
+    vehicle: str | Path | None = None,
+    candidates: str = "scan",
+    calibrate: int | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    coarser: int = 1,
+    progress: bool = False,
+) -> Written:
+    """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
+
+    Every conclusion follows from the telemetry given: its noise and lit threshold, its first direction after the touchdown, its
+    scan, and the motions that the scan leaves.
+
+    Parameters
+    ----------
+    out : path
+        Results folder; made if it is not there, refused if it holds anything but an earlier run of this command.
+    telemetry : path, optional
+        A file with the columns of the case's telemetry; default: the synthetic one that comes with the package. The file that
+        was used is written to the folder as `telemetry.csv`, to copy and change.
+    vehicle : path, optional
+        A vehicle file for another body with one wheel and legs; default: Philae's.
+    candidates : "scan", "posterior", "published" or a file
+        Motions from which the touchdown, the collision and what follows are computed: the 90 % set of the scan, draws of the
+        posterior (minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, omega_y,
+        omega_z in rad/s.
+    calibrate : int, optional
+        Synthetic flights of known truth from which the set's threshold is calibrated for these data; default: the shipped
+        calibration where it fits them, else 60. Zero: none, and no conclusion where none fits.
+    seed, workers, progress
+        All random choices, threads, progress bar.
+    coarser : int
+        Use every n-th point of the scan's grid, for a quick look.
+    """
+    began = time.perf_counter()
+    case = _case(telemetry, vehicle)
+    options = Options(candidates, calibrate, seed, coarser, workers, progress)
+    source = _source(case, telemetry)
+    if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
+        raise InputError(
+            sentence("the telemetry lies in the results folder, which is written anew", do="copy it to another place first",
+                     where=str(telemetry))
+        )  # fmt: skip
+    folder = results_folder(out, "reproduce")
+    result = compute(case, options)
+    pictures = draw(result, folder)
+    store(result, folder)
+    write_whole(folder / f"telemetry{source.suffix or '.csv'}", lambda part: part.write_bytes(source.read_bytes()))
+    by_part = {name: rows for name, rows in result.rows_by_part.items()} | {FIGURES: figure_rows(pictures)}
+    heading, section = titles(), sections()
+    counts = result.counts()
+    summary = {
+        "version": metadata.version("sunspin"),
+        "title": "How Philae tumbled",
+        "seed": seed,
+        "synthetic_telemetry": result.synthetic,
+        "seconds": round(time.perf_counter() - began, 1),
+        "chain": candidates,
+        "carries": result.parts["carries"].first_line,
+        "noise": result.noise.told,
+        "calibration": None if result.chain is None or result.chain.calibration is None else result.chain.calibration.told,
+        "missing": result.missing,
+        "headline": headline(result),
+        "conclusions": conclusions(result),
+        "score": score(result),
+        "counts": counts["telemetry"] | {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]},
+        "command": _command(telemetry, vehicle, options),
+        "inputs": _inputs(case, vehicle),
+        "cite": CITE,
+        "figures": [
+            asdict(row) | {"part": heading.get(name, name), "section": SECTIONS[section.get(name, "paper")]}
+            for name, rows in by_part.items() for row in rows
+        ],
+    }  # fmt: skip
+    write_run(folder, summary, case.name if vehicle is None else vehicle, case.telemetry, pictures)
+    return Written(folder, write_report(folder, ours=True), summary)
+
+
+def _case(telemetry: str | Path | None, vehicle: str | Path | None) -> Case:
+    """The case with the vehicle and the telemetry given; both refused before any work."""
+    case = load_case("philae")
+    if vehicle is not None:
+        craft = load_vehicle(vehicle)
+        require_wheel(craft)
+        return with_vehicle(case, craft, read_telemetry(_source(case, telemetry), craft))
+    return case if telemetry is None else rb.with_telemetry(case, read_telemetry(telemetry, case.vehicle))
+
+
+def _source(case: Case, telemetry: str | Path | None) -> Path:
+    return case.folder / "telemetry.csv" if telemetry is None else Path(telemetry)
+
+
+def _command(telemetry: str | Path | None, vehicle: str | Path | None, options: Options) -> str:
+    words = ["sunspin", "reproduce", "--seed", str(options.seed)]
+    for name, value in (("telemetry", telemetry), ("vehicle", vehicle), ("calibrate", options.twins)):
+        words += [] if value is None else [f"--{name}", str(value)]
+    words += [] if options.source == "scan" else ["--candidates", options.source]
+    return shlex.join(words + ([] if options.coarser == 1 else ["--coarser", str(options.coarser)]))
+
+
+def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
+    """The files that the study was made from, with their hashes."""
+    said = case.telemetry.attrs
+    found = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}]
+    paths = {"vehicle": case.folder / "vehicle.toml" if vehicle is None else Path(vehicle)}
+    paths |= {name: case.folder / f"{name}.toml" for name in ("timeline", "published")}
+    for name, path in paths.items():
+        file = path if path.is_file() else case.folder / "vehicle.toml"  # a vehicle may be named after a built-in case
+        found.append({"what": name, "file": path.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()})
+    return found
+
+
+def figure_rows(pictures: list[Picture]) -> list[Row]:
+    """One row for each numbered figure of the paper: what it shows, the files that show it here."""
+    found = []
+    for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
+        mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.path.name)]
+        ours = ", ".join(p.path.name for p in mine) or ("not drawn" if number > 2 else "not drawn: a picture of the lander")
+        note = " ".join(p.caption for p in mine)
+        found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}",
+                         kind="not_comparable", chain="none"))  # fmt: skip
+    return found
+
+
+def conclusions(result: Reproduction) -> list[str]:
+    """What follows from the telemetry, in a few sentences; what the printed lines give without any; what could not be computed."""
+    found = [result.parts["carries"].first_line, f"Readings: {result.noise.told}.", *_of_scan(result)]
+    if result.chain is not None:
+        found += touchdown.sentences(result.chain)
+    found += _of_lines(result)
+    if "worth" in result.parts:
+        found += worth_told.sentences(result.parts["worth"][1])
+    apart = [row for row in result.rows if row.agrees is False]
+    if apart:
+        found.append("Not as published: " + "; ".join(f"{row.what} ({row.source.removeprefix('paper, ')})" for row in apart) + ".")
+    found += [f"{line}." for line in score(result)]
+    return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
+
+
+def _of_scan(result: Reproduction) -> list[str]:
+    if "level_set" not in result.parts:
+        return []
+    part = result.parts["level_set"]
+    text = (
+        f"Against the {part.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the "
+        "smallest "
+        f"EMD is {part.scan.smallest:.4f}; {len(part.near.points)} grid points lie within {part.near.factor} times it, and "
+        f"{part.lines_found} of the four printed lines come out of them"
+    )
+    if part.truth:
+        text += f". The true motion behind the synthetic telemetry reaches {part.truth['emd']:.4f}"
+    chain = result.chain
+    if chain is not None and chain.calibration is not None:
+        text += f". A {chain.calibration.told}; that set holds {chain.share:.0%} of the scanned box".replace("A ", "For 90 %: ", 1)
+    return [text + "."]
+
+
+def _of_lines(result: Reproduction) -> list[str]:
+    """What the printed lines give, which no telemetry changes."""
+    part, lowest = result.parts["published_lines"], result.row("rate_at_touchdown_min_lines")
+    found = [
+        f"Without telemetry: motions on the four printed lines turn at {number_text(lowest.ours)} rad/s or faster after the first "
+        f"touchdown (published: {number_text(lowest.published)}; {number_text(lowest.low, 4)} to "
+        f"{number_text(lowest.high, 4)} with the "
+        "first sample's time and the wheel's speed uncertain)."
+    ]
+    if distances := [deviation["mean"] for deviation in part.clean.deviation]:
+        found.append(
+            f"Against those lines' own distribution of r_z the scan finds four lines that are {min(distances):.3f} to "
+            f"{max(distances):.3f} rad/s from the printed ones on average (grid step "
+            f"{result.case.published['scan_step'].value} rad/s)."
+        )
+    return found

@@ -1,0 +1,81 @@
+"""Synthetic telemetry with known truth: a vehicle's own motion, or the landing of a built-in case.
+
+The landing of Philae, phase by phase, is in :mod:`sunspin.philae.twin_philae`; ``python -m sunspin.philae.twin --seed N OUT.csv``
+writes it as a telemetry file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.compute.campaign import command
+from sunspin.estimate.synthetic import Truth, synthetic_telemetry
+from sunspin.philae.twin_philae import philae_twin
+from sunspin.telemetry.case import Case, case_names, load_case
+from sunspin.telemetry.synthetic import csv_text, truth_text, write_new
+from sunspin.vehicle import Vehicle
+
+
+def twin(source: Case | Vehicle | str, truth: Truth | Mapping[str, Any] | None = None, seed: int = 0) -> xr.Dataset:
+    """Synthetic telemetry of a vehicle that moves as `truth` says.
+
+    Parameters
+    ----------
+    source : Case, Vehicle or name of a case
+        ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.twin_philae.philae_twin`.
+    truth : Truth, or a mapping with its fields
+    seed : int
+        Of the noise. The same seed gives the same bits.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from `read_telemetry`, with the true direction `true_sun_B (time, axis)` and the truth in attributes
+        ``truth_omega_B``, ``truth_sun_B``, ``truth_wheel_speed_rad_s``, ``truth_noise``, ``truth_scale``,
+        ``truth_seed`` ...
+
+    Raises
+    ------
+    InputError
+        A truth with unknown or missing fields, a negative noise.
+    """
+    if isinstance(source, str):
+        source = load_case(source)
+    if truth is None:
+        if isinstance(source, Case) and source.name == "philae":
+            return philae_twin(seed)
+        raise InputError(sentence("a twin needs a truth", do="give omega_B, sun_B and t_s"))
+    return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
+
+
+@command
+def main(arguments: list[str] | None = None) -> None:
+    """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
+    parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
+    parser.add_argument("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--case", default="philae", choices=case_names())
+    parser.add_argument("--force", action="store_true", help="replace existing files")
+    given = parser.parse_args(arguments)
+    case = load_case(given.case)
+    telemetry = twin(case, seed=given.seed)
+    comments = [
+        f"synthetic: not measured; made by sunspin {metadata.version('sunspin')} from published facts",
+        f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed} {given.out.name}",
+    ]
+    more = ["synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"]
+    write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)
+    about = [f"The truth behind {given.out.name}; see sunspin.philae.twin_philae for how each part was chosen."]
+    write_new(given.out.parent / "twin_truth.toml", truth_text(telemetry, comments + about), given.force)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

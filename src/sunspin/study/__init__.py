@@ -1,1 +1,0 @@
-"""What the motion means: twins, the paper row by row."""

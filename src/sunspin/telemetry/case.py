@@ -1,0 +1,142 @@
+"""Built-in cases: vehicle, timeline, telemetry and published figures, as data.
+
+A case is a folder with a ``vehicle.toml``; ``timeline.toml``, ``telemetry.csv`` and ``published.toml`` stand beside it
+where there are any.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import xarray as xr
+
+from sunspin.base.errors import InputError, TelemetryError, sentence
+from sunspin.telemetry.reader import read_telemetry
+from sunspin.vehicle import Vehicle, load_vehicle
+from sunspin.vehicle.notebook import case_html
+from sunspin.vehicle.timeline import Timeline, parse_timeline
+
+PUBLISHED_KEYS = {"value", "unit", "what", "place"}
+
+
+@dataclass(frozen=True)
+class Published:
+    """A figure that a publication states: its value (nested tuples where not one number), unit and place there."""
+
+    value: Any
+    unit: str
+    what: str
+    place: str
+
+
+@dataclass(frozen=True)
+class Case:
+    """A landing, flight or test: the vehicle, what happened when, its telemetry and what was published about it."""
+
+    name: str
+    folder: Path
+    vehicle: Vehicle
+    timeline: Timeline | None
+    published: Mapping[str, Published]
+
+    @cached_property
+    def telemetry(self) -> xr.Dataset:
+        """The case's own telemetry, read when first asked for."""
+        path = case_telemetry(self.name)
+        if path is None:
+            raise TelemetryError(
+                sentence(
+                    f"case {self.name!r} comes without telemetry", do="read yours with read_telemetry(path, vehicle)"
+                )
+            )
+        return read_telemetry(path, self.vehicle)
+
+    def require_timeline(self) -> Timeline:
+        """The timeline, or an `InputError` that says where to add it."""
+        if self.timeline is None:
+            raise InputError(
+                sentence(f"case {self.name!r} has no timeline", do="add a timeline.toml with its events to the case's folder")
+            )
+        return self.timeline
+
+    def _repr_html_(self) -> str:
+        return case_html(self)
+
+
+def case_names() -> list[str]:
+    """Names of the built-in cases."""
+    return sorted(path.parent.name for path in _root().glob("*/vehicle.toml"))
+
+
+def case_telemetry(name: str) -> Path | None:
+    """The telemetry file that comes with a built-in case; None where there is none, or no such case."""
+    path = _root() / name / "telemetry.csv"
+    return path if name in case_names() and path.is_file() else None
+
+
+def load_case(name: str) -> Case:
+    """Load a built-in case by its name, for example ``"philae"``.
+
+    Returns
+    -------
+    Case
+        Frozen: `vehicle`, `timeline` (UTC, s), `telemetry` (Dataset over (time, panel) in W), `published` (figures, each with
+        value, unit and source).
+
+    Raises
+    ------
+    InputError
+        With the names there are, or with what is wrong in one of the case's files.
+    """
+    if name not in case_names():
+        raise InputError(
+            sentence("there is no built-in case of this name", got=name, do=f"known: {', '.join(case_names())}")
+        )
+    folder = _root() / name
+    timeline, published = folder / "timeline.toml", folder / "published.toml"
+    return Case(
+        name=name,
+        folder=folder,
+        vehicle=load_vehicle(name),
+        timeline=parse_timeline(timeline.read_text("utf-8"), str(timeline)) if timeline.is_file() else None,
+        published=parse_published(published.read_text("utf-8"), str(published)) if published.is_file() else _frozen({}),
+    )
+
+
+def parse_published(text: str, where: str) -> Mapping[str, Published]:
+    """Read the text of a ``published.toml``; `where` names the file in messages."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+    figures = {}
+    for key, entry in table.items():
+        if not isinstance(entry, dict) or set(entry) != PUBLISHED_KEYS:
+            raise InputError(
+                sentence(
+                    f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}", where=f"{where}, {key}"
+                )
+            )
+        if not all(entry[text].strip() for text in ("unit", "what", "place")):
+            raise InputError(sentence("unit, what and place must not be empty", where=f"{where}, {key}"))
+        figures[key] = Published(**{**entry, "value": _tuples(entry["value"])})
+    return _frozen(figures)
+
+
+def _root() -> Path:
+    return Path(str(resources.files("sunspin").joinpath("cases")))
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def _frozen(figures: dict[str, Published]) -> Mapping[str, Published]:
+    return MappingProxyType(figures)

@@ -1,0 +1,1 @@
+"""Raw frames of satellites into rows, a decoder a file."""

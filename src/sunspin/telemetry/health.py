@@ -1,0 +1,203 @@
+"""Panel health: lit patterns that geometry forbids, which panels' loss would explain them (paper, section 4), and whether
+noise alone might have made them.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.stats import chi2, norm
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.telemetry.sun import SunStatus, sun_directions
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.cosine import arrangement, lit_patterns, observable_patterns
+
+STEPS = 60
+"""Damped Gauss-Newton steps of the search for the Sun that contradicts the readings least; a dozen are usually enough."""
+
+CHUNK = 2000
+"""Samples searched at once: each from every cell of the sphere."""
+
+
+def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | None = None, **options: Any) -> dict[str, Any]:
+    """Which observed lit patterns the Sun alone cannot make, and the smallest sets of panels whose loss explains all.
+
+    A pattern is explained by a set of panels if adding some of them to the lit ones gives a possible pattern: those were in
+    the Sun and gave nothing, being shadowed or dead (paper, section 4).
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`, (n, n_panel) powers, or Dataset of `sun_directions` (which holds no powers, so
+        that nothing can be said of noise)
+    could_be_noise : float, optional
+        Samples that noise alone makes with at least this probability need no explanation. Default: all need one.
+    **options
+        `noise` and `lit_threshold`, as for `sun_directions`.
+
+    Returns
+    -------
+    dict
+        ``allowed``: the lit patterns that geometry allows, for directions in no panel's plane (sorted tuples of names);
+        ``impossible``: {pattern: number of samples}; ``explanations``: list of the smallest sets of panels (tuples), empty
+        where nothing needs explaining or nothing explains it; ``noise``: {pattern: `NoiseVerdict`}, empty without powers
+        or without a noise figure.
+    """
+    is_sun = isinstance(telemetry, xr.Dataset) and "lit" in telemetry
+    sun = telemetry if is_sun else sun_directions(vehicle, telemetry, **options)
+    forbidden = np.flatnonzero(np.asarray(sun["status"]) == SunStatus.IMPOSSIBLE)
+    names = np.array(vehicle.panel_names)
+    patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
+    counts = {pattern: patterns.count(pattern) for pattern in dict.fromkeys(patterns)}
+    sigma, verdicts = float(sun.attrs["noise"]), {}
+    probability = np.zeros(len(patterns))
+    if not is_sun and patterns and np.isfinite(sigma) and sigma > 0:
+        made = noise_alone(vehicle, _values(telemetry)[forbidden], sigma, float(sun.attrs["lit_threshold"]))
+        probability = made.probability
+        verdicts = {pattern: _verdict(made, [p == pattern for p in patterns]) for pattern in counts}
+    limit = np.inf if could_be_noise is None else could_be_noise
+    needed = list(dict.fromkeys(p for p, chance in zip(patterns, probability, strict=True) if chance < limit))
+    return {
+        "allowed": [tuple(name for name in vehicle.panel_names if name in p) for p in lit_patterns(vehicle)],
+        "impossible": counts,
+        "explanations": explanations(vehicle, needed),
+        "noise": verdicts,
+    }
+
+
+def _values(telemetry: Any) -> np.ndarray:
+    if not isinstance(telemetry, xr.Dataset):
+        return np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
+    name = "power_W" if "power_W" in telemetry else "current_A"
+    return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
+
+
+def explanations(vehicle: Vehicle, patterns: list[tuple[str, ...]], size: int | None = None) -> list[tuple[str, ...]]:
+    """The smallest sets of panels that make every given lit pattern possible, several if equally small; or all of a `size`."""
+    possible = observable_patterns(vehicle)
+    if not patterns:
+        return []
+    sizes = range(1, len(vehicle.panel_names) + 1) if size is None else [size]
+    for count in sizes:
+        found = [lost for lost in combinations(vehicle.panel_names, count) if all(_explained(p, lost, possible) for p in patterns)]
+        if found:
+            return found
+    return []
+
+
+def _explained(pattern: tuple[str, ...], lost: tuple[str, ...], possible: frozenset) -> bool:
+    """Whether some possible pattern lights all of `pattern` and nothing else but lost panels."""
+    seen = frozenset(pattern)
+    return any(seen <= other and other - seen <= frozenset(lost) for other in possible)
+
+
+class NoiseMade(NamedTuple):
+    """Whether noise alone may have made each sample's readings; arrays over samples.
+
+    `chi_square` (n): squared distance, in sigma, from the nearest readings that any Sun makes; `probability` (n): upper
+    bound on the probability that noise takes readings so far from those of a Sun; `pattern_probability` (n): probability
+    that noise shows this lit pattern under the least contradictory Sun; `sun_B` (n, 3): that Sun, times the scale of the
+    powers; `log_probability` (n): natural logarithm of `probability`, where that is too small for a float.
+    """
+
+    chi_square: np.ndarray
+    probability: np.ndarray
+    pattern_probability: np.ndarray
+    sun_B: np.ndarray
+    log_probability: np.ndarray
+
+
+class NoiseVerdict(NamedTuple):
+    """All samples of one forbidden pattern: the largest `probability` and `pattern_probability` of `NoiseMade` among them,
+    and log10 of the product of `probability` over them, as their noise is independent."""
+
+    largest: float
+    largest_of_pattern: float
+    log10_together: float
+
+
+def _verdict(made: NoiseMade, member: list[bool]) -> NoiseVerdict:
+    together = made.log_probability[member].sum() / np.log(10)
+    largest, of_pattern = float(made.probability[member].max()), float(made.pattern_probability[member].max())
+    return NoiseVerdict(largest, of_pattern, float(together))
+
+
+def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_threshold: float) -> NoiseMade:
+    """How well each sample's readings agree with some Sun of any direction and brightness, panels being whole.
+
+    A lit panel must read what the Sun gives it; a dark one tells only that it got no more than the threshold. With z the
+    noise of each panel in sigma, the distance from the true Sun's readings is at most |z|, and that from the nearest Sun's
+    is no more: so chi-square with one degree per panel bounds the probability from above.
+
+    Parameters
+    ----------
+    power : (n, n_panel)
+        Readings, in the unit of `sigma` and `lit_threshold`.
+    sigma : float
+        One-sigma Gaussian noise of a reading.
+    lit_threshold : float
+        Readings above it count as lit.
+    """
+    readings = np.atleast_2d(np.asarray(power, dtype=np.float64))
+    n_panel = len(vehicle.require_panels())
+    if readings.ndim != 2 or readings.shape[1] != n_panel:
+        raise InputError(sentence(f"powers must have one column for each of the {n_panel} panels", got=readings.shape))
+    if not (np.isfinite(sigma) and sigma > 0):
+        raise InputError(sentence("sigma must be the positive noise of a reading", got=sigma))
+    if not (np.isfinite(lit_threshold) and lit_threshold >= 0):
+        raise InputError(sentence("lit_threshold must be zero or positive", got=lit_threshold))
+    rows = vehicle.panel_gains[:, None] * vehicle.panel_normals_B
+    scale = np.abs(rows).max()  # so that the unknown is of the size of the readings
+    found = [
+        _nearest_sun(rows / scale, arrangement(vehicle).cell_B, readings[at : at + CHUNK] / sigma, lit_threshold / sigma)
+        for at in range(0, len(readings), CHUNK)
+    ]
+    sun = np.concatenate([part[0] for part in found]) if found else np.zeros((0, 3))
+    square = np.concatenate([part[1] for part in found]) if found else np.zeros(0)
+    mean = np.maximum(0.0, sun @ (rows / scale).T)
+    lit = readings > lit_threshold
+    shown = norm.sf(lit_threshold / sigma, mean), norm.cdf(lit_threshold / sigma, mean)
+    pattern = np.prod(np.where(lit, *shown), axis=1)
+    return NoiseMade(square, chi2.sf(square, n_panel), pattern, sun * sigma / scale, chi2.logsf(square, n_panel))
+
+
+def _nearest_sun(rows: np.ndarray, cells: np.ndarray, readings: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance.
+
+    Inside a cell the squared distance is a convex piece; damped Gauss-Newton runs from each cell and the best end is taken.
+    """
+    light = np.maximum(0.0, cells @ rows.T)
+    bright = np.maximum(readings @ light.T, 0.0) / np.maximum((light**2).sum(axis=1), 1e-300)
+    sun = bright[:, :, None] * cells[None]
+    lit = (readings > threshold)[:, None, :]
+    value, jacobian = _distance(rows, sun, readings[:, None, :], lit, threshold)
+    square, damping = (value**2).sum(axis=-1), np.full(sun.shape[:2], 1e-3)
+    for _ in range(STEPS):
+        normal = np.einsum("...ki,...kj->...ij", jacobian, jacobian) + damping[..., None, None] * np.eye(3)
+        slope = np.einsum("...ki,...k->...i", jacobian, value)
+        trial = sun - np.linalg.solve(normal, slope[..., None])[..., 0]
+        trial_value, trial_jacobian = _distance(rows, trial, readings[:, None, :], lit, threshold)
+        trial_square = (trial_value**2).sum(axis=-1)
+        better = trial_square < square
+        sun = np.where(better[..., None], trial, sun)
+        value = np.where(better[..., None], trial_value, value)
+        jacobian = np.where(better[..., None, None], trial_jacobian, jacobian)
+        square = np.where(better, trial_square, square)
+        damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e12)
+    best = np.argmin(square, axis=1)
+    each = np.arange(len(readings))
+    return sun[each, best], square[each, best]
+
+
+def _distance(
+    rows: np.ndarray, sun: np.ndarray, readings: np.ndarray, lit: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (..., n_panel) in sigma of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
+    mean = np.maximum(0.0, sun @ rows.T)
+    value = np.where(lit, mean - readings, np.maximum(0.0, mean - threshold))
+    active = (mean > 0) & (lit | (mean > threshold))
+    return value, active[..., None] * rows

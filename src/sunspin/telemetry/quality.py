@@ -1,0 +1,273 @@
+"""What each panel reading is worth: dead panels, power-limited samples, albedo, spikes, stale frames; and why, in words.
+
+Nothing is thrown away in silence. A reading that cannot be the Sun's gets an infinite sigma, one that may be something else
+as well gets a larger sigma, and every sample carries a sentence.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
+from sunspin.telemetry.sun import LIT_SIGMAS, signals
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.cosine import panel_power, sphere
+
+DEAD_FRACTION = 0.05
+"""A panel that never exceeds this fraction of its gain, in a file that is long enough, is taken as dead."""
+
+DEAD_SAMPLES = 20
+"""Samples with some panel lit before a panel may be called dead."""
+
+LIMITED_FRACTION = 0.85
+"""Panels together below this fraction of full Sun: the battery, not the Sun, sets the current, or a dead panel is lit."""
+
+SPIKE_FACTOR = 1.6
+"""A reading above this many times full Sun is a wrapped counter or a spike; Earth's albedo adds at most 0.4."""
+
+EARTH_LEFT = 0.25
+"""Part of the light on dark panels that no smooth beam explains: clouds and coasts."""
+
+ALBEDO_DEFAULT = 0.06
+"""Fraction of full Sun that Earth's light may put on a dark panel, where the file has too few samples to tell."""
+
+TOLD_READINGS = 10
+"""Readings of faces away from the Sun that tell the Earth's light."""
+
+LIT_SHARE = 0.5
+"""Of the Earth's light on a panel to the Sun's, averaged over the samples in which it is lit, at most."""
+
+COSINE_QUANTILE = 0.68
+"""The 84 % quantile of a face's cosine to the Earth, none being negative, over all directions."""
+
+SURELY_LIT = 2.0
+"""A reading of more than this many times the albedo is the Sun's; below, it may be the Earth's."""
+
+QUANTUM_SAMPLES = 20_000
+"""Readings looked at for their quantisation."""
+
+IDLE_FRACTION = 0.35
+"""Below this fraction of full Sun nothing is learnt: on skCUBE the panels that stood less in the Sun then gave the current."""
+
+LIMITED_SIGMA = 0.5
+"""Error of a power-limited reading, as a fraction of the sample's largest: the lit side is right, the ratio is not."""
+
+LIMITED_DARK_SIGMA = 1.0
+"""The same of a panel that gives little in such a sample: it may stand in the Sun while another feeds the battery."""
+
+LIMITED_SCALE = 2.0
+"""Relative uncertainty of the scale of a power-limited sample: as good as unknown."""
+
+CLEAN_SCALE = 0.06
+"""Relative uncertainty of the scale of a sample in full Sun: cell temperature and spread of gains."""
+
+BELOW_FULL = "down-weighted: below full Sun, so the battery and not the Sun sets the current, or a dead panel is lit"
+IDLE = "dropped: far below full Sun, so the battery alone sets which panel gives the current"
+BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was left out"
+
+ASIDE = "used: below full Sun, as where the Sun stands beside what the panels see; a full battery would look the same"
+
+DIRECTIONS = 3000
+"""Directions (about 4 degrees apart) among which the Sun is looked for beside the panels."""
+
+ASIDE_FRACTION = 0.08
+"""Misfit of each reading, as a fraction of full Sun, up to which a Sun of full strength explains a sample."""
+
+CHUNK = 20_000
+"""Samples looked at once."""
+
+USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
+
+
+def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
+    """Judge every reading and every sample of panel powers or currents.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`
+
+    Returns
+    -------
+    xarray.Dataset
+        `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing, and `sigma_beside_earth`, the same
+        where the Earth's light is modelled; `scale` (time), the factor
+        between gain and reading at full Sun, and its relative uncertainty `scale_sigma` (time); `use` (time): 0 used, 1
+        down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel); `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
+        `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of
+        full Sun; NaN: not told), `noise` (of a reading, with its quantisation), `full_sun_from`, `gains_from`.
+    """
+    value = signals(telemetry)
+    gains = vehicle.panel_gains
+    relative = value / gains
+    dropped, why = _unusable(telemetry, value)
+    good = ~dropped
+    full, source = _full_sun(vehicle, relative[good])
+    spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
+    dead = _dead(relative[good], full)
+    use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
+    bright = brightness(vehicle, use_value)
+    dark = bright < DEAD_FRACTION * full
+    idle = good & ~dark & (bright < IDLE_FRACTION * full)
+    limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
+    aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
+    idle, limited = idle & ~aside, limited & ~aside
+    clean = good & ~limited & ~idle & ~dark
+    albedo, seen = _albedo(vehicle, relative[clean] / full)
+    told = estimate_gains(vehicle, use_value[clean], full, dead)
+    gains = gains * told.factor
+    noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
+    earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
+    # what the Earth adds to a lit panel on average is taken for its gain
+    # where they are not told, a string of cells may be dead or a full scale wrong: every sample has that error in common
+    own = told.covariance if told.spread is not None else np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
+    gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
+    untold = np.hypot(albedo, told.sigma * use_value / (full * gains))  # whose gains may be off by their prior
+    share = np.where(use_value > SURELY_LIT * albedo * full * gains, untold if told.spread is None else told.spread, albedo)
+    left = _left(albedo, told.spread, vehicle.telemetry.noise is not None)
+    beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
+    floor = np.hypot(share * full * gains, noise)
+    largest = use_value.max(axis=1, initial=0.0)[:, None]
+    sigma = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA) * largest * limited[:, None]
+    nothing = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
+    beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * full * gains, noise)))
+    sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
+    use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(np.int8)
+    some = spike.any(axis=1) & (use == USED)
+    use[some] = DOWNWEIGHTED
+    why = np.where(why != "", why, np.where(dark, "dropped: no panel lit", np.where(idle, IDLE, "used")))
+    why = np.where(limited & (use != DROPPED), BELOW_FULL, why)
+    why = np.where(aside & (use == USED), ASIDE, why)
+    why = np.where(some & ~limited, BEYOND_FULL, why)
+    return xr.Dataset(
+        {
+            "sigma": (("time", "panel"), sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
+            "sigma_beside_earth": (("time", "panel"), beside, {"long_name": "the same where the Earth's light is modelled"}),
+            "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), full), {"units": "1"}),
+            "scale_sigma": ("time", np.where(limited, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}),
+            "gain": ("panel", gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
+            "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * vehicle.panel_gains),
+            "gain_cov": (("panel", "panel2"), gain_cov * np.outer(vehicle.panel_gains, vehicle.panel_gains)),
+            "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
+            "why": ("time", why.astype(np.str_)),
+            "dead": ("panel", dead),
+        },
+        coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
+        attrs={"full_sun": float(full), "albedo": float(albedo),
+               "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
+               "earth_light": earth,
+               "noise": float(noise), "spread": np.nan if told.spread is None else told.spread},
+    )
+
+
+def lit_threshold(vehicle: Vehicle, telemetry: xr.Dataset) -> float | None:
+    """What a reading must exceed to count as lit by the Sun and not by the Earth, in its unit: twice the light on dark faces.
+
+    None where the vehicle file gives a threshold, too few samples tell that light, or it is no more than six sigma of noise.
+    """
+    if vehicle.telemetry.lit_threshold is not None or telemetry.sizes["time"] < DEAD_SAMPLES:
+        return None
+    about = panel_quality(vehicle, telemetry).attrs
+    light = about["albedo"] * about["full_sun"] * float(vehicle.panel_gains.max())
+    told = about["albedo_samples"] >= DEAD_SAMPLES and light > SURELY_LIT * LIT_SIGMAS * about["noise"]
+    return SURELY_LIT * light if told else None
+
+
+def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Samples that cannot be used at all (n), and why (n)."""
+    flag = np.asarray(telemetry["flag"]) if "flag" in telemetry else np.zeros(len(value), dtype=np.uint8)
+    why = np.full(len(value), "", dtype=object)
+    empty = ~np.isfinite(value).any(axis=1)
+    why[empty] = "dropped: no panel has a number"
+    late = (flag & 4) != 0
+    why[late] = "dropped: a late or repeated frame (time does not increase)"
+    same = np.zeros(len(value), dtype=bool)
+    same[1:] = np.all(value[1:] == value[:-1], axis=1) & (np.nan_to_num(value[1:]) > 0).any(axis=1)
+    same &= _finely_quantised(value)
+    why[same & (why == "")] = "dropped: repeats the sample before it to the last digit (stale frame)"
+    return empty | late | same, why
+
+
+def _finely_quantised(value: np.ndarray) -> bool:
+    """Whether equal neighbours mean a stale frame and not just coarse counts or a body at rest: they must be rare."""
+    if len(value) < 3:
+        return False
+    same = np.all(value[1:] == value[:-1], axis=1)
+    return bool(same.mean() < 0.2)
+
+
+def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
+    """The scale of readings in full Sun: one where gains are given in the reading's unit, else from the brightest samples."""
+    unit = {"power_W": "W", "current_A": "A"}[vehicle.telemetry.quantity]
+    if vehicle.gain_unit == unit:
+        return 1.0, "the gains of the vehicle file"
+    bright = brightness(vehicle, np.nan_to_num(relative) * vehicle.panel_gains)
+    if not len(bright) or bright.max() <= 0:
+        return 1.0, "nothing: no panel is lit"
+    return float(np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)), "the brighter samples of the file"
+
+
+def _dead(relative: np.ndarray, full: float) -> np.ndarray:
+    high = np.nanmax(np.where(np.isfinite(relative), relative, -np.inf), axis=0, initial=-np.inf)
+    lit = (np.nan_to_num(relative) > DEAD_FRACTION * full).any(axis=1).sum()
+    return (high < DEAD_FRACTION * full) & (lit >= DEAD_SAMPLES) & (high < np.max(high))
+
+
+def _aside(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> np.ndarray:
+    """Samples (n) that a Sun of full strength in some direction explains although their panels together give less.
+
+    Panels that do not look all around see the Sun shortened where it stands aside. A dead panel is none of them: that it is
+    lit is a fault and no geometry.
+    """
+    model = (full * panel_power(vehicle, sphere(DIRECTIONS)))[:, ~dead]
+    model = model[(model.sum(axis=1) > 0) & ~(full * panel_power(vehicle, sphere(DIRECTIONS)))[:, dead].any(axis=1)]
+    gains = vehicle.panel_gains[~dead]
+    found = np.zeros(len(value), dtype=bool)
+    for start in range(0, len(value) if len(model) else 0, CHUNK):
+        part = value[start : start + CHUNK][:, ~dead] / gains
+        square = (part**2).sum(axis=1)[:, None] - 2 * part @ (model / gains).T + ((model / gains) ** 2).sum(axis=1)
+        found[start : start + CHUNK] = square.min(axis=1) < len(gains) * (ASIDE_FRACTION * full) ** 2
+    return found
+
+
+def _quantum(value: np.ndarray) -> float:
+    """Step of quantised readings: the smallest difference, where most differences are whole multiples of it; else zero."""
+    steps = np.unique(value[np.isfinite(value)][:QUANTUM_SAMPLES])
+    gaps = np.diff(steps)
+    gaps = gaps[gaps > 1e-9 * max(np.abs(steps).max(initial=0.0), 1e-300)]
+    if len(gaps) < 5:
+        return 0.0
+    turns = gaps / gaps.min()
+    return float(gaps.min()) if np.mean(np.abs(turns - np.round(turns)) < 0.01) > 0.9 else 0.0
+
+
+def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
+    """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
+    how many readings tell it."""
+    opposite = vehicle.panel_normals_B @ vehicle.panel_normals_B.T < -0.99
+    readings = [share[share[:, j] > 0.3, i] for i, j in np.argwhere(opposite)]
+    dark = np.concatenate(readings) if readings else np.zeros(0)
+    dark = dark[np.isfinite(dark)]
+    told = len(dark) >= TOLD_READINGS
+    return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(dark)
+
+
+def _left(albedo: float, spread: float | None, stated: bool) -> float:
+    """What no beam explains of the light on dark panels. Noise that the file does not state is in that light too: as much as full
+    Sun scatters, or where that is not told all of it."""
+    noise = 0.0 if stated else albedo if spread is None else min(spread, albedo)
+    return max(EARTH_LEFT * albedo, noise)
+
+
+def _earth_light(albedo: float, seen: int, noise: float) -> float:
+    """What a panel gets that looks straight at the Earth, a share of full Sun, if `albedo` is the quantile of what faces away
+    from the Sun get, noise included; 0 where the file does not tell."""
+    return float(np.sqrt(max(albedo**2 - noise**2, 0.0)) / COSINE_QUANTILE) if seen >= TOLD_READINGS else 0.0
+
+
+def reasons(quality: Any) -> dict[str, int]:
+    """Number of samples for each sentence, most frequent first."""
+    texts, counts = np.unique(quality["why"].values, return_counts=True)
+    return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda item: -item[1]))

@@ -1,0 +1,271 @@
+"""The only reader of mission files: CSV -> Dataset with flags and provenance, or one sentence on what is wrong.
+
+Column names, units, clock and what to do with bad rows come from the vehicle file (`[telemetry]`), so that nobody has to
+rewrite a file to have it read.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.tables import Table, read_table
+from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.sensors import ABSURD, read_sensors, unwrapped
+from sunspin.vehicle import TelemetryForm, Vehicle
+
+FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
+"""Bits of `flag`."""
+
+NEGATIVE_SIGMAS = 5.0
+"""Values down to minus this many sigma are noise around zero and not an error: of the stated noise, or of the file's own."""
+
+NEGATIVE_SHARE = 0.05
+"""Without a stated noise, no value further below zero than this part of full light is taken for noise."""
+
+COLDEST_C, HOTTEST_C = -200.0, 250.0
+"""No solar panel in flight is colder or hotter: such a reading is none."""
+
+LEAST_FACTOR = 0.2
+"""A temperature correction below this is beyond any linear law and left out."""
+
+UNITS = {"power_W": "W", "current_A": "A"}
+
+
+def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
+    """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, Parquet or NetCDF file.
+
+    Parameters
+    ----------
+    path : str or path
+    vehicle : Vehicle
+        Its `telemetry` says which columns, unit, clock; its panels which columns must be there. A file that has columns of
+        the vehicle's sensors may have none of the panels.
+
+    Returns
+    -------
+    xarray.Dataset
+        `power_W` (or `current_A`) over (time, panel), `flag (time)` (bits, 0 is good), coordinate `time` in s from
+        ``attrs["epoch_utc"]``, `phase (time)` where the file has such a column; attrs name the file, its hash and whether
+        it calls itself synthetic.
+
+    Raises
+    ------
+    TelemetryError
+        Naming file, line, column, what was found and what to do.
+    """
+    path = Path(path)
+    if not (vehicle.sensors.sun_sensors or vehicle.sensors.gyro):
+        vehicle.require_panels()
+    form = vehicle.telemetry
+    if path.suffix == ".toml":
+        what = "this is a vehicle's file and not telemetry"
+        raise TelemetryError(sentence(what, do="give the vehicle first and then a table of samples", where=str(path)))
+    table = read_table(path)
+    sensors = read_sensors(vehicle, table)
+    columns = _panel_columns(vehicle, table, path, optional=bool(sensors))
+    time_at = _column(table, form.time_column, "the time", path)
+    time, epoch = _times(form, [row[time_at] for row in table.rows], table, path)
+    values, flag = _values(form, table, columns, path)
+    values, warmth = _at_reference(vehicle, table, values, path)
+    flag |= _order_flags(form, time, table, path)
+    return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth)
+
+
+def _column(table: Table, name: str, what: str, path: Path) -> int:
+    if name not in table.header:
+        raise TelemetryError(
+            sentence(
+                f"column {name!r} ({what}) is missing",
+                got="columns " + ", ".join(table.header),
+                do="add it, or name the right column under [telemetry] in the vehicle file",
+                where=str(path),
+            )
+        )
+    return table.header.index(name)
+
+
+def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = False) -> list[int]:
+    letter, unit = ("P", "W") if vehicle.telemetry.quantity == "power_W" else ("I", "A")
+    known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.panel_names}
+    if optional and not any(name in table.header for names in known.values() for name in names):
+        return []
+    found = []
+    for panel, names in known.items():
+        present = [name for name in names if name is not None and name in table.header]
+        if vehicle.telemetry.columns.get(panel) is not None or not present:
+            present = [names[0] or names[2]]
+        found.append(_column(table, present[0], f"panel {panel}", path))
+    return found
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -> tuple[np.ndarray, np.ndarray]:
+    cells = [[_number(row[column]) for column in columns] for row in table.rows]
+    values = np.array(cells).reshape(len(table.rows), -1)
+    values = np.where(np.abs(values) < ABSURD, values, np.nan)
+    values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
+    floor = _floor(form, values)
+    flag = np.zeros(len(values), dtype=np.uint8)
+    problems = (
+        (1, ~np.isfinite(values), "a finite number is expected"),
+        (2, np.isfinite(values) & (values < floor), "a panel cannot give a negative value"),
+    )
+    for bit, bad, what in problems:
+        if form.bad_rows == "refuse" and bad.any():
+            i, k = np.argwhere(bad)[0]
+            raise TelemetryError(
+                sentence(
+                    what,
+                    got=table.rows[i][columns[k]] or "an empty cell",
+                    do='correct it, or set bad_rows = "flag" under [telemetry] in the vehicle file',
+                    where=f"{path}, line {table.lines[i]}, column {table.header[columns[k]]!r}",
+                )
+            )
+        flag |= np.where(bad.any(axis=1), np.uint8(bit), np.uint8(0))
+    return values, flag
+
+
+def _floor(form: TelemetryForm, values: np.ndarray) -> float:
+    """The lowest value that is still noise of a dark panel: of the stated noise, or of that which the file tells."""
+    if form.noise is not None:
+        return -NEGATIVE_SIGMAS * form.noise
+    sigma = dark_noise(values, least=1)
+    if sigma is None:
+        return 0.0
+    full = float(np.quantile(np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1), 0.9))
+    return -min(NEGATIVE_SIGMAS * sigma, NEGATIVE_SHARE * max(full, 0.0))
+
+
+def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """Values at the panels' reference temperature, and the temperatures; a panel without a reading takes the others' mean."""
+    form = vehicle.telemetry
+    if not form.temperature_columns or not values.shape[1]:
+        return values, {}
+    strange = [name for name in form.temperature_columns if name not in vehicle.panel_names]
+    if strange:
+        raise TelemetryError(sentence("telemetry.temperature_columns names a panel that the vehicle has not", got=strange[0]))
+    warm = np.full(values.shape, np.nan)
+    for panel, name in form.temperature_columns.items():
+        at = _column(table, name, f"temperature of panel {panel}", path)
+        warm[:, vehicle.panel_names.index(panel)] = [_number(row[at]) for row in table.rows]
+    warm *= form.temperature_scale
+    warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)
+    known = np.isfinite(warm)
+    mean = np.where(known, warm, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    mean = np.where(known.any(axis=1), mean, form.reference_temperature_C)
+    filled = np.where(known, warm, mean[:, None])
+    factor = 1 + form.temperature_coefficient_per_K * (filled - form.reference_temperature_C)
+    factor = np.where(factor > LEAST_FACTOR, factor, 1.0)
+    about = {"units": "degC", "long_name": "temperature of the panel"}
+    return values / factor, {"panel_temperature_C": (("time", "panel"), warm, about)}
+
+
+def _parse_utc(text: str) -> datetime | None:
+    text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
+    day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text)  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
+    try:
+        if day:
+            start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
+            text = start.date().isoformat() + (day[3] or "")
+        moment = datetime.fromisoformat(text)
+        return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except (ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
+        return None
+
+
+def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> tuple[np.ndarray, datetime]:
+    """Seconds from the epoch, and the epoch: the vehicle's, else the first sample."""
+    fixed = None if form.epoch_utc is None else _parse_utc(form.epoch_utc)
+    if form.epoch_utc is not None and fixed is None:
+        raise TelemetryError(sentence("telemetry.epoch_utc of the vehicle is not an ISO-8601 time", got=form.epoch_utc))
+    kind = {"utc": "an ISO-8601 UTC time", "unix": "Unix seconds", "elapsed": "seconds"}[form.time_format]
+
+    def bad(i: int) -> TelemetryError:
+        return TelemetryError(
+            sentence(
+                f"{kind} is expected",
+                got=cells[i] or "an empty cell",
+                do="correct it, or set time_format under [telemetry] in the vehicle file",
+                where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
+            )
+        )
+
+    if form.time_format == "utc":
+        parsed = [_parse_utc(cell) for cell in cells]
+        moments = [moment for moment in parsed if moment is not None]
+        if len(moments) < len(parsed):
+            raise bad(parsed.index(None))
+        epoch = fixed or moments[0]
+        return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
+    numbers = np.array([_number(cell) for cell in cells]) * form.time_scale_s
+    if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > 1e11:
+        raise bad(int(np.flatnonzero(~(np.abs(numbers) <= 1e11))[0]))
+    if form.time_format == "elapsed":
+        if fixed is None:
+            raise TelemetryError(sentence("elapsed times need telemetry.epoch_utc in the vehicle file"))
+        return numbers, fixed
+    unix_zero = datetime(1970, 1, 1, tzinfo=UTC)
+    epoch = fixed or unix_zero + timedelta(seconds=float(numbers[0]))
+    return numbers - (epoch - unix_zero).total_seconds(), epoch
+
+
+def _order_flags(form: TelemetryForm, time: np.ndarray, table: Table, path: Path) -> np.ndarray:
+    latest = np.maximum.accumulate(time)
+    late = np.concatenate([[False], time[1:] <= latest[:-1]])
+    if form.bad_rows == "refuse" and late.any():
+        i = int(np.flatnonzero(late)[0])
+        raise TelemetryError(
+            sentence(
+                "time does not increase",
+                got=table.rows[i][table.header.index(form.time_column)],
+                do='sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file',
+                where=f"{path}, line {table.lines[i]}",
+            )
+        )
+    return np.where(late, np.uint8(4), np.uint8(0))
+
+
+def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dataset:
+    form = vehicle.telemetry
+    coords: dict[str, Any] = {
+        "time": ("time", time, {"units": "s", "long_name": "time since the epoch"}),
+        "panel": list(vehicle.panel_names),
+    }
+    if "phase" in table.header:
+        at = table.header.index("phase")
+        coords["phase"] = ("time", np.array([row[at].strip() for row in table.rows], dtype=np.str_))
+    attrs = {
+        "vehicle": vehicle.name,
+        "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
+        "quantity": form.quantity,
+        "file": path.name.encode("utf-8", "backslashreplace").decode("utf-8"),  # attributes hold no half characters
+        "sha256": table.sha256,
+        "comments": "\n".join(table.comments),
+        "synthetic": int(any(comment.lower().startswith("synthetic") for comment in table.comments)),
+        "sunspin_version": metadata.version("sunspin"),
+    }
+    flags = {"flag_masks": [k for k in FLAGS if k], "flag_meanings": " ".join(v for k, v in FLAGS.items() if k)}
+    panels = {form.quantity: (("time", "panel"), values, {"units": UNITS[form.quantity]})} if values.shape[1] else {}
+    if not panels:
+        del coords["panel"]
+    if sensors:
+        coords["axis"] = ["x", "y", "z"]
+    return xr.Dataset(
+        {**panels, "flag": ("time", flag, flags), **sensors},
+        coords=coords,
+        attrs=attrs,
+    )

@@ -1,0 +1,157 @@
+"""Sun sensors, gyro and magnetometer of a telemetry file, as directions, rates and fields in body axes with their errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sunspin.base.tables import Table
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import Attitude, SunSensor
+
+RADIAL_SIGMA = 0.02
+"""Sigma along the direction itself: a chord is shorter than its arc, and the covariance must have full rank."""
+
+ABSURD = 1e12
+"""A cell beyond this is no reading in any unit."""
+
+UNIT = 0.02
+"""A quaternion whose length is farther from one than this is none."""
+
+AGREE = 0.5
+"""Sensors that see different Suns cancel: a mean direction shorter than this is none."""
+
+NEIGHBOUR_RAD = 0.73
+"""Where a sensor's neighbour is lit too and the angle towards it is not read, the Sun stands about 42 degrees off."""
+
+NEIGHBOUR_SIGMA_RAD = 0.2
+
+
+def sensor_columns(vehicle: Vehicle) -> list[str]:
+    """Columns that the vehicle's sensors read."""
+    sensors = vehicle.sensors
+    names = [name for s in sensors.sun_sensors for name in (s.x_column, s.y_column, s.light_column) if name]
+    for part in (sensors.gyro, sensors.attitude, sensors.magnetometer):
+        names += list(part.columns) if part is not None else []
+    return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
+
+
+def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
+    """Variables for a Dataset over `time` from the sensor columns that the table has (missing ones are left out).
+
+    `sun_sensor_B` (time, axis) unit, body axes, with `sun_sensor_cov_B` (time, axis, axis2): NaN where no sensor sees the Sun;
+    `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in the column's unit, zero taken off;
+    `attitude_B_from_N` (time, quaternion); `wheel_speed_rad_s` (time, wheel).
+    Cells without a number are NaN.
+    """
+    found: dict[str, Any] = {}
+    sensors = vehicle.sensors
+    present = [s for s in sensors.sun_sensors if all(n in table.header for n in (s.x_column, s.y_column, s.light_column) if n)]
+    if present:
+        sun, covariance = _sun(present, table)
+        found["sun_sensor_B"] = (("time", "axis"), sun, {"units": "1", "long_name": "Sun by the Sun sensors, body axes"})
+        found["sun_sensor_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
+    gyro, magnetometer = sensors.gyro, sensors.magnetometer
+    if gyro is not None and all(name in table.header for name in gyro.columns):
+        value = gyro.scale_rad_s * (unwrapped(_numbers(table, gyro.columns), gyro.wraps_at) - gyro.zero)
+        found["gyro_B"] = (("time", "axis"), value, {"units": "rad s-1", "long_name": "gyro, body axes"})
+    if magnetometer is not None and all(name in table.header for name in magnetometer.columns):
+        value = unwrapped(_numbers(table, magnetometer.columns), magnetometer.wraps_at) - magnetometer.zero
+        found["field_B"] = (("time", "axis"), value, {"long_name": "magnetometer less its zero, body axes"})
+    attitude = sensors.attitude
+    if attitude is not None and all(name in table.header for name in attitude.columns):
+        value = _quaternions(attitude, _numbers(table, attitude.columns))
+        about = {"units": "1", "long_name": "attitude as given, scalar last, from reference frame to body"}
+        found["attitude_B_from_N"] = (("time", "quaternion"), value, about)
+    speeds = [wheel.speed_column for wheel in vehicle.wheels]
+    if speeds and all(name in table.header for name in speeds if name) and any(speeds):
+        nothing = np.full(len(table.rows), np.nan)
+        value = [nothing if w.speed_column is None else w.speed_scale_rad_s * _numbers(table, [w.speed_column])[:, 0]
+                 for w in vehicle.wheels]  # fmt: skip
+        found["wheel_speed_rad_s"] = (("time", "wheel"), np.stack(value, axis=1), {"units": "rad s-1"})
+    return found
+
+
+def unwrapped(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
+    """Counts whose upper half stands for negative numbers (65535 for -1 where they wrap at 65536)."""
+    return counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
+
+
+def _quaternions(form: Attitude, values: np.ndarray) -> np.ndarray:
+    """Unit quaternions B_from_N (n, 4), scalar last; NaN where the columns hold no unit quaternion."""
+    if form.scalar == "first":
+        values = values[:, [1, 2, 3, 0]]
+    if form.rotates == "B_to_N":
+        values = values * [-1.0, -1.0, -1.0, 1.0]
+    size = np.linalg.norm(values, axis=1, keepdims=True)
+    good = np.abs(size - 1) < UNIT
+    return np.where(good, values / np.where(good, size, 1.0), np.nan)
+
+
+def _numbers(table: Table, names: Any) -> np.ndarray:
+    def number(text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            return np.nan
+
+    columns = [table.header.index(name) for name in names]
+    values = np.array([[number(row[column]) for column in columns] for row in table.rows])
+    return np.where(np.abs(values) < ABSURD, values, np.nan)
+
+
+def _sun(sensors: list[SunSensor], table: Table) -> tuple[np.ndarray, np.ndarray]:
+    """The Sun from all sensors that see it, each weighted by its information about each axis."""
+    n = len(table.rows)
+    light = np.stack([_light(sensor, table) for sensor in sensors], axis=1)
+    lit = light > [sensor.lit_above for sensor in sensors]
+    information, weighted = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    for k, sensor in enumerate(sensors):
+        direction, part = _one_sensor(sensor, sensors, lit, table)
+        use = lit[:, k] & np.isfinite(direction).all(axis=1)
+        information[use] += part[use]
+        weighted[use] += np.einsum("nij,nj->ni", part[use], direction[use])
+    seen = np.trace(information, axis1=1, axis2=2) > 0
+    covariance, sun = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
+    covariance[seen] = np.linalg.inv(information[seen])
+    sun[seen] = np.einsum("nij,nj->ni", covariance[seen], weighted[seen])
+    size = np.linalg.norm(sun, axis=1)
+    agree = seen & (size > AGREE)
+    sun[agree] /= size[agree, None]
+    sun[~agree], covariance[~agree] = np.nan, np.nan
+    return sun, covariance
+
+
+def _light(sensor: SunSensor, table: Table) -> np.ndarray:
+    if sensor.light_column is None:
+        return np.full(len(table.rows), np.inf)
+    return np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
+
+
+def _one_sensor(
+    sensor: SunSensor, sensors: list[SunSensor], lit: np.ndarray, table: Table
+) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (n, 3) of one sensor and their information (n, 3, 3)."""
+    u, v = sensor.x_axis_B, np.cross(sensor.normal_B, sensor.x_axis_B)
+    n = len(table.rows)
+    x = np.clip(sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0], -1.4, 1.4)
+    y_sigma = np.full(n, sensor.y_sigma_rad)
+    if sensor.y_column is not None:
+        scale = np.full(n, sensor.y_scale)
+        if sensor.y_turned_above is not None:
+            scale[_light(sensor, table) > sensor.y_turned_above] = sensor.y_turned_scale
+        y = np.clip(scale * _numbers(table, [sensor.y_column])[:, 0], -1.4, 1.4)
+    else:
+        towards = np.array([other.normal_B @ v for other in sensors])
+        beside = (lit * (np.abs(towards) > 0.5)) @ np.sign(towards)
+        y = NEIGHBOUR_RAD * np.clip(beside, -1, 1)
+        y_sigma[beside != 0] = min(NEIGHBOUR_SIGMA_RAD, sensor.y_sigma_rad)
+    direction = sensor.normal_B + np.tan(x)[:, None] * u + np.tan(y)[:, None] * v
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    across = np.cross(direction, u)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = np.cross(across, direction)
+    parts = ((along, np.full(n, sensor.x_sigma_rad)), (across, y_sigma), (direction, np.full(n, RADIAL_SIGMA)))
+    information = [axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts]
+    return direction, np.sum(information, axis=0)

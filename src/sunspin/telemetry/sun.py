@@ -1,0 +1,320 @@
+"""The inverse model of the panels: measured powers -> direction to the Sun, exactly, with its uncertainty and status.
+
+The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Minimising it is maximising the cosine between P(n) and M.
+Inside a cell of the sphere, where the same panels are lit, P is linear in n and the best n is parallel to pinv(B) M, B being
+the lit rows; on an arc between two cells likewise in the arc's plane; vertices are points. The global minimum is among these
+few candidates, each linear in M, so it is found without a search and for many samples at once.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.telemetry.noise import dark_noise
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.cosine import (
+    Pattern,
+    arrangement,
+    lit_patterns,
+    observable_patterns,
+    panel_power,
+    plane_basis,
+)
+
+NUMBERS = 10_000_000
+"""Candidates times panels times samples solved at once: some 200 MB."""
+
+LIT_FRACTION = 0.02
+"""Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
+
+LIT_SIGMAS = 3.0
+"""With one, above this many sigma."""
+
+RANK_TOLERANCE = 1e-6
+"""Normals whose smallest singular value is below this lie in one plane (or on one line)."""
+
+
+class SunStatus(IntEnum):
+    """Why a sample gives, or does not give, a direction; the sentence is in `STATUS_TEXT`."""
+
+    OK = 0
+    UNCHECKED = 1
+    IMPOSSIBLE = 2
+    RULE = 3
+    ARC = 4
+    REGION = 5
+    DARK = 6
+    MISSING = 7
+
+
+STATUS_TEXT = {
+    SunStatus.OK: "reconstructed; more than three panels lit, so Delta checks it",
+    SunStatus.UNCHECKED: "reconstructed from exactly three lit panels: nothing is redundant and Delta checks nothing",
+    SunStatus.IMPOSSIBLE: "the lit panels cannot be lit together by the Sun alone: a panel is shadowed, dead or reads wrong",
+    SunStatus.RULE: "excluded by a rule of the vehicle",
+    SunStatus.ARC: "lit panels face directions in one plane only: the Sun lies somewhere on an arc",
+    SunStatus.REGION: "lit panels all face one way: the Sun lies somewhere in a region",
+    SunStatus.DARK: "no panel lit",
+    SunStatus.MISSING: "the telemetry of this sample is missing or flagged",
+}
+
+RECONSTRUCTED = (SunStatus.OK, SunStatus.UNCHECKED)
+
+
+def is_reconstructed(status: Any) -> np.ndarray:
+    """Whether each status code comes with a direction that may be used."""
+    return np.isin(np.asarray(status), RECONSTRUCTED)
+
+
+def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
+    """The lit patterns that geometry allows and from which a direction follows: three independent normals, no rule against."""
+    patterns = lit_patterns(vehicle)
+    found = _pattern_statuses(vehicle, [tuple(name in pattern for name in vehicle.panel_names) for pattern in patterns])
+    return frozenset(pattern for pattern, (status, _) in zip(patterns, found, strict=True) if status in RECONSTRUCTED)
+
+
+@lru_cache(maxsize=4096)
+def _status_cached(key: tuple, lit: tuple[bool, ...]) -> tuple[SunStatus, str]:
+    normals, possible, rules = key
+    mask = np.array(lit)
+    values = np.linalg.svd(np.array(normals)[mask], compute_uv=False) if mask.any() else np.zeros(0)
+    rank = int(np.count_nonzero(values > RANK_TOLERANCE))
+    if rank == 0:
+        return SunStatus.DARK, STATUS_TEXT[SunStatus.DARK]
+    if lit not in possible:
+        return SunStatus.IMPOSSIBLE, STATUS_TEXT[SunStatus.IMPOSSIBLE]
+    if rank < 3:
+        status = SunStatus.ARC if rank == 2 else SunStatus.REGION
+        return status, STATUS_TEXT[status]
+    for dark, reason in rules:
+        if not any(lit[k] for k in dark):
+            return SunStatus.RULE, f"{STATUS_TEXT[SunStatus.RULE]}: {reason}"
+    status = SunStatus.OK if mask.sum() > 3 else SunStatus.UNCHECKED
+    return status, STATUS_TEXT[status]
+
+
+def _pattern_statuses(vehicle: Vehicle, patterns: list[tuple[bool, ...]]) -> list[tuple[SunStatus, str]]:
+    names = vehicle.panel_names
+    possible = frozenset(tuple(name in pattern for name in names) for pattern in observable_patterns(vehicle))
+    rules = tuple((tuple(names.index(name) for name in rule.all_dark), rule.reason) for rule in vehicle.sun_rules)
+    key = (tuple(map(tuple, vehicle.panel_normals_B.tolist())), possible, rules)
+    return [_status_cached(key, lit) for lit in patterns]
+
+
+def sun_directions(
+    vehicle: Vehicle, telemetry: Any, *, noise: float | None = None, lit_threshold: float | None = None
+) -> xr.Dataset:
+    """Direction to the Sun for each sample of panel powers.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`, or (n, n_panel) powers (or currents) in the order of the vehicle's panels
+    noise : float, optional
+        One-sigma noise of a panel's value, in its unit; default: the vehicle's, else estimated from the redundancy, else from
+        readings below zero, which are dark panels'.
+    lit_threshold : float, optional
+        A panel counts as lit above this; default: the vehicle's, else three sigma, else 2 % of the largest value or, if
+        readings below zero tell more, three sigma of those.
+
+    Returns
+    -------
+    xarray.Dataset
+        On `time`: `sun_B` (unit, body axes; NaN where `status` says that no direction follows), `best_B` (a minimiser of
+        Delta, whatever the status), `delta` (paper, eq. 2),
+        `sigma_rad` (rms angle of the error), `sun_cov_B` (tangent covariance), `status` (`SunStatus`) with `status_text`,
+        `lit` and `n_lit`, and for status ARC the two ends of the arc, `sun_arc_B`.
+    """
+    power, base = _powers(vehicle, telemetry)
+    noise = noise if noise is not None else vehicle.telemetry.noise
+    threshold = lit_threshold if lit_threshold is not None else vehicle.telemetry.lit_threshold
+    finite = np.all(np.isfinite(power), axis=1) & ~_flagged(base, len(power))
+    clean = np.where(finite[:, None], power, 0.0)
+    dark = dark_noise(clean) if noise is None else None
+    if threshold is None:
+        untold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
+        threshold = LIT_SIGMAS * noise if noise is not None else untold
+    lit = (clean > threshold) & finite[:, None]
+    status, texts = _statuses(vehicle, lit, finite)
+    direction, delta = best_directions(vehicle, clean)
+    told = is_reconstructed(status)
+    noise_from = "given" if noise is not None else "estimated from the redundancy of samples with more than three lit panels"
+    if noise is None:
+        noise = _pooled_noise(clean, delta, lit, status)
+    if np.isnan(noise) and dark is not None:
+        noise, noise_from = dark, "estimated from readings below zero"
+    covariance = _covariances(vehicle, clean, lit, told, noise)
+    arcs = _arcs(vehicle, clean, lit, status)
+    return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
+
+
+def signals(telemetry: xr.Dataset) -> np.ndarray:
+    """The powers or currents (time, panel) of a telemetry Dataset."""
+    name = next((key for key in ("power_W", "current_A") if key in telemetry), None)
+    if name is None:
+        raise InputError(sentence("the telemetry has no panel powers or currents", do="give a file with a column per panel"))
+    return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
+
+
+def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
+    n_panel = len(vehicle.require_panels())
+    if isinstance(telemetry, xr.Dataset):
+        return signals(telemetry), telemetry
+    power = np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
+    if power.ndim != 2 or power.shape[1] != n_panel:
+        raise InputError(sentence(f"powers must have one column for each of the {n_panel} panels", got=power.shape))
+    return power, None
+
+
+def _flagged(base: xr.Dataset | None, n: int) -> np.ndarray:
+    return np.zeros(n, dtype=bool) if base is None or "flag" not in base else np.asarray(base["flag"]) != 0
+
+
+def _statuses(vehicle: Vehicle, lit: np.ndarray, finite: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
+    inverse = inverse.ravel()
+    found = _pattern_statuses(vehicle, [tuple(row) for row in patterns.tolist()])
+    status = np.array([code for code, _ in found], dtype=np.int8)[inverse]
+    texts = np.array([text for _, text in found], dtype=object)[inverse]
+    status[~finite] = SunStatus.MISSING
+    texts[~finite] = STATUS_TEXT[SunStatus.MISSING]
+    return status, texts.astype(np.str_)
+
+
+@lru_cache(maxsize=64)
+def _candidate_maps(normals: tuple, gains: tuple) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices (n_map, 3, n_panel) that turn powers into candidate directions, and fixed candidates (n_vertex, 3)."""
+    from sunspin.vehicle import Panel
+
+    panels = tuple(Panel(str(k), normal, gain) for k, (normal, gain) in enumerate(zip(normals, gains, strict=True)))
+    cells = arrangement(Vehicle("", panels=panels))
+    rows = np.array(gains)[:, None] * np.array(normals)
+    maps = []
+    for lit in cells.cell_lit:
+        if lit.any():
+            maps.append(np.linalg.pinv(rows * lit[:, None]))
+    for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True):
+        if lit.any():
+            basis = plane_basis(np.array(normals)[k])
+            maps.append(basis @ np.linalg.pinv((rows * lit[:, None]) @ basis))
+    return np.array(maps), np.concatenate([cells.vertex_B, cells.cell_B])
+
+
+def best_directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The direction (n, 3) with the smallest Delta (n) for each sample of powers (n, n_panel): the global minimum."""
+    maps, fixed = _candidate_maps(tuple(map(tuple, vehicle.panel_normals_B.tolist())), tuple(vehicle.panel_gains.tolist()))
+    fixed_shape = panel_power(vehicle, fixed)
+    direction, delta = np.zeros((len(power), 3)), np.full(len(power), 2.0)
+    chunk = max(1, NUMBERS // ((len(maps) + len(fixed)) * power.shape[1]))
+    for start in range(0, len(power), chunk):
+        part = slice(start, start + chunk)
+        size = np.linalg.norm(power[part], axis=1)
+        target = power[part] / np.where(size > 0, size, 1.0)[:, None]
+        candidates = np.einsum("mik,nk->nmi", maps, target)
+        length = np.linalg.norm(candidates, axis=2, keepdims=True)
+        candidates = candidates / np.where(length > 0, length, 1.0)
+        misfit = _misfit(panel_power(vehicle, candidates), target[:, None, :])
+        misfit_fixed = _misfit(np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :])
+        best, best_fixed = np.argmin(misfit, axis=1), np.argmin(misfit_fixed, axis=1)
+        each = np.arange(len(target))
+        use_fixed = misfit_fixed[each, best_fixed] < misfit[each, best] - 1e-14
+        direction[part] = np.where(use_fixed[:, None], fixed[best_fixed], candidates[each, best])
+        delta[part] = np.minimum(misfit_fixed[each, best_fixed], misfit[each, best])
+    return direction, delta
+
+
+def _misfit(shape: np.ndarray, target: np.ndarray) -> np.ndarray:
+    size = np.linalg.norm(shape, axis=-1, keepdims=True)
+    unit = shape / np.where(size > 0, size, 1.0)
+    return np.where(size[..., 0] > 0, np.linalg.norm(unit - target, axis=-1), 2.0)
+
+
+def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray) -> float:
+    """Sigma of one value from what is redundant: of L lit panels L - 3 are left after scale and direction."""
+    checked = status == SunStatus.OK
+    freedom = (lit[checked].sum(axis=1) - 3).sum()
+    if freedom == 0:
+        return float("nan")
+    residual = delta[checked] * np.linalg.norm(power[checked], axis=1)
+    return float(np.sqrt((residual**2).sum() / freedom))
+
+
+def _covariances(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, told: np.ndarray, noise: float) -> np.ndarray:
+    """Tangent covariance (n, 3, 3) of the direction from the noise of the powers, NaN where there is no direction."""
+    covariance = np.full((len(power), 3, 3), np.nan)
+    rows = vehicle.panel_gains[:, None] * vehicle.panel_normals_B
+    patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
+    for k, pattern in enumerate(patterns):
+        samples = np.flatnonzero((inverse.ravel() == k) & told)
+        if samples.size == 0:
+            continue
+        design = rows * pattern[:, None]
+        x = power[samples] @ np.linalg.pinv(design).T
+        length = np.linalg.norm(x, axis=1)
+        n = x / length[:, None]
+        tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
+        scaled = noise**2 * np.linalg.inv(design.T @ design) / length[:, None, None] ** 2
+        covariance[samples] = tangent @ scaled @ tangent
+    return covariance
+
+
+def _arcs(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, status: np.ndarray) -> np.ndarray:
+    """Ends (n, 2, 3) of the arc of equally good directions where the lit normals span a plane only."""
+    ends = np.full((len(power), 2, 3), np.nan)
+    rows, normals = vehicle.panel_gains[:, None] * vehicle.panel_normals_B, vehicle.panel_normals_B
+    for i in np.flatnonzero(status == SunStatus.ARC):
+        design = rows[lit[i]]
+        middle = np.linalg.pinv(design) @ power[i, lit[i]]
+        middle /= np.linalg.norm(middle)
+        free = np.linalg.svd(design)[2][2]
+        low, high = -np.pi / 2, np.pi / 2  # n(a) = cos(a) middle + sin(a) free
+        for normal in normals[~lit[i]]:
+            a, b = normal @ middle, normal @ free
+            if abs(b) > RANK_TOLERANCE:
+                crossing = np.arctan2(-a, b) if b > 0 else np.arctan2(a, -b)
+                low, high = (low, min(high, crossing)) if b > 0 else (max(low, crossing), high)
+        if low <= high:
+            for k, angle in enumerate((low, high)):
+                ends[i, k] = np.cos(angle) * middle + np.sin(angle) * free
+    return ends
+
+
+def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold):
+    coords: dict[str, Any] = {"axis": ["x", "y", "z"], "panel": list(vehicle.panel_names)}
+    if base is not None:
+        coords |= {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
+    attrs = {} if base is None else dict(base.attrs)
+    attrs |= {
+        "vehicle": vehicle.name,
+        "noise": float(noise),
+        "noise_from": noise_from,
+        "lit_threshold": float(threshold),
+        "source": "paper, eqs. 1 and 2, minimised exactly",
+    }
+    flags = {"flag_values": [int(s) for s in SunStatus], "flag_meanings": " ".join(s.name.lower() for s in SunStatus)}
+    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    return xr.Dataset(
+        {
+            "sun_B": (
+                ("time", "axis"),
+                np.where(told[:, None], direction, np.nan),
+                {"units": "1", "long_name": "direction to the Sun, body axes"},
+            ),
+            "best_B": (("time", "axis"), direction, {"units": "1", "long_name": "a minimiser of Delta, whatever the status"}),
+            "delta": ("time", delta, {"units": "1", "long_name": "misfit Delta, paper eq. 2"}),
+            "sigma_rad": ("time", sigma, {"units": "rad", "long_name": "rms angle of the error from panel noise"}),
+            "sun_cov_B": (("time", "axis", "axis2"), covariance, {"units": "1", "long_name": "tangent covariance"}),
+            "status": ("time", status, flags),
+            "status_text": ("time", texts),
+            "lit": (("time", "panel"), lit),
+            "n_lit": ("time", lit.sum(axis=1).astype(np.int32), {"units": "1"}),
+            "sun_arc_B": (("time", "end", "axis"), arcs, {"units": "1", "long_name": "ends of the arc of directions"}),
+        },
+        coords=coords,
+        attrs=attrs,
+    )

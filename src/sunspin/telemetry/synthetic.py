@@ -1,0 +1,127 @@
+"""What twins are made of: noise on powers, the Dataset in the form of `read_telemetry`, and its CSV file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import OutputError, sentence
+from sunspin.vehicle import Vehicle
+
+TIME_STEP_S = 1e-3
+"""Times of twins lie on this grid, so that their CSV file holds them without loss."""
+
+LEAST_LIT = 2.0
+"""A lit panel reads at least this many lit thresholds: noise moves a reading, it does not put out the Sun."""
+
+
+def generator(seed: int, key: int) -> np.random.Generator:
+    """The random generator of one independent part of a twin."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
+
+
+def noisy_power(vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
+    """`power` (..., n_panel) with Gaussian noise of `sigma` (same unit) on the lit panels; dark panels read zero.
+
+    A lit panel's reading never falls to zero or below: see `LEAST_LIT`.
+    """
+    noise = sigma * rng.standard_normal(power.shape)
+    least = np.minimum(power, LEAST_LIT * (vehicle.telemetry.lit_threshold or 0.0))
+    return np.where(power > 0, np.maximum(power + noise, least), 0.0)
+
+
+def on_time_grid(t_s: Any) -> np.ndarray:
+    """Times rounded to `TIME_STEP_S`."""
+    return np.round(np.asarray(t_s, dtype=np.float64) / TIME_STEP_S) * TIME_STEP_S
+
+
+def telemetry_dataset(
+    vehicle: Vehicle,
+    t_s: np.ndarray,
+    power: np.ndarray,
+    sun_B: np.ndarray,
+    epoch_utc: str,
+    truth: Mapping[str, Any],
+    phase: np.ndarray | None = None,
+) -> xr.Dataset:
+    """Synthetic telemetry in the form of `read_telemetry`, with the track `true_sun_B` and attributes ``truth_...``."""
+    quantity = vehicle.telemetry.quantity
+    coords: dict[str, Any] = {
+        "time": ("time", t_s, {"units": "s", "long_name": "time since the epoch"}),
+        "panel": list(vehicle.panel_names),
+        "axis": ["x", "y", "z"],
+    }
+    if phase is not None:
+        coords["phase"] = ("time", np.asarray(phase, dtype=np.str_))
+    attrs = {
+        "vehicle": vehicle.name,
+        "epoch_utc": epoch_utc if epoch_utc.endswith("Z") else epoch_utc + "Z",
+        "quantity": quantity,
+        "synthetic": 1,
+        "sunspin_version": metadata.version("sunspin"),
+        **{f"truth_{key}": value for key, value in truth.items()},
+    }
+    long_name = "true direction to the Sun, body axes"
+    return xr.Dataset(
+        {
+            quantity: (("time", "panel"), power, {"units": "W" if quantity == "power_W" else "A"}),
+            "flag": ("time", np.zeros(len(t_s), dtype=np.uint8)),
+            "true_sun_B": (("time", "axis"), sun_B, {"units": "1", "long_name": long_name}),
+        },
+        coords=coords,
+        attrs=attrs,
+    )
+
+
+def csv_text(vehicle: Vehicle, telemetry: xr.Dataset, comments: list[str]) -> str:
+    """The telemetry as text: comment lines, UTC to the millisecond, values to 1e-6, the phase where there is one."""
+    form = vehicle.telemetry
+    epoch = datetime.fromisoformat(telemetry.attrs["epoch_utc"]).astimezone(UTC)
+    columns = [form.columns.get(name, f"P{name}_W") for name in vehicle.panel_names]
+    has_phase = "phase" in telemetry.coords
+    lines = [f"# {comment}" for comment in comments]
+    lines.append(",".join([form.time_column, *columns, *(["phase"] if has_phase else [])]))
+    values = telemetry[form.quantity].values
+    for i, t in enumerate(telemetry["time"].values.tolist()):
+        moment = epoch + timedelta(milliseconds=round(t * 1000))
+        utc = moment.strftime("%Y-%m-%dT%H:%M:%S.") + f"{moment.microsecond // 1000:03d}Z"
+        phase = [str(telemetry["phase"].values[i])] if has_phase else []
+        lines.append(",".join([utc, *(f"{value:.6f}" for value in values[i]), *phase]))
+    return "\n".join(lines) + "\n"
+
+
+def truth_text(telemetry: xr.Dataset, comments: list[str]) -> str:
+    """The truth of a twin as TOML text."""
+    lines = [f"# {comment}" for comment in comments]
+    for key, value in telemetry.attrs.items():
+        if key.startswith("truth_"):
+            lines.append(f"{key.removeprefix('truth_')} = {_toml(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, np.ndarray | list | tuple):
+        return "[" + ", ".join(_toml(item) for item in np.asarray(value).tolist()) + "]"
+    return repr(value.item() if isinstance(value, np.generic) else value)
+
+
+def write_new(path: Path, text: str, force: bool) -> None:
+    """Write a text file whole, or say why not; an existing file is replaced only with `force`."""
+    if path.exists() and not force:
+        raise OutputError(sentence("the file exists", do="choose another name or add --force", where=str(path)))
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise OutputError(
+            sentence(
+                f"the file cannot be written ({error.strerror or error})", do="choose another place", where=str(path)
+            )
+        ) from None

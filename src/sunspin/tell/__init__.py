@@ -1,1 +1,0 @@
-"""How results are told: figures, reports, files for other tools."""

@@ -1,0 +1,1 @@
+"""How panels see light."""

@@ -1,0 +1,134 @@
+"""Events and phases of a case, in UTC and in seconds from the case's epoch."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from sunspin.base.errors import InputError, sentence
+
+EVENT_KEYS = {"name", "utc", "source", "note", "refined_utc", "refined_source"}
+PHASE_KEYS = {"name", "begin", "end", "note"}
+
+
+@dataclass(frozen=True)
+class Event:
+    """A named instant: its UTC as published, a refined one where known, and `t_s` (s from the epoch) of the better."""
+
+    name: str
+    utc: str
+    t_s: float
+    source: str
+    note: str = ""
+    refined_utc: str | None = None
+    refined_source: str | None = None
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The stretch ``begin_s <= t < end_s`` (s from the epoch) between two events; `end_s` is inf where open."""
+
+    name: str
+    begin_s: float
+    end_s: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Events in order of time and the phases between them."""
+
+    epoch_utc: str
+    events: tuple[Event, ...] = ()
+    phases: tuple[Phase, ...] = ()
+
+    def event(self, name: str) -> Event:
+        """The event called `name`, or an `InputError` that lists the names there are."""
+        return _named(self.events, name, "event")
+
+    def phase(self, name: str) -> Phase:
+        """The phase called `name`, or an `InputError` that lists the names there are."""
+        return _named(self.phases, name, "phase")
+
+    def seconds(self, begin: str, end: str) -> float:
+        """Seconds from one named event to another."""
+        return self.event(end).t_s - self.event(begin).t_s
+
+    def phase_at(self, t_s: float) -> str | None:
+        """Name of the phase that holds at `t_s`, None outside all of them."""
+        return next((phase.name for phase in self.phases if phase.begin_s <= t_s < phase.end_s), None)
+
+
+def utc_seconds(utc: str, epoch_utc: str) -> float:
+    """Seconds from `epoch_utc` to `utc`, both ISO-8601 UTC (days of 86400 s: no leap second is counted)."""
+    return (_instant(utc) - _instant(epoch_utc)).total_seconds()
+
+
+def utc_after(seconds: float, epoch_utc: str) -> str:
+    """The time (ISO-8601 UTC, whole seconds) so many seconds after `epoch_utc`; the epoch and the seconds beyond the calendar."""
+    try:
+        instant = _instant(epoch_utc) + timedelta(seconds=round(seconds))
+    except OverflowError:
+        return f"{epoch_utc} and {seconds:g} s"
+    return instant.isoformat().replace("+00:00", "Z")
+
+
+def _instant(utc: str) -> datetime:
+    try:
+        instant = datetime.fromisoformat(utc)
+        return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
+    except (TypeError, ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
+        raise InputError(
+            sentence("a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it")
+        ) from None
+
+
+def parse_timeline(text: str, where: str) -> Timeline:
+    """Read the text of a ``timeline.toml``; `where` names the file in messages."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+    try:
+        epoch = table["epoch_utc"]
+        events = sorted((_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s)
+        timeline = Timeline(epoch, tuple(events))
+        return Timeline(epoch, tuple(events), tuple(_phase(entry, timeline) for entry in table.get("phase", [])))
+    except KeyError as error:
+        raise InputError(sentence(f"key {error.args[0]!r} is missing", do="add it", where=where)) from None
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _event(entry: dict, epoch_utc: str) -> Event:
+    _refuse_unknown(entry, EVENT_KEYS, "event")
+    if not entry["source"].strip():
+        raise InputError(sentence(f"event {entry['name']!r} has an empty source", do="say where its time comes from"))
+    best = entry.get("refined_utc") or entry["utc"]
+    return Event(t_s=utc_seconds(best, epoch_utc), **entry)
+
+
+def _phase(entry: dict, timeline: Timeline) -> Phase:
+    _refuse_unknown(entry, PHASE_KEYS, "phase")
+    begin = timeline.event(entry["begin"]).t_s
+    end = timeline.event(entry["end"]).t_s if "end" in entry else float("inf")
+    if not begin < end:
+        raise InputError(sentence(f"phase {entry['name']!r} ends before it begins", got=f"{begin:g} s to {end:g} s"))
+    return Phase(entry["name"], begin, end, entry.get("note", ""))
+
+
+def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
+    for key in entry:
+        if key not in known:
+            raise InputError(
+                sentence(f"unknown key {key!r} in [[{kind}]]", do=f"known keys: {', '.join(sorted(known))}")
+            )
+
+
+def _named(items: tuple, name: str, kind: str):
+    for item in items:
+        if item.name == name:
+            return item
+    known = ", ".join(item.name for item in items) or "none"
+    raise InputError(sentence(f"the timeline has no {kind} of this name", got=name, do=f"known: {known}"))

@@ -1,0 +1,119 @@
+"""The same samples as CSV, Parquet and NetCDF read alike; what is damaged is a sentence."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.telemetry.sensors import AGREE
+from sunspin.vehicle.file import parse_vehicle
+
+VEHICLE = """
+name = "two"
+[[panel]]
+name = "a"
+normal_B = [1, 0, 0]
+gain_W = 1
+[[panel]]
+name = "b"
+normal_B = [0, 1, 0]
+gain_W = 1
+[telemetry]
+time_format = "{form}"
+time_column = "when"
+epoch_utc = "2026-01-01T00:00:00Z"
+columns = {{ a = "pa", b = "pb" }}
+"""
+
+SENSOR = """
+[[sun_sensor]]
+name = "{name}"
+normal_B = {normal}
+x_axis_B = [0, 1, 0]
+x_column = "x{name}"
+y_column = "y{name}"
+light_column = "l{name}"
+lit_above = 5
+x_scale = 0.0174532925199433
+y_scale = 0.0174532925199433
+x_sigma_rad = 0.02
+y_sigma_rad = 0.02
+"""
+
+
+def frame(when):
+    return pd.DataFrame({"when": when, "pa": [0.5, 0.25, 0.125], "pb": [0.1, 0.2, 0.3]})
+
+
+TIMES = {
+    "elapsed": [10.0, 20.5, 31.25],
+    "unix": [1767225610.0, 1767225620.5, 1767225631.25],
+    "utc": pd.to_datetime(["2026-01-01T00:00:10", "2026-01-01T00:00:20.5", "2026-01-01T00:00:31.25"], format="ISO8601"),
+}
+
+
+@pytest.mark.evidence("read_telemetry", "verified", "the same samples as CSV, Parquet and NetCDF, with three clocks")
+@pytest.mark.parametrize("form", TIMES)
+@pytest.mark.parametrize("kind", ["csv", "parquet", "nc"])
+def test_every_kind_of_file_and_clock_reads_alike(form, kind, tmp_path):
+    table, path = frame(TIMES[form]), tmp_path / f"t.{kind}"
+    if kind == "csv":
+        table.to_csv(path, index=False)
+    elif kind == "parquet":
+        pytest.importorskip("pyarrow")
+        table.to_parquet(path)
+    else:
+        xr.Dataset({name: ("when", table[name].values) for name in ("pa", "pb")}, {"when": table["when"].values}).to_netcdf(
+            path, engine="h5netcdf"
+        )
+    data = ss.read_telemetry(path, parse_vehicle(VEHICLE.format(form=form), "v"))
+    assert data["time"].values == pytest.approx([10.0, 20.5, 31.25], abs=1e-6)
+    assert data["power_W"].values.tolist() == [[0.5, 0.1], [0.25, 0.2], [0.125, 0.3]]
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
+
+
+@pytest.mark.parametrize("content", [b"PAR1 cut off", b"\x89HDF\r\n\x1a\n cut off", b"CDF\x01 old"])
+def test_damaged_files_are_a_sentence(content, tmp_path):
+    path = tmp_path / "t.bin"
+    path.write_bytes(content)
+    with pytest.raises(ss.TelemetryError, match=r"t\.bin"):
+        ss.read_telemetry(path, parse_vehicle(VEHICLE.format(form="elapsed"), "v"))
+
+
+def sensors_vehicle():
+    text = VEHICLE.format(form="elapsed")
+    return parse_vehicle(text + SENSOR.format(name="p", normal=[1, 0, 0]) + SENSOR.format(name="m", normal=[-1, 0, 0]), "v")
+
+
+def sensor_file(path, rows):
+    header = "when,xp,yp,lp,xm,ym,lm\n"
+    path.write_text(header + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    return path
+
+
+def test_a_sun_sensor_reads_angles_from_its_normal(tmp_path):
+    path = sensor_file(tmp_path / "s.csv", [(0, 30, 0, 50, 0, 0, 0), (1, 0, 45, 50, 0, 0, 0), (2, 0, 0, 0, 0, 0, 0)])
+    data = ss.read_telemetry(path, sensors_vehicle())
+    sun = data["sun_sensor_B"].values
+    assert sun[0] == pytest.approx([np.cos(np.pi / 6), 0.5, 0.0], abs=1e-9)
+    assert sun[1] == pytest.approx([np.sqrt(0.5), 0.0, np.sqrt(0.5)], abs=1e-9)  # y axis: x cross y = z
+    assert np.isnan(sun[2]).all()
+    assert "power_W" not in data
+
+
+def test_sensors_that_contradict_each_other_give_no_direction(tmp_path):
+    data = ss.read_telemetry(sensor_file(tmp_path / "s.csv", [(0, 0, 0, 50, 0, 0, 50)]), sensors_vehicle())
+    assert AGREE > 0 and np.isnan(data["sun_sensor_B"].values).all()
+
+
+@pytest.mark.parametrize(("old", "new", "text"), [
+    ("x_axis_B = [0, 1, 0]", "x_axis_B = [1, 0, 0]", "right angles"),
+    ("x_sigma_rad = 0.02", "x_sigma_rad = 0", "must be positive"),
+    ('y_column = "yp"\n', "", "both y_column and y_scale"),
+    ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\nlit = 3", "unknown key"),
+])  # fmt: skip
+def test_a_wrong_sensor_table_is_a_sentence(old, new, text):
+    sensor = SENSOR.format(name="p", normal=[1, 0, 0]).replace(old, new)
+    with pytest.raises(ss.VehicleError, match=text):
+        parse_vehicle(VEHICLE.format(form="elapsed") + sensor, "v")

@@ -1,0 +1,188 @@
+"""Rows on a Dask cluster: the same bits, also when a worker is killed; nothing listens to the outside; plain refusals."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from rowsets import ELSEWHERE, Waves, heed_interrupts
+from sunspin.compute.rows import ensemble
+
+distributed = pytest.importorskip("distributed", reason='needs Dask: pip install "sunspin[cluster]"')
+from sunspin.compute import cluster as dask  # noqa: E402 (only where Dask is installed)
+
+ROWS = Waves()
+WHOLE = ROWS(np.arange(1000))
+
+
+def same(a, b=WHOLE) -> bool:
+    return all(a[name].tobytes() == b[name].tobytes() for name in b)
+
+
+@pytest.fixture(scope="module")
+def client():
+    """Two worker processes, as scheduler="local" starts them."""
+    with dask.local_cluster(2) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+@pytest.mark.evidence("ensemble", "verified", "the same rows on two processes of a Dask cluster, bit by bit")
+def test_a_cluster_changes_no_bit(client):
+    for chunk in (1000, 33):
+        assert same(ensemble(ROWS, scheduler=client, chunk=chunk))
+    index = [17, 5, 998]
+    assert same(ensemble(ROWS, scheduler=client, index=index, chunk=2), {name: a[index] for name, a in WHOLE.items()})
+    assert same(ensemble(ROWS, scheduler=client.scheduler.address))
+    assert client.status == "running"  # what was not opened here is not closed here
+
+
+def test_local_starts_processes_and_ends_them():
+    before = set(threading.enumerate())
+    assert same(ensemble(ROWS, scheduler="local", workers=2, chunk=50))
+    assert not [thread for thread in set(threading.enumerate()) - before if thread.name.startswith("sunspin")]
+
+
+def test_nothing_listens_to_the_outside(client):
+    pids = {os.getpid(), *client.run(os.getpid).values()}
+    inodes = {os.readlink(f"/proc/{pid}/fd/{fd}") for pid in pids for fd in os.listdir(f"/proc/{pid}/fd") if is_socket(pid, fd)}
+    addresses = []
+    for table in ("tcp", "tcp6"):
+        with open(f"/proc/net/{table}") as file:
+            for line in list(file)[1:]:
+                fields = line.split()
+                if fields[3] == "0A" and f"socket:[{fields[9]}]" in inodes:  # 0A: listening
+                    addresses.append(fields[1].split(":")[0])
+    assert len(addresses) >= 3 and set(addresses) == {"0100007F"}  # 127.0.0.1
+
+
+def is_socket(pid: int, fd: str) -> bool:
+    try:
+        return os.readlink(f"/proc/{pid}/fd/{fd}").startswith("socket:")
+    except OSError:
+        return False
+
+
+@pytest.mark.evidence("ensemble", "verified", "a worker killed on the way")
+def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
+    """Result and store, with one of the two processes killed in the middle of the work."""
+    log, store = tmp_path / "rows", tmp_path / "store"
+    rows = Waves(n_rows=1000, seconds_per_row=0.001, log=str(log))
+    victim = next(iter(client.run(os.getpid).values()))
+
+    def kill() -> None:
+        while not (log.exists() and log.read_text().count("\n") > 200):
+            time.sleep(0.01)
+        os.kill(victim, signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        assert same(ensemble(rows, scheduler=client, chunk=20, store=store))
+    finally:
+        log.write_text("\n" * 1000)
+        killer.join()
+    assert victim not in client.run(os.getpid).values()
+    assert same(ensemble(ROWS, store=store))
+
+
+def test_few_chunks_are_in_flight(client, monkeypatch):
+    most = []
+    submit = dask.Cluster.submit
+
+    def watched(self, piece):
+        submit(self, piece)
+        most.append(self.in_flight())
+
+    monkeypatch.setattr(dask.Cluster, "submit", watched)
+    assert same(ensemble(ROWS, scheduler=client, chunk=10))
+    assert len(most) == 100 and max(most) <= 4 * 2
+
+
+def test_what_the_function_raises_comes_through(client):
+    with pytest.raises(ArithmeticError, match="row 500 is bad"):
+        ensemble(Waves(bad_row=500), scheduler=client, chunk=10)
+    assert same(ensemble(ROWS, scheduler=client))
+
+
+class Deadly(Waves):
+    """A row that ends its process."""
+
+    def __call__(self, index):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_rows_that_kill_every_worker_are_given_up(client):
+    with pytest.raises(ss.InputError, match="smaller chunk"):
+        ensemble(Deadly(), scheduler=client)
+    client.wait_for_workers(2, timeout=120)
+    assert same(ensemble(ROWS, scheduler=client))
+
+
+@pytest.mark.parametrize("scheduler", ["here", 8786, "tcp://127.0.0.1", "bad://127.0.0.1:1"])
+def test_what_is_no_scheduler_is_refused(scheduler):
+    with pytest.raises(ss.InputError, match="scheduler") as said:
+        ensemble(ROWS, scheduler=scheduler)
+    assert "\n" not in str(said.value)
+
+
+def test_an_address_that_does_not_answer_is_refused_soon(monkeypatch, client):
+    monkeypatch.setattr(dask, "CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as deaf, socket.create_server(("127.0.0.1", 0)) as gone:
+        ports = deaf.getsockname()[1], gone.getsockname()[1]
+        gone.close()
+        worker = next(iter(client.scheduler_info()["workers"]))
+        for address in (*(f"tcp://127.0.0.1:{port}" for port in ports), worker):
+            begun = time.monotonic()
+            with pytest.raises(ss.InputError, match=f"no Dask scheduler answers at {address}"):
+                ensemble(ROWS, scheduler=address)
+            assert time.monotonic() - begun < 2
+
+
+def test_without_dask_one_sentence_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "sunspin.compute.cluster")
+    monkeypatch.delattr("sunspin.compute.cluster")
+    with pytest.raises(ss.InputError, match=r'pip install "sunspin\[cluster\]"'):
+        ensemble(ROWS, scheduler="local")
+
+
+SCRIPT = """
+import sys
+from rowsets import Waves
+from sunspin.base.errors import Interrupted
+from sunspin.compute.rows import ensemble
+if __name__ == "__main__":
+    try:
+        ensemble(Waves(seconds_per_row=0.01, log=sys.argv[1]), scheduler="local", workers=2, chunk=10, store=sys.argv[2])
+    except Interrupted as stop:
+        print(stop)
+        sys.exit(130)
+"""
+
+
+def test_an_interruption_ends_the_cluster_in_good_order(tmp_path):
+    """Ctrl-C as a terminal sends it, to every process of the group."""
+    log, store, script = tmp_path / "rows", tmp_path / "store", tmp_path / "run.py"
+    script.write_text(SCRIPT)
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(log), str(store)],
+        env=ELSEWHERE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=heed_interrupts,
+    )  # fmt: skip
+    try:
+        while process.poll() is None and not (log.exists() and log.read_text().count("\n") > 100):
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGINT)
+        said, complaint = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, complaint) == (130, "")
+    assert said.count("\n") == 1 and "run the same command again" in said
+    assert same(ensemble(ROWS, store=store))

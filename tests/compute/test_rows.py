@@ -1,0 +1,169 @@
+"""Many rows on threads: the same bits however they are cut, rows alone, errors and interruptions at once."""
+
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from rowsets import ELSEWHERE, Waves, heed_interrupts
+from sunspin import cli
+from sunspin.base.errors import Interrupted
+from sunspin.compute.rows import ensemble
+
+ROWS = Waves()
+
+
+def same(a, b) -> bool:
+    return set(a) == set(b) and all(a[name].tobytes() == b[name].tobytes() and a[name].dtype == b[name].dtype for name in a)
+
+
+@pytest.mark.evidence("ensemble", "verified", "all rows at once, for any chunk and number of threads")
+@pytest.mark.parametrize("workers", [1, 2, 5])
+@pytest.mark.parametrize("chunk", [1, 7, 333, 5000])
+def test_the_cut_changes_no_bit(workers, chunk):
+    assert same(ensemble(ROWS, workers=workers, chunk=chunk), ROWS(np.arange(1000)))
+
+
+def test_rows_alone_are_the_rows_of_the_whole():
+    whole = ensemble(ROWS)
+    for index in (999, [3], [17, 5, 5, 998], np.arange(0, 1000, 3, dtype=np.uint16), []):
+        wanted = {name: values[np.atleast_1d(np.asarray(index, dtype=int))] for name, values in whole.items()}
+        assert same(ensemble(ROWS, index=index, chunk=2), wanted)
+
+
+def test_no_rows_give_empty_arrays(tmp_path):
+    for store in (None, tmp_path / "store"):
+        out = ensemble(Waves(n_rows=0), store=store)
+        assert out["height"].shape == (0,) and out["path"].shape == (0, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"workers": 0}, "workers"),
+        ({"workers": 1.5}, "workers"),
+        ({"chunk": 0}, "chunk"),
+        ({"chunk": True}, "chunk"),
+        ({"index": [1000]}, "0 to 999"),
+        ({"index": [-1]}, "0 to 999"),
+        ({"index": [0.5]}, "0 to 999"),
+        ({"index": [[1], [2, 3]]}, "0 to 999"),
+        ({"index": [1], "store": "never"}, "either index or store"),
+    ],
+)
+def test_bad_arguments_are_named(change, message):
+    with pytest.raises(ss.InputError, match=message):
+        ensemble(ROWS, **change)
+
+
+def test_what_the_function_raises_comes_at_once_and_stops_the_rest(tmp_path):
+    log = tmp_path / "rows"
+    rows = Waves(n_rows=100_000, seconds_per_row=0.01, bad_row=3, log=str(log))
+    begun = time.monotonic()
+    with pytest.raises(ArithmeticError, match="row 3 is bad"):
+        ensemble(rows, workers=2, chunk=10)
+    assert time.monotonic() - begun < 2
+    time.sleep(0.3)  # chunks that were running end
+    assert len(log.read_text().splitlines()) <= 30
+
+
+@dataclass(frozen=True)
+class Wrong(Waves):
+    """Rows whose results are not what they promised."""
+
+    what: str = ""
+
+    def __call__(self, index):
+        values = super().__call__(index)
+        return {
+            "shape": values | {"path": values["path"][:, 0]},
+            "dtype": values | {"kind": values["kind"].astype(float)},
+            "names": {"height": values["height"]},
+        }[self.what]
+
+
+@pytest.mark.parametrize("what", ["shape", "dtype", "names"])
+def test_results_that_are_not_as_promised_are_refused(what):
+    with pytest.raises(ss.InputError, match="the row function must return"):
+        ensemble(Wrong(what=what))
+
+
+def test_progress_counts_rows(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    ensemble(ROWS, progress=True, label="waves", chunk=100)
+    assert "waves" in capsys.readouterr().err
+    ensemble(ROWS)
+    assert capsys.readouterr().err == ""
+
+
+SCRIPT = """
+import sys
+from rowsets import Waves
+from sunspin.base.errors import Interrupted
+from sunspin.compute.rows import ensemble
+log, store = sys.argv[1:]
+try:
+    ensemble(Waves(n_rows=2000, seconds_per_row=0.005, log=log), workers=2, chunk=20, store=store or None)
+except Interrupted as stop:
+    print(stop)
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_an_interruption_says_what_is_kept_and_how_to_go_on(kept, tmp_path):
+    log, store = tmp_path / "rows", tmp_path / "store"
+    command = [sys.executable, "-c", SCRIPT, str(log), str(store) if kept else ""]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, env=ELSEWHERE, preexec_fn=heed_interrupts, **pipes)
+    try:
+        while process.poll() is None and not (log.exists() and log.read_text().count("\n") > 100):
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        said, complaint = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert (process.returncode, complaint) == (130, "")
+    assert said.count("\n") == 1 and "of 2000 rows" in said
+    if not kept:
+        assert "nothing is kept" in said
+        return
+    done = int(said.split("interrupted, ")[1].split()[0])
+    assert done >= 80 and "run the same command again" in said and str(store) in said
+    log.unlink()
+    rows = Waves(n_rows=2000, log=str(log))
+    assert same(ensemble(rows, store=store), rows(np.arange(0, 2000)))
+    assert log.read_text().count("\n") == 2000 - done + 2000
+
+
+def test_the_command_line_passes_the_sentence_on(monkeypatch, capsys):
+    def stopped(*_, **__):
+        raise Interrupted("interrupted, 5 of 9 rows are done")
+
+    monkeypatch.setattr("sunspin.vehicle.load_vehicle", stopped)
+    monkeypatch.setattr(sys, "argv", ["sunspin", "scan", "philae", "telemetry.csv"])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 130
+    assert capsys.readouterr().err.strip() == "sunspin: interrupted, 5 of 9 rows are done"
+
+
+@pytest.mark.parametrize("name", ["philae", "skcube"])
+def test_a_vehicle_travels_bit_by_bit(name):
+    vehicle = ss.load_vehicle(name)
+    other = pickle.loads(pickle.dumps(vehicle))
+    assert other.panel_normals_B.tobytes() == vehicle.panel_normals_B.tobytes()
+    assert (other.facts, other.telemetry, other.sun_rules) == (vehicle.facts, vehicle.telemetry, vehicle.sun_rules)
+    for mine, theirs in zip(vehicle.wheels, other.wheels, strict=True):
+        assert mine.axis_B.tobytes() == theirs.axis_B.tobytes()
+        assert (mine.friction, mine.alternative_frictions) == (theirs.friction, theirs.alternative_frictions)
+    with pytest.raises(ValueError, match="read-only"):
+        other.panels[0].normal_B[0] = 1.0
+    with pytest.raises(TypeError):
+        other.facts["x"] = 1

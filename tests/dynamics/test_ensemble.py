@@ -1,0 +1,198 @@
+"""The ensemble kernel against the reference propagator; its bits against its neighbours."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy as sp
+from scipy.stats import wasserstein_distance
+
+import sunspin as ss
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import codegen
+from sunspin.dynamics.gyrostat import total_momentum
+from vehicles import FIRST_SUN, philae_body, random_vehicle
+
+
+def rows_of(omega, speeds) -> k.Rows:
+    n = len(omega)
+    return k.Rows(np.asarray(omega, float), np.tile(FIRST_SUN, (n, 1)), np.tile(np.atleast_1d(speeds), (n, 1)))
+
+
+def reference(vehicle, rows, duration, **options):
+    ends = []
+    for omega, sun, speeds in zip(rows.omega_B, rows.sun_B, rows.wheel_speed_rad_s, strict=True):
+        run = ss.propagate(vehicle, omega, sun, speeds if len(speeds) else None, [0.0, duration], **options)
+        ends.append(run["sun_B"].values[-1])
+    return np.array(ends)
+
+
+def philae_rows(n=40, seed=1):
+    rng = np.random.default_rng(seed)
+    return rows_of(np.column_stack([rng.uniform(-0.5, 1, (n, 2)), rng.uniform(-0.3, 0.3, n)]), 865.0)
+
+
+@pytest.mark.parametrize("wanted", [1e-2, 1e-4, 1e-6])
+def test_the_error_asked_for_is_met_through_the_wheel_stop(wanted):
+    vehicle, rows = philae_body(), philae_rows()
+    result = k.run_rows(vehicle, rows, 2700.0, direction_error=wanted)
+    error = np.linalg.norm(result.sun_B[:, 0] - reference(vehicle, rows, 2700.0), axis=1)
+    assert error.max() < wanted
+    assert np.all(result.outcome == k.Outcome.FINE)
+
+
+@pytest.mark.parametrize("n_wheels", [0, 1, 2])
+@pytest.mark.parametrize("mode", ["coast", "hold"])
+def test_other_vehicles_with_stops_and_breakaways(n_wheels, mode):
+    rng = np.random.default_rng(100 + n_wheels)
+    vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
+    rows = rows_of(rng.normal(size=(12, 3)) * 0.5, rng.uniform(-20, 20, n_wheels))
+    result = k.run_rows(vehicle, rows, 120.0, direction_error=1e-6, wheel_mode=mode)
+    expected = reference(vehicle, rows, 120.0, wheel_mode=mode)
+    np.testing.assert_allclose(result.sun_B[:, 0], expected, atol=1e-5)
+
+
+HARD = [[-0.275, 0.82, 0.285], [-0.335, 1.0, -0.165], [-0.35, 0.82, 0.21]]
+"""Rates with which the second wheel is held and let go up to 17 times, once for much less than a step."""
+
+
+@pytest.mark.parametrize("wanted", [1e-2, 1e-5, 1e-6, 1e-8])
+def test_a_wheel_that_is_held_and_let_go_again_and_again(wanted):
+    """It may break away just at its limit, turn for a moment only, and stop within the same step."""
+    vehicle = philae_body()
+    (wheel,) = vehicle.wheels
+    vehicle = replace(vehicle, wheels=(wheel, replace(wheel, name="across", axis_B=[1.0, 0.0, 0.0])))
+    rows = rows_of(HARD, [865.0, -605.5])
+    result = k.run_rows(vehicle, rows, 2700.0, direction_error=wanted)
+    assert np.all(result.outcome == k.Outcome.FINE)
+    error = np.linalg.norm(result.sun_B[:, 0] - reference(vehicle, rows, 2700.0), axis=1)
+    assert error.max() < wanted
+
+
+def test_backward_run():
+    vehicle, rows = philae_body(), philae_rows(8)
+    result = k.run_rows(vehicle, rows, -56.0, direction_error=1e-8)
+    np.testing.assert_allclose(result.sun_B[:, 0], reference(vehicle, rows, -56.0), atol=1e-8)
+
+
+def test_backward_through_reversals_of_the_wheel():
+    vehicle = random_vehicle(np.random.default_rng(1), 1, dry=0.001)
+    rows = rows_of([[0.8, 0.5, -0.6], [-0.9, 0.7, 0.8]], 0.1)
+    back = ss.propagate(vehicle, rows.omega_B[0], FIRST_SUN, 0.1, [0.0, -30.0])
+    assert "reverses" in back["event_what"].values
+    result = k.run_rows(vehicle, rows, -30.0, direction_error=1e-7)
+    np.testing.assert_allclose(result.sun_B[:, 0], reference(vehicle, rows, -30.0), atol=1e-6)
+
+
+def test_backward_from_rest_is_an_outcome_and_not_a_number():
+    result = k.run_rows(philae_body(), rows_of([[0.1, 0.2, 0.3]], 0.0), -60.0)
+    assert result.outcome[0] == k.Outcome.PAST_UNKNOWN
+
+
+def test_the_order_of_accuracy_of_the_series_is_that_of_its_polynomials(monkeypatch):
+    monkeypatch.setattr("sunspin.dynamics.ensemble.steps.MAX_SLOW_ANGLE", 10.0)
+    monkeypatch.setattr("sunspin.dynamics.ensemble.steps.CONVERGENCE", 100.0)
+    vehicle, rows = random_vehicle(np.random.default_rng(3), 0), rows_of([[0.3, -0.4, 0.5]], [])
+    exact = reference(vehicle, rows, 40.0)
+    steps, errors = [], []
+    for least in (1, 32):
+        result = k.run_rows(vehicle, rows, 40.0, direction_error=1.0, min_steps=least)
+        steps.append(result.steps[0])
+        errors.append(np.linalg.norm(result.sun_B[0, 0] - exact[0]))
+    assert np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0]) == pytest.approx(14, abs=1.0)
+
+
+def test_output_times_are_those_of_one_run():
+    vehicle, rows = philae_body(), philae_rows(5)
+    times = np.array([130.0, 1000.0, 2600.0])
+    result = k.run_rows(vehicle, rows, times, direction_error=1e-8)
+    run = ss.propagate(vehicle, rows.omega_B[0], FIRST_SUN, 865.0, [0.0, *times])
+    np.testing.assert_allclose(result.sun_B[0], run["sun_B"].values[1:], atol=1e-7)
+
+
+def test_bits_of_a_row_do_not_depend_on_its_neighbours():
+    vehicle, rows = philae_body(), philae_rows(70)
+    together = k.run_rows(vehicle, rows, 2700.0, direction_error=1e-3, bins=80)
+    order = np.random.default_rng(0).permutation(70)
+    shuffled = k.run_rows(vehicle, rows.take(order), 2700.0, direction_error=1e-3, bins=80)
+    alone = k.run_rows(vehicle, rows.take(np.array([17])), 2700.0, direction_error=1e-3, bins=80)
+    assert np.array_equal(together.hist[order], shuffled.hist)
+    assert np.array_equal(together.hist[17], alone.hist[0])
+
+
+def test_bits_of_a_distribution_do_not_depend_on_neighbours_that_change_the_method():
+    """Rows near an unstable spin are run again by series, those of tiny rates or long ways by other steps."""
+    vehicle, rows = philae_body(), philae_rows(300)
+    options = {"emd_error": 1e-3, "bins": 80}
+    together = k.run_rows(vehicle, rows, 2700.0, **options)
+    assert set(together.method) == {"series", "split"}
+    order = np.random.default_rng(1).permutation(300)
+    shuffled = k.run_rows(vehicle, rows.take(order), 2700.0, **options)
+    assert np.array_equal(together.hist[order], shuffled.hist)
+    for i in (int(np.flatnonzero(together.method == name)[0]) for name in ("series", "split")):
+        assert np.array_equal(together.hist[i], k.run_rows(vehicle, rows.take(np.array([i])), 2700.0, **options).hist[0])
+
+
+@pytest.mark.parametrize("n_wheels", [0, 1, 2])
+def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
+    """Strongly unequal moments, oblique wheels that stop or not, slow and fast rows: EMD by SciPy, no mask."""
+    rng = np.random.default_rng(200 + n_wheels)
+    vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
+    rows = rows_of(rng.normal(size=(10, 3)) * np.geomspace(0.02, 2.0, 10)[:, None], rng.uniform(-20, 20, n_wheels))
+    result = k.run_rows(vehicle, rows, 600.0, emd_error=1e-3, bins=256)
+    centres = (np.arange(256 * 8) + 0.5) / (128 * 8) - 1
+    for i in range(len(rows)):
+        speeds = rows.wheel_speed_rad_s[i] if n_wheels else None
+        track = ss.propagate(vehicle, rows.omega_B[i], FIRST_SUN, speeds, np.linspace(0, 600, 60_001), rtol=1e-9)
+        z = track["sun_B"].values[:, 2]
+        assert wasserstein_distance(centres, z, np.repeat(result.hist[i], 8).astype(float)) / 2 < 1.5e-3
+
+
+def test_a_histogram_is_time_and_both_ways_alike():
+    vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
+    forward = k.run_rows(vehicle, rows, 700.0, emd_error=1e-3, bins=256).hist
+    assert forward.sum() == pytest.approx(700.0, rel=1e-4)
+    end = k.run_rows(vehicle, rows, 700.0, direction_error=1e-6)
+    there = k.Rows(end.omega_B[:, 0], end.sun_B[:, 0], end.wheel_speed_rad_s[:, 0])
+    back = k.run_rows(vehicle, there, -700.0, emd_error=1e-3, bins=256).hist
+    assert np.abs(np.cumsum(forward - back)).max() < 2.0  # s
+
+
+def test_errors_that_cannot_be_asked_for_are_refused():
+    vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
+    for options in ({"direction_error": 0.0}, {"direction_error": 1e-16}, {"direction_error": np.nan}, {"emd_error": 1e-9}):
+        with pytest.raises(ss.InputError, match="must be at least"):
+            k.run_rows(vehicle, rows, 10.0, bins=8, **options)
+    with pytest.raises(ss.InputError, match="found both"):
+        k.run_rows(vehicle, rows, 10.0, bins=8, direction_error=1e-3, emd_error=1e-3)
+    with pytest.raises(ss.InputError, match="histogram"):
+        k.run_rows(vehicle, rows, 10.0, emd_error=1e-3)
+
+
+def test_invariants_of_the_kernel_stay_within_the_error_asked_for():
+    vehicle, rows = philae_body(), philae_rows(20)
+    wanted = 1e-4
+    end = k.run_rows(vehicle, rows, 2700.0, direction_error=wanted)
+    momentum = total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
+    for after, before in ((end.momentum_B, momentum), (end.sun_B, rows.sun_B)):
+        lengths = (np.linalg.norm(y, axis=-1) for y in (after[:, 0], before))
+        assert np.abs(np.divide(*lengths) - 1).max() < wanted
+
+
+def test_an_edit_to_the_physics_is_another_kernel(monkeypatch):
+    from sunspin.dynamics import gyrostat
+    from sunspin.dynamics.ensemble import compiled
+
+    for method in ("series", "split"):
+        structure = k.structure_of(philae_body(), None, 8, method)
+        before = compiled.source(structure)
+        with monkeypatch.context() as patch:
+            patch.setattr(gyrostat, "cross", lambda a, b: (a[1] * b[2], a[2] * b[0], a[0] * b[1]))
+            assert compiled.source(structure) != before
+
+
+def test_any_power_can_be_printed_into_a_kernel():
+    """Up to the fourth as products; another once ended in an error of the printer."""
+    x = sp.Symbol("x")
+    lines = codegen.assignments(["a", "b", "c", "d"], [x**3, (x + 1) ** 2, x**5, 1 / x], "t")
+    assert lines == ["a = x*x*x", "b = (x + 1)*(x + 1)", "c = x**5", "d = 1/x"]

@@ -1,0 +1,77 @@
+"""Kernels that another process compiles."""
+
+import os
+import re
+import subprocess
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import ahead, compiled, series_lanes, steps
+from vehicles import FIRST_SUN, random_vehicle
+
+
+@pytest.fixture
+def short_kernels(monkeypatch, tmp_path):
+    """A cache of its own, and a series so short that it is compiled in seconds."""
+    monkeypatch.setenv("SUNSPIN_CACHE", str(tmp_path))
+    for module in (series_lanes, steps):
+        monkeypatch.setattr(module, "ORDER", 3)
+    compiled.kernel.cache_clear()
+    yield tmp_path
+    compiled.kernel.cache_clear()
+
+
+@pytest.mark.long
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="nothing is compiled ahead on a single core")
+def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
+    vehicle = random_vehicle(np.random.default_rng(8), 0)
+    k.prepare(vehicle, [(None, 0)])
+    k.prepare(vehicle, [(None, 0)])
+    assert len(set(ahead._under_way.values())) >= 1
+    rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 0)))
+    module = ahead.ready_kernel(k.structure_of(vehicle, None, 0))
+    assert ahead.is_kept(ahead._path(module))
+    k.run_rows(vehicle, rows, 1.0, direction_error=1e-2)
+    assert sum(module.run.stats.cache_hits.values()) == 1
+    assert not module.run.stats.cache_misses
+
+
+@pytest.mark.long
+def test_a_kernel_is_never_compiled_where_it_runs(short_kernels):
+    """What was compiled in the process would give other last bits than what is loaded: the first run unlike the next."""
+    vehicle = random_vehicle(np.random.default_rng(10), 1)  # of a kind that no other test of this file has loaded
+    rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 1)))
+    k.run_rows(vehicle, rows, 1.0, direction_error=1e-2)
+    stats = ahead.ready_kernel(k.structure_of(vehicle, None, 0)).run.stats
+    assert sum(stats.cache_hits.values()) == 1 and not stats.cache_misses
+
+
+def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, monkeypatch):
+    monkeypatch.setattr(ahead.sys, "executable", str(short_kernels / "nowhere"))
+    vehicle = random_vehicle(np.random.default_rng(9), 0)
+    k.prepare(vehicle, [(None, 0)])
+    rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 0)))
+    assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
+
+
+@pytest.mark.parametrize("first", ["sunspin.estimate.scan.rows", "sunspin.estimate.posterior.cells", "sunspin.dynamics.ensemble"])
+def test_the_compiler_is_the_same_whatever_is_imported_first(first):
+    """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
+    assert target_after(first) == target_after("sunspin.compute.compiler") != ""
+
+
+@lru_cache
+def target_after(module: str) -> str:
+    code = f"import {module}\nfrom numba.core.registry import cpu_target\nprint(cpu_target.target_context.codegen().magic_tuple())"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
+
+
+def test_numba_is_taken_from_where_it_is_set_up():
+    for path in (Path(k.__file__).parents[2]).rglob("*.py"):
+        if path.name != "compiler.py":
+            assert not re.search(r"^(import numba|from numba import .*njit)", path.read_text("utf-8"), re.MULTILINE), path

@@ -1,0 +1,182 @@
+"""The sticking impact: what must vanish, what must be conserved, what may only fall, and a blow worked out by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.dynamics import gyrostat as g
+from sunspin.vehicle import Leg, Vehicle, Wheel
+from vehicles import philae_body, random_vehicle
+
+
+def energy(vehicle, omega, speeds, velocity):
+    return g.kinetic_energy(vehicle, omega, speeds) + vehicle.mass_kg * (velocity**2).sum(axis=-1) / 2
+
+
+def blow(seed: int, n_wheels: int, mode="coast"):
+    """A random vehicle, state and contact point, and the state after: (vehicle, before, tip, after)."""
+    rng = np.random.default_rng(seed)
+    vehicle = random_vehicle(rng, n_wheels)
+    before = (rng.normal(size=3), rng.normal(size=n_wheels) * 100, rng.normal(size=3))
+    tip = rng.normal(size=3)
+    after = ss.impact(vehicle, *before, tip, wheel_mode=mode)
+    return vehicle, before, tip, after
+
+
+cases = settings(max_examples=60, deadline=None, derandomize=True)
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.mark.evidence("impact", "verified", "the condition itself, on random vehicles")
+@cases
+@given(seeds, st.integers(0, 3), st.sampled_from(["coast", "brake", "hold"]))
+def test_the_contact_point_comes_to_rest(seed, n_wheels, mode):
+    _, _, tip, after = blow(seed, n_wheels, mode)
+    contact = np.cross(after["omega_B"].values, tip) + after["velocity_B"].values
+    np.testing.assert_allclose(contact, 0.0, atol=1e-12)
+
+
+@pytest.mark.evidence("impact", "verified", "conservation of momentum, on random vehicles")
+@cases
+@given(seeds, st.integers(0, 3), st.sampled_from(["coast", "hold"]))
+def test_momentum_about_the_contact_point_is_conserved(seed, n_wheels, mode):
+    vehicle, (omega, speeds, velocity), tip, after = blow(seed, n_wheels, mode)
+
+    def about_contact(omega, speeds, velocity):
+        return g.total_momentum(vehicle, omega, speeds) - np.cross(tip, vehicle.mass_kg * velocity)
+
+    then = about_contact(*(after[key].values for key in ("omega_B", "wheel_speed_rad_s", "velocity_B")))
+    np.testing.assert_allclose(then, about_contact(omega, speeds, velocity), rtol=1e-10, atol=1e-10)
+    change = vehicle.mass_kg * (after["velocity_B"].values - velocity)
+    np.testing.assert_allclose(after["impulse_B"].values, change, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.evidence("impact", "verified", "energy may only fall")
+@cases
+@given(seeds, st.integers(0, 3))
+def test_free_wheels_keep_their_inertial_spin_and_energy_never_rises(seed, n_wheels):
+    vehicle, (omega, speeds, velocity), _, after = blow(seed, n_wheels)
+    omega_after, speeds_after = after["omega_B"].values, after["wheel_speed_rad_s"].values
+    np.testing.assert_allclose(
+        g.axial_momenta(vehicle, omega_after, speeds_after),
+        g.axial_momenta(vehicle, omega, speeds),
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    before = energy(vehicle, omega, speeds, velocity)
+    lost = before - energy(vehicle, omega_after, speeds_after, after["velocity_B"].values)
+    assert lost >= -1e-12 * before
+
+
+def test_a_point_already_at_rest_feels_nothing():
+    vehicle, tip, omega = philae_body(), np.array([1.0, 0.2, -0.4]), np.array([0.1, -0.2, 0.3])
+    after = ss.impact(vehicle, omega, 300.0, -np.cross(omega, tip), tip)
+    np.testing.assert_allclose(after["impulse_B"].values, 0.0, atol=1e-14)
+    np.testing.assert_allclose(after["omega_B"].values, omega, atol=1e-15)
+    assert after["wheel_speed_rad_s"].values[0] == pytest.approx(300.0, abs=1e-12)
+
+
+def test_a_held_wheel_keeps_its_speed_and_its_motor_may_do_work():
+    vehicle = philae_body()
+    rng = np.random.default_rng(5)
+    omega, tip = rng.normal(size=(500, 3)) * 0.3, np.array([1.478, 0.0118, -0.4078])
+    velocity = rng.normal(size=(500, 3)) * 0.15
+    after = ss.impact(vehicle, omega, 865.0, velocity, tip, wheel_mode="hold")
+    assert np.all(after["wheel_speed_rad_s"].values == 865.0)
+    work = energy(vehicle, after["omega_B"].values, after["wheel_speed_rad_s"].values, after["velocity_B"].values)
+    work = work - energy(vehicle, omega, np.full((500, 1), 865.0), velocity)
+    assert work.max() > 0 > work.min()
+
+
+@cases
+@given(seeds, st.integers(0, 2))
+def test_turning_vehicle_and_blow_together_turns_the_result(seed, n_wheels):
+    vehicle, (omega, speeds, velocity), tip, after = blow(seed, n_wheels)
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    wheels = [Wheel(w.name, turn @ w.axis_B, w.inertia_kg_m2) for w in vehicle.wheels]
+    turned = Vehicle("turned", turn @ vehicle.inertia_kg_m2 @ turn.T, vehicle.mass_kg, wheels=wheels)
+    other = ss.impact(turned, turn @ omega, speeds, turn @ velocity, turn @ tip)
+    for key in ("omega_B", "velocity_B", "impulse_B"):
+        np.testing.assert_allclose(other[key].values, turn @ after[key].values, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(other["wheel_speed_rad_s"].values, after["wheel_speed_rad_s"].values, rtol=1e-9)
+
+
+@pytest.mark.evidence("impact", "verified", "a blow worked out by hand")
+def test_a_rod_that_lands_on_one_end():
+    """A body with unit mass and inertia falls at speed 1 along -z on its end at distance 2 along x.
+
+    The upward impulse is F = v / (1/m + l^2/I) = 1/5, its moment l x F = (2, 0, 0) x (0, 0, 1/5) = (0, -2/5, 0), and
+    the centre goes on falling at 1 - 1/5. Check: omega x l = (0, -2/5, 0) x (2, 0, 0) = (0, 0, 4/5) cancels it at the
+    end.
+    """
+    body = Vehicle("unit", np.eye(3), 1.0, legs=[Leg("end", [2.0, 0.0, 0.0])])
+    after = ss.impact(body, [0, 0, 0], None, [0, 0, -1.0], "end")
+    np.testing.assert_allclose(after["impulse_B"].values, [0, 0, 0.2], atol=1e-15)
+    np.testing.assert_allclose(after["omega_B"].values, [0, -0.4, 0], atol=1e-15)
+    np.testing.assert_allclose(after["velocity_B"].values, [0, 0, -0.8], atol=1e-15)
+
+
+def test_a_central_blow_stops_the_fall_and_turns_nothing():
+    after = ss.impact(philae_body(), [0, 0, 0], 865.0, [0, 0, -0.3], [0.0, 0.0, -0.4])
+    np.testing.assert_allclose(after["impulse_B"].values, [0, 0, 97.63 * 0.3], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(after["omega_B"].values, 0.0, atol=1e-15)
+    np.testing.assert_allclose(after["velocity_B"].values, 0.0, atol=1e-15)
+
+
+def test_many_blows_at_once_are_the_same_blows_one_by_one():
+    vehicle = ss.load_vehicle("philae")
+    rng = np.random.default_rng(1)
+    omega, velocity = rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
+    speeds, legs = rng.normal(size=(6, 1)) * 100, rng.integers(0, 3, 6)
+    together = ss.impact(vehicle, omega, speeds, velocity, legs)
+    assert together["omega_B"].dims == ("run", "axis") and together["omega_B"].shape == (6, 3)
+    flat = ss.impact(vehicle, omega, speeds[:, 0], velocity, legs)
+    np.testing.assert_array_equal(flat["wheel_speed_rad_s"].values, together["wheel_speed_rad_s"].values)
+    for i in range(6):
+        alone = ss.impact(vehicle, omega[i], speeds[i], velocity[i], vehicle.legs[legs[i]].name)
+        for key in alone:
+            np.testing.assert_allclose(together[key].values[i], alone[key].values, rtol=1e-12, atol=1e-14)
+
+
+def test_a_single_state_against_many_legs():
+    vehicle = ss.load_vehicle("philae")
+    tips = np.array([leg.tip_B_m for leg in vehicle.legs])
+    after = ss.impact(vehicle, [0.1, 0.2, 0.3], 0.0, [0.0, 0.1, -0.2], tips)
+    assert after["wheel_speed_rad_s"].shape == (3, 1)
+    by_index = ss.impact(vehicle, [0.1, 0.2, 0.3], 0.0, [0.0, 0.1, -0.2], np.arange(3))
+    np.testing.assert_array_equal(after["omega_B"].values, by_index["omega_B"].values)
+
+
+def test_the_arguments_are_left_alone():
+    omega, speed, velocity, tip = np.ones(3), np.array([5.0]), -np.ones(3), np.array([1.0, 0, 0])
+    kept = [a.copy() for a in (omega, speed, velocity, tip)]
+    ss.impact(philae_body(), omega, speed, velocity, tip)
+    for now, then in zip((omega, speed, velocity, tip), kept, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"leg": "4"}, "no leg of this name"),
+        ({"leg": 3}, "has 3 leg"),
+        ({"leg": [1.0, 2.0]}, "leg must be finite with three components"),
+        ({"omega_B": [0.0, float("nan"), 0.0]}, "omega_B must be finite"),
+        ({"wheel_speed_rad_s": None}, "one finite number for each of the 1 wheel"),
+        ({"wheel_mode": "stop"}, "wheel_mode must be one of"),
+        ({"omega_B": np.zeros((4, 3)), "velocity_B": np.zeros((5, 3))}, "leading shapes"),
+    ],
+)
+def test_bad_arguments_are_named(change, text):
+    arguments = {"omega_B": [0, 0, 0], "wheel_speed_rad_s": 0.0, "velocity_B": [0, 0, -1], "leg": "1"} | change
+    with pytest.raises(ss.InputError, match=text):
+        ss.impact(ss.load_vehicle("philae"), **arguments)
+
+
+def test_an_impact_needs_the_mass():
+    body = Vehicle("no mass", np.eye(3))
+    with pytest.raises(ss.VehicleError, match="mass_kg"):
+        ss.impact(body, [0, 0, 0], None, [0, 0, -1], [1.0, 0, 0])

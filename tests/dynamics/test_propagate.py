@@ -1,0 +1,215 @@
+"""The reference propagator against independent integrators, closed forms, published truths and invariants."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.dynamics import gyrostat as g
+from sunspin.vehicle import Friction, Vehicle, Wheel
+from vehicles import FIRST_SUN, philae_body, random_vehicle
+
+
+def paper_equations(vehicle: Vehicle):
+    """The paper's eqs. (3), (4), (5), (7) as printed, in terms of omega and W, for one wheel turning forward."""
+    wheel = vehicle.wheels[0]
+    theta, u, J, f = vehicle.inertia_kg_m2, wheel.axis_B, wheel.inertia_kg_m2, wheel.friction
+    inverse = np.linalg.inv(theta - J * np.outer(u, u))
+
+    def slipping(_t, y):
+        omega, W, r = y[:3], y[3], y[4:]
+        M = -np.sign(W) * (f.coulomb_N_m + f.viscous_N_m_s * abs(W))
+        acceleration = -inverse @ (np.cross(omega, theta @ omega) + u * M + np.cross(omega, J * u * W))
+        return np.concatenate([acceleration, [M / J - u @ acceleration], -np.cross(omega, r)])
+
+    def stuck(_t, y):
+        omega, r = y[:3], y[4:]
+        acceleration = -np.linalg.solve(theta, np.cross(omega, theta @ omega))
+        return np.concatenate([acceleration, [0.0], -np.cross(omega, r)])
+
+    return slipping, stuck
+
+
+@pytest.mark.evidence("propagate", "validated", "SciPy's DOP853 on the equations as printed in the paper, rtol 1e-12")
+@pytest.mark.parametrize(
+    "omega",
+    [(-0.1, 0.2, 0.0), *(pytest.param(omega, marks=pytest.mark.slow) for omega in ((0.1, 0.0, 0.0), (0.5, 0.3, 0.14)))],
+)
+def test_philae_through_the_wheel_stop_agrees_with_dop853(omega, reached):
+    vehicle = philae_body()
+    slipping, stuck = paper_equations(vehicle)
+
+    def stopped(_t, y):
+        return y[3]
+
+    stopped.terminal = True
+    options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+    first = solve_ivp(slipping, (0, 2700), [*omega, 865.0, *FIRST_SUN], events=stopped, **options)
+    state = first.y[:, -1].copy()
+    state[3] = 0.0
+    second = solve_ivp(stuck, (first.t[-1], 2700), state, **options)
+    ours = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, np.linspace(0, 2700, 28))
+    assert list(ours["event_what"].values) == ["stops"]
+    assert ours["event_time_s"].values[0] == pytest.approx(first.t[-1], abs=1e-8)
+    np.testing.assert_allclose(ours["sun_B"][-1], second.y[4:, -1], atol=1e-8)
+    np.testing.assert_allclose(ours["omega_B"][-1], second.y[:3, -1], atol=1e-8)
+    assert ours["wheel_speed_rad_s"].values[-1, 0] == 0.0
+    reached("difference of the Sun's direction after 45 min", np.abs(ours["sun_B"].values[-1] - second.y[4:, -1]), "", 1e-8)
+
+
+@pytest.mark.evidence("propagate", "validated", "the paper: the wheel stops after about 42 min")
+def test_the_wheel_stops_after_the_published_42_minutes(reached):
+    run = ss.propagate(philae_body(), [0, 0, 0], FIRST_SUN, 865.0, [0.0, 2700.0])
+    reached("the wheel stops after", run["event_time_s"].values[0] / 60, "min")
+    assert run["event_time_s"].values[0] / 60 == pytest.approx(42.0, abs=0.05)
+    rounded = philae_body(Friction(1.0e-3, 2.6811e-6))  # the pair as printed
+    run = ss.propagate(rounded, [0, 0, 0], FIRST_SUN, 865.0, [0.0, 2700.0])
+    assert run["event_time_s"].values[0] == pytest.approx(2595, abs=1.0)
+
+
+@pytest.mark.evidence("propagate", "verified", "the same run backward")
+def test_forward_and_back_through_the_stop_is_a_round_trip(reached):
+    vehicle, t = philae_body(), np.linspace(0, 2700, 271)
+    there = ss.propagate(vehicle, [-0.2, 0.05, 0.02], FIRST_SUN, 865.0, t)
+    end = there.isel(time=-1)
+    back = ss.propagate(
+        vehicle, end["omega_B"], end["sun_B"], 0.0, t[::-1], stopped_at_s=float(there["event_time_s"][0])
+    )
+    reached("difference of the Sun's direction", np.abs(back["sun_B"].values[::-1] - there["sun_B"].values), "", 1e-9)
+    np.testing.assert_allclose(back["sun_B"].values[::-1], there["sun_B"].values, atol=1e-9)
+    np.testing.assert_allclose(back["wheel_speed_rad_s"].values[-1], [865.0], rtol=1e-9)
+
+
+def test_a_stuck_wheel_has_no_known_past():
+    with pytest.raises(ss.MotionError, match="stopped_at_s"):
+        ss.propagate(philae_body(), [0.1, 0, 0.3], FIRST_SUN, 0.0, [0.0, -100.0])
+
+
+@pytest.mark.evidence("propagate", "verified", "invariants |H|, |r| and H.r, none to three wheels with friction")
+@pytest.mark.parametrize("n_wheels", [0, 1, 2, 3])
+def test_invariants_hold_to_1e_12(n_wheels, reached):
+    rng = np.random.default_rng(n_wheels)
+    vehicle = random_vehicle(rng, n_wheels, dry=0.005, viscous=1e-4)
+    speeds = rng.uniform(-30, 30, n_wheels) if n_wheels else None
+    run = ss.propagate(vehicle, rng.normal(size=3), FIRST_SUN, speeds, np.linspace(0, 600, 601))
+    H, r = run["momentum_B"].values, run["sun_B"].values
+    size = np.linalg.norm(H[0])
+    assert np.ptp(np.linalg.norm(H, axis=1)) < 1e-12 * size
+    assert np.ptp(np.linalg.norm(r, axis=1)) < 1e-12
+    assert np.ptp(np.einsum("ij,ij->i", H, r)) < 1e-12 * size
+    reached("change of |H| in 600 s, relative", np.ptp(np.linalg.norm(H, axis=1)) / size, "", 1e-12)
+    attitude = Rotation.from_quat(run["B_from_N"].values)
+    np.testing.assert_allclose(attitude.apply(FIRST_SUN), r, atol=1e-11)
+    np.testing.assert_allclose(attitude.apply(H[0]), H, atol=1e-11 * size)
+
+
+@pytest.mark.evidence("propagate", "verified", "energy may only fall")
+def test_friction_never_creates_energy():
+    rng = np.random.default_rng(5)
+    vehicle = random_vehicle(rng, 2, dry=0.02, viscous=1e-3)
+    run = ss.propagate(vehicle, [0.8, -0.5, 1.1], FIRST_SUN, [12.0, -8.0], np.linspace(0, 200, 2001))
+    energy = g.kinetic_energy(vehicle, run["omega_B"].values, run["wheel_speed_rad_s"].values)
+    assert run.sizes["event"] > 0
+    assert np.all(np.diff(energy) <= 1e-12 * energy[0])
+
+
+def test_a_motor_holds_the_wheel():
+    run = ss.propagate(philae_body(), [0.3, -0.2, 0.1], FIRST_SUN, 865.0, np.linspace(0, 600, 61), wheel_mode="hold")
+    assert np.all(run["wheel_speed_rad_s"].values == 865.0)
+    omega = run["omega_B"].values
+    theta = philae_body().inertia_kg_m2
+    momentum = omega @ theta + 0.0058 * 865.0 * np.array([0, 0, 1.0])
+    assert np.ptp(np.linalg.norm(momentum, axis=1)) < 1e-12
+
+
+def test_schedule_equals_the_runs_chained_by_hand():
+    vehicle = philae_body()
+    whole = ss.propagate(
+        vehicle, [0.1, 0.05, 0], FIRST_SUN, 865.0, [0, 300.0, 900.0], wheel_mode=[(0, "hold"), (300.0, "coast")]
+    )
+    held = ss.propagate(vehicle, [0.1, 0.05, 0], FIRST_SUN, 865.0, [0, 300.0], wheel_mode="hold")
+    then = ss.propagate(vehicle, held["omega_B"][-1], held["sun_B"][-1], 865.0, [300.0, 900.0])
+    np.testing.assert_allclose(whole["sun_B"][-1], then["sun_B"][-1], atol=1e-11)
+    np.testing.assert_allclose(whole["wheel_speed_rad_s"][-1], then["wheel_speed_rad_s"][-1], rtol=1e-12)
+
+
+@pytest.mark.evidence("propagate", "verified", "closed form of the axisymmetric gyrostat")
+def test_axisymmetric_body_with_a_coasting_wheel_has_a_closed_form(reached):
+    """theta and the precession rate |H| / I_perp are constant although the wheel slows."""
+    friction = Friction(1e-3, 2.7e-6)
+    wheel = Wheel("w", [0, 0, 1], 0.0058, 865.0, friction)
+    vehicle = Vehicle("axisymmetric", np.diag([13.0, 13.0, 16.5]), wheels=[wheel])
+    t = np.linspace(0, 2000, 401)
+    run = ss.propagate(vehicle, [-0.2, 0.1, 0.05], FIRST_SUN / np.linalg.norm(FIRST_SUN), 865.0, t)
+    H, r = run["momentum_B"].values, run["sun_B"].values
+    size = np.linalg.norm(H[0])
+    theta, alpha = np.arccos(H[:, 2] / size), np.arccos(np.einsum("ij,ij->i", H, r) / size)
+    assert np.ptp(theta) < 1e-11
+    phase = np.arccos((r[0, 2] - np.cos(theta[0]) * np.cos(alpha[0])) / (np.sin(theta[0]) * np.sin(alpha[0])))
+    rate = size / 13.0
+    candidates = [
+        np.cos(theta[0]) * np.cos(alpha[0]) + np.sin(theta[0]) * np.sin(alpha[0]) * np.cos(rate * t + sign * phase)
+        for sign in (1, -1)
+    ]
+    reached("difference of r_z", min(np.abs(r[:, 2] - expected).max() for expected in candidates), "", 1e-9)
+    assert min(np.abs(r[:, 2] - expected).max() for expected in candidates) < 1e-9
+
+
+@pytest.mark.evidence("propagate", "validated", "attitude after 10 s published with Basilisk's unit test of its spacecraft module")
+def test_torque_free_attitude_published_with_basilisk(reached):
+    """Unit-test values of Basilisk's spacecraft module: MRP of B relative to N after 10 s."""
+    vehicle = Vehicle("hub", np.diag([500.0, 200.0, 300.0]))
+    run = ss.propagate(vehicle, [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
+    mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
+    reached("difference of the MRP", np.abs(mrp - [0.373034285, -0.00239564413, 0.208570797]), "", 1e-9)
+    np.testing.assert_allclose(mrp, [0.373034285, -0.00239564413, 0.208570797], atol=1e-9)
+
+
+def test_turning_the_axes_turns_the_result():
+    rng = np.random.default_rng(11)
+    vehicle = random_vehicle(rng, 2, dry=0.01, viscous=1e-3)
+    turn = Rotation.random(rng=rng)
+    R = turn.as_matrix()
+    wheels = [
+        Wheel(w.name, R @ w.axis_B, w.inertia_kg_m2, w.speed_rad_s, w.friction) for w in vehicle.wheels
+    ]
+    turned = Vehicle("turned", R @ vehicle.inertia_kg_m2 @ R.T, wheels=wheels)
+    omega, t = np.array([0.4, -0.7, 0.2]), np.linspace(0, 60, 7)
+    a = ss.propagate(vehicle, omega, FIRST_SUN, [9.0, -5.0], t)
+    b = ss.propagate(turned, R @ omega, R @ FIRST_SUN, [9.0, -5.0], t)
+    np.testing.assert_allclose(b["sun_B"].values, turn.apply(a["sun_B"].values), atol=1e-9)
+    np.testing.assert_allclose(b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"omega_B": [0.1, np.nan, 0]}, "omega_B must be three finite numbers"),
+        ({"sun_B": [0.19, 0.62, 0.70]}, "sun_B must be a unit vector"),
+        ({"wheel_speed_rad_s": [1.0, 2.0]}, "one finite number for each of the 1 wheel"),
+        ({"t_s": [0, 1, 1]}, "all increase, or all decrease"),
+        ({"wheel_mode": "stop"}, "must be one of coast, hold, brake"),
+        ({"wheel_mode": "brake"}, "has no brake"),
+        ({"rtol": 0}, "rtol"),
+    ],
+)
+def test_bad_arguments_are_named(change, message):
+    arguments = {"omega_B": [0.1, 0, 0], "sun_B": FIRST_SUN, "wheel_speed_rad_s": 865.0, "t_s": [0.0, 1.0]} | change
+    with pytest.raises(ss.MotionError, match=message):
+        ss.propagate(philae_body(), **arguments)
+
+
+@pytest.mark.parametrize("rate", [1e18, 1e200])
+def test_absurd_rates_are_refused(rate):
+    with pytest.raises(ss.MotionError, match="check the rates"):
+        ss.propagate(philae_body(), [rate, rate, 0], FIRST_SUN, 865.0, [1e6, 1e6 + 100.0])
+
+
+def test_long_runs_are_cut_into_pieces_without_a_trace():
+    vehicle = random_vehicle(np.random.default_rng(4), 0)
+    t = np.linspace(0, 20_000, 41)
+    run = ss.propagate(vehicle, [1.5, 1.0, 0.5], FIRST_SUN, None, t)
+    direct = ss.propagate(vehicle, run["omega_B"].values[20], run["sun_B"].values[20], None, t[20:])
+    np.testing.assert_allclose(run["sun_B"].values[20:], direct["sun_B"].values, atol=1e-8)
+    assert run.sizes["event"] == 0

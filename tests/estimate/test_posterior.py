@@ -1,0 +1,189 @@
+"""The posterior of twins: the truth is in it, and telemetry of another model is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.base.errors import InputError
+from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.posterior.likelihood import Likelihood, moved
+from sunspin.estimate.posterior.model import State, model
+from sunspin.estimate.posterior.verdict import Found, verdict
+from sunspin.estimate.posterior.widths import pareto_tail
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+
+FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
+RATE = np.array([0.05, -0.08, 0.11])
+PRIORS = {"max_rate_rad_s": 0.4}
+SMALL = {"max_rate_rad_s": 0.4, "inertia": 0.0}
+
+
+@pytest.fixture(scope="module")
+def cube() -> Vehicle:
+    inertia = np.diag([0.010, 0.012, 0.008])
+    panels = [Panel(name, normal, 1.0) for name, normal in FACES.items()]
+    return Vehicle("cube", inertia_kg_m2=inertia, panels=panels, telemetry=TelemetryForm(quantity="current_A", noise=0.02))
+
+
+@pytest.fixture(scope="module")
+def telemetry(cube):
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 300, 20.0) + np.concatenate([[0.0], rng.uniform(-3, 3, 14)])
+    return ss.twin(cube, {"omega_B": RATE, "sun_B": SUN, "t_s": t, "scale": 0.37}, seed=1)
+
+
+@pytest.fixture(scope="module")
+def tree(cube, telemetry):
+    return ss.posterior(cube, telemetry, PRIORS, seed=0, draws=1000, workers=2)
+
+
+@pytest.mark.evidence("posterior", "modelled", "the truth of a twin without wheel, six faces")
+def test_the_truth_is_in_a_unique_region(tree, reached):
+    modes = tree["modes"]
+    off = RATE - modes["omega_B"].values[0]
+    assert tree.attrs["verdict_word"] == "unique", tree.attrs["verdict"]
+    distance = off @ np.linalg.solve(modes["omega_cov_B"].values[0], off)
+    reached("distance of the true rate", distance**0.5, "sigmas", limit=16.3**0.5)
+    assert distance < 16.3  # 99.9 % of three numbers
+    assert np.sqrt(np.trace(modes["omega_cov_B"].values[0])) < 0.02
+    assert tree.attrs["p_value"] > 0.01 and tree.attrs["pareto_k"] < 0.7
+
+
+def test_the_scale_that_nobody_stated_is_found(tree):
+    scale = np.exp(tree["posterior"]["log_scale"].values)
+    assert abs(scale.mean() - 0.37) < 4 * scale.std()
+
+
+def test_groups_and_names(tree, telemetry):
+    posterior = tree["posterior"]
+    assert posterior["omega_B"].shape == (1, 1000, 3) and posterior["sun_B"].shape == (1, 1000, 3)
+    assert np.allclose(np.linalg.norm(posterior["sun_B"].values, axis=-1), 1.0, atol=1e-6)
+    assert np.exp(posterior["log_weight"].values).sum() == pytest.approx(1.0)
+    assert {"mode_id", "inertia_xx", "log_noise"} <= set(posterior.data_vars)
+    assert tree["modes"]["weight"].values.sum() == pytest.approx(1.0, abs=1e-3)
+    assert tree.attrs["synthetic"] == 1 and json.loads(tree.attrs["priors"])["inertia"] == "0.01 (assumed)"
+
+
+@pytest.mark.evidence("posterior", "verified", "one and two threads, and a stored run, bit by bit")
+def test_same_bits_for_any_workers_and_when_resumed(cube, telemetry, tree, tmp_path):
+    again = ss.posterior(cube, telemetry, PRIORS, seed=0, draws=1000, workers=1, store=tmp_path / "rows")
+    resumed = ss.posterior(cube, telemetry, PRIORS, seed=0, draws=1000, workers=2, store=tmp_path / "rows")
+    for other in (again, resumed):
+        assert np.array_equal(other["posterior"]["omega_B"].values, tree["posterior"]["omega_B"].values)
+        assert other.attrs["verdict"] == tree.attrs["verdict"]
+
+
+@pytest.mark.evidence("posterior", "modelled", "a wrong model, faces exchanged: it must be refused")
+@pytest.mark.parametrize(("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.slow)])
+def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
+    """The negative control: two neighbouring panels exchanged."""
+    wrong = telemetry.isel(time=slice(0, samples)).copy(deep=True)
+    wrong["current_A"].values[:, [0, 2]] = wrong["current_A"].values[:, [2, 0]]
+    wrong["current_A"].values[:, [1, 4]] = wrong["current_A"].values[:, [4, 1]]
+    found = ss.posterior(cube, wrong, SMALL | {"max_rate_rad_s": max_rate}, seed=0, draws=500, workers=2)
+    assert found.attrs["verdict_word"] == "not explained", found.attrs["verdict"]
+
+
+def test_numbers_that_are_missing_are_left_out(cube, telemetry):
+    holes = telemetry.copy(deep=True)
+    holes["current_A"].values[3, 2] = np.nan
+    holes["current_A"].values[5] = np.nan
+    found = ss.posterior(cube, holes, SMALL, seed=0, draws=500, workers=2)
+    off = RATE - found["modes"]["omega_B"].values[0]
+    assert found.attrs["samples"] == 14 and "left out" in found.attrs["remarks"]
+    assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
+
+
+@pytest.mark.evidence("posterior", "verified", "differences of another step, through the wheel's stop")
+def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
+    """A converter's filler, 2e8 times full Sun, and dark panels with noise to both sides of zero, which tells how much."""
+    silent = replace(cube, telemetry=replace(cube.telemetry, noise=None))
+    wild = telemetry.copy(deep=True)
+    value = wild["current_A"].values
+    value[:] = np.where(value > 0, value, 0.02 * np.random.default_rng(8).standard_normal(value.shape))
+    value[4, 1] = 99999999.0
+    data, _, remarks = readings(silent, wild)
+    assert not data.used[4, 1] and np.count_nonzero(~data.used) == 1 and "1 readings far beyond full Sun" in remarks[0]
+    assert data.sigma == pytest.approx(0.02, rel=0.4) and data.largest < 1
+    found = ss.posterior(silent, wild, SMALL, seed=0, draws=500, workers=2)
+    off = RATE - found["modes"]["omega_B"].values[0]
+    assert found.attrs["verdict_word"] == "unique", found.attrs["verdict"]
+    assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
+
+
+def test_derivatives_are_those_of_another_step(reached):
+    case = ss.load_case("philae")
+    data, _, _ = readings(case.vehicle, case.telemetry)
+    unknown, _ = model(case.vehicle, None, 0.02)
+    data = data.since(1).near(2600.0)  # the wheel stops within the window: the jump is in the derivative
+    likelihood = Likelihood(replace(unknown, after_s=124.477), data, 1e-6)
+    state = State(np.array([[0.18497558, 0.22550964, 0.11285405]]), moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
+                  np.zeros((1, len(unknown.unknowns))))  # fmt: skip
+    _, _, _, jacobian = likelihood.linearised(state)
+    for j, step in ((0, 2e-8), (2, 2e-8), (3, 1e-6), (5 + unknown.moving[-1], 2e-6), (5 + unknown.moving[1], 2e-6)):
+        ends = []
+        for sign in (1, -1):
+            u, omega, tangent = np.zeros_like(state.u), np.zeros((1, 3)), np.zeros((1, 2))
+            (omega if j < 3 else tangent if j < 5 else u)[:, j if j < 3 else j - 3 if j < 5 else j - 5] = sign * step
+            other = State(state.omega + omega, moved(state.sun, tangent), state.u + u)
+            ends.append(likelihood.misfit(likelihood.predict(other, 1e-10), other.u)[0])
+        expected = (ends[0] - ends[1]) / (2 * step)
+        off = np.abs(expected - jacobian[..., j]).max() / np.abs(expected).max()
+        reached("difference of a derivative", off, limit=2e-3)
+        assert off < 2e-3, j
+
+
+def test_heavy_tails_are_noticed():
+    rng = np.random.default_rng(0)
+    assert pareto_tail(np.zeros(2000)) < 0
+    assert pareto_tail(0.3 * rng.standard_normal(5000)) < 0.5
+    assert pareto_tail(rng.exponential(1.0, 5000)) > 0.8  # weights with a Pareto tail of shape one
+
+
+def _found(**changes):
+    given = {
+        "weight": np.array([1.0]), "rate": np.array([[0.1, 0, 0]]), "length": np.array([0.001]), "hits": np.array([9]),
+        "interval_s": 120.0, "p": 0.5, "noise_sigmas": 0.0, "spoilt": [], "tail": 0.2, "effective": 5000.0, "doubts": [],
+    }  # fmt: skip
+    return Found(**(given | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "word", "part"),
+    [
+        ({}, "unique", "one region"),
+        ({"p": 1e-4}, "not explained", "no motion fits"),
+        ({"noise_sigmas": 5.0}, "not explained", "more than was assumed"),
+        ({"tail": 0.9}, "not sure", "rough"),
+        ({"doubts": ["only rates up to 0.2 rad/s could be searched"]}, "not sure", "only rates"),
+        ({"length": np.array([0.3])}, "line", "a line"),
+        ({"weight": np.array([0.6, 0.4]), "rate": np.array([[0.1, 0, 0], [0.152, 0, 0]]), "length": np.zeros(2)}, "aliases",
+         "0.052 rad/s apart"),
+    ],
+)  # fmt: skip
+def test_the_verdict_in_words(changes, word, part):
+    got, text = verdict(_found(**changes))
+    assert got == word and part in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        ({"priors": {"inertai": 0.1}}, "priors know"),
+        ({"priors": {"inertia": -1}}, "zero (known) or positive"),
+        ({"phase": "descent"}, "no such phase"),
+        ({"begin_s": 1e6}, "three samples"),
+        ({"observations": [{"kind": "smell", "t_s": 1, "value": 1, "sigma": 1}]}, "an observation has kind"),
+        ({"observations": [{"kind": "rate", "t_s": 1e5, "value": 1, "sigma": 1}]}, "outside the window"),
+        ({"seed": -1}, "seed must be a whole number"),
+    ],
+)
+def test_bad_input_is_told(cube, telemetry, arguments, part):
+    with pytest.raises(InputError, match=part.replace("(", r"\(").replace(")", r"\)")):
+        ss.posterior(cube, telemetry, **arguments)

@@ -1,0 +1,88 @@
+"""The mixture that proposes motions: the same densities however its components are kept, and regions by what they share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunspin.estimate.posterior.likelihood import moved
+from sunspin.estimate.posterior.mixture import Mixture, Sheet
+from sunspin.estimate.posterior.model import State
+from sunspin.estimate.posterior.widths import BLOCK, DEFENCE, pooled, regions
+
+UNKNOWNS = 4
+SHEET = Sheet.of(5 + UNKNOWNS, softs=2, moving=(1, 2), brightness=(0,))
+
+
+def mixture(seed: int, count: int) -> Mixture:
+    """Unbent components about a few motions."""
+    rng = np.random.default_rng(seed)
+    d = 5 + UNKNOWNS
+    centre = State(0.1 * rng.standard_normal((count, 3)), moved(np.tile([0.0, 0.6, 0.8], (count, 1)), rng.normal(size=(count, 2))),
+                   rng.standard_normal((count, UNKNOWNS)))  # fmt: skip
+    root = 0.1 * rng.standard_normal((count, d, d)) + 0.3 * np.eye(d)
+    bend = np.zeros((count, SHEET.terms, len(SHEET.stiff)))
+    bend[:, : len(SHEET.along)] = rng.standard_normal((count, len(SHEET.along), len(SHEET.stiff)))
+    weight = rng.uniform(0.5, 1.0, count)
+    basis = np.tile(np.diag([50.0] * 3 + [1.0] * 2), (count, 1, 1))
+    return Mixture(centre, basis, bend, np.zeros((count, d)), root @ root.swapaxes(1, 2), weight / weight.sum(), SHEET)
+
+
+def density(of: Mixture, state: State) -> np.ndarray:
+    return np.exp(of.log_densities(state)).sum(axis=1)
+
+
+def test_the_pooled_mixture_has_the_density_of_all_rounds():
+    """Each round but the first begins with the same defence, which is kept once."""
+    first = mixture(0, 4)
+    wide = replace(first, covariance=2 * first.covariance, weight=DEFENCE * first.weight)
+    later = [Mixture.joined([wide, replace(m, weight=(1 - DEFENCE) * m.weight)]) for m in (mixture(1, 3), mixture(2, 5))]
+    tried = [(0.1, first), (0.02, later[0]), (0.3, later[1])]
+    state = first.draw(200, np.random.default_rng(3))
+    made = pooled(tried)
+    assert len(made.weight) == 4 + 4 + 3 + 5 and made.weight.sum() == pytest.approx(1.0)
+    expected = sum(share * density(m, state) for share, m in tried) / sum(share for share, _ in tried)
+    np.testing.assert_allclose(density(made, state), expected, rtol=1e-9)
+
+
+def test_a_bend_of_nothing_is_no_bend():
+    """Components without products in their bend go a shorter way to the same coordinates."""
+    straight = mixture(4, 2)
+    bend = np.array(straight.bend)
+    bend[:, -1] = 1e-200
+    state = straight.draw(50, np.random.default_rng(5))
+    for m in range(2):
+        np.testing.assert_allclose(straight.coordinates(state, m), replace(straight, bend=bend).coordinates(state, m), rtol=1e-9)
+
+
+def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
+    """Every coordinate is stiff or along the sheet; what is bent comes back, and densities are those of the straight sheet."""
+    assert sorted([*SHEET.stiff, *SHEET.along]) == list(range(5 + UNKNOWNS)) and set(SHEET.bending) <= set(SHEET.along)
+    straight = mixture(6, 1)
+    bent = replace(straight, bend=np.random.default_rng(7).normal(0, 0.05, straight.bend.shape))
+    x = np.random.default_rng(8).normal(0, 0.3, (40, 5 + UNKNOWNS))
+    here = np.zeros(40, dtype=int)
+    one, other = straight.states(x, here), bent.states(x, here)
+    np.testing.assert_allclose(bent.coordinates(other, 0), x, rtol=0, atol=1e-9)
+    assert np.abs(other.u[:, 0] - one.u[:, 0]).max() > 0.01  # the brightness is bent with the motion
+
+    def in_the_chart(of: Mixture, state: State) -> np.ndarray:
+        """Density without the chart's own stretching of the sphere."""
+        return of.log_densities(state)[:, 0] + np.log(np.sinc(np.arccos(state.sun @ of.centre.sun[0]) / np.pi))
+
+    np.testing.assert_allclose(in_the_chart(bent, other), in_the_chart(straight, one), rtol=0, atol=1e-7)
+
+
+def test_components_that_share_draws_are_one_region():
+    """Two that share all their draws and one apart, with draws enough for several blocks; the last has no weight at all."""
+    n = 2 * BLOCK + 7
+    share = np.full((n, 4), 1e-9)
+    share[:n // 3, 2] = 1.0
+    share[n // 3 :, :2] = 0.5
+    share[:, 3] = 1e-30
+    parts = np.log(share)
+    region, component = regions(np.zeros(n), parts, np.log(share.sum(axis=1)))
+    assert component.tolist() == [0, 0, 1, -1]
+    assert np.all(region[: n // 3] == 1) and np.all(region[n // 3 :] == 0)

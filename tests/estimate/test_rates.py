@@ -1,0 +1,205 @@
+"""Rates from sparse directions or powers: twins with a known truth, coverage, aliases, sentences. All telemetry is synthetic."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.estimate.rates.motion import Body, Ends, step, step_with_answer, turn, turn_between
+from sunspin.estimate.rates.observe import thinned
+from sunspin.estimate.rates.smooth import solve
+from sunspin.estimate.rates.start import facing, rates_between
+from sunspin.estimate.rates.state import SUN_N
+from sunspin.vehicle import Panel, Vehicle
+
+NORMALS = np.vstack([np.eye(3), -np.eye(3)])
+CUBE = Vehicle(
+    "cube", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]), gain_unit="W",
+    panels=[Panel(name, normal, 1.0) for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), NORMALS, strict=True)],
+)  # fmt: skip
+
+
+def unit(rng):
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def twin(vehicle, omega, t, rng, noise=0.01, albedo=0.05, speed=None):
+    run = ss.propagate(vehicle, omega, unit(rng), speed, t, wheel_mode="hold")
+    power = ss.panel_power(vehicle, run["sun_B"].values)
+    power = np.maximum(power + noise * rng.normal(size=power.shape) + albedo * rng.uniform(size=power.shape), 0)
+    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t), dtype=np.uint8))}
+    coords = {"time": t, "panel": list(vehicle.panel_names)}
+    return xr.Dataset(variables, coords, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}), run
+
+
+def errors(result, run):
+    """Error of the best mode's rate in its own sigma, (n, 3)."""
+    truth = run["omega_B"].sel(time=result["time"]).values
+    return (result["omega_B"].values - truth) / np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+
+
+def irregular(rng, n, usual):
+    return np.concatenate([[0.0], np.cumsum(usual * rng.uniform(0.7, 1.3, n - 1))])
+
+
+@pytest.mark.evidence("rates", "modelled", "four tumbling twins with albedo, and twelve")
+@pytest.mark.parametrize("twins", [4, pytest.param(12, marks=pytest.mark.slow)])
+def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
+    """Tumbling cubes seen every 20 s with Earth's light on dark faces: the truth lies where the sigmas say."""
+    rng = np.random.default_rng(8)
+    square = []
+    for _ in range(twins):
+        data, run = twin(CUBE, 0.03 * rng.normal(size=3), irregular(rng, 12, 20.0), rng)
+        result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.15)
+        assert result["weight"].values[0, 0] > 0.5
+        square.append((errors(result, run) ** 2).mean())
+    assert np.quantile(square, 0.8) < 3.0  # bounded: not over-confident
+    reached("squared error over stated variance, mean", np.mean(square))
+    assert np.mean(square) > 0.05  # and not so wide as to say nothing
+    assert result.attrs["synthetic"] == 1
+
+
+@pytest.mark.evidence("rates", "modelled", "a twin with a wheel; without its wheel it must not fit")
+def test_a_wheel_is_part_of_the_motion():
+    wheel = ss.Wheel("w", [0, 0, 1], 3e-4, speed_rad_s=30.0)
+    craft = replace(CUBE, wheels=(wheel,))
+    rng = np.random.default_rng(3)
+    data, run = twin(craft, [0.02, 0.03, -0.01], irregular(rng, 14, 15.0), rng, speed=[30.0])
+    result = ss.rates(craft, data, acceleration_noise=2e-5, max_rate_rad_s=0.15)
+    assert (errors(result, run) ** 2).mean() < 4.0
+    without = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.15)
+    assert without["cost"].values[0, 0] > result["cost"].values[0, 0] + 20  # the control: without its wheel it does not fit
+    assert "NO motion fits" in without.attrs["verdict"] and "NO motion" not in result.attrs["verdict"]
+
+
+def test_evenly_spaced_samples_leave_aliases_and_they_are_listed():
+    rng = np.random.default_rng(1)
+    t = np.arange(6) * 40.0
+    data, run = twin(CUBE, [0.004, -0.003, 0.012], t, rng, noise=0.02)
+    sphere = replace(CUBE, inertia_kg_m2=None)
+    result = ss.rates(sphere, data, acceleration_noise=1e-4, max_rate_rad_s=0.2)
+    weight = result["weight"].values[0]
+    assert np.isfinite(weight).sum() >= 2
+    assert np.nansum(weight) == pytest.approx(1.0, abs=0.02)
+    truth = run["omega_B"].values.mean(axis=0)
+    found = result["omega_mean_B"].values[0, np.isfinite(weight)]
+    assert np.min(np.linalg.norm(found - truth, axis=1)) < 0.004
+    assert "several motions fit" in result.attrs["verdict"] or weight[0] >= 0.9
+
+
+@pytest.mark.evidence("rates", "modelled", "a twin with a gyro")
+def test_a_gyro_decides_between_aliases_and_narrows_the_rate():
+    from sunspin.vehicle.sensors import Gyro, Sensors
+
+    rng = np.random.default_rng(2)
+    data, run = twin(CUBE, [0.01, -0.02, 0.012], np.arange(7) * 40.0, rng)
+    craft = replace(CUBE, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
+    gyro = run["omega_B"].values + 5e-4 * rng.normal(size=(7, 3))
+    both = ss.rates(craft, data.assign(gyro_B=(("time", "axis"), gyro)), acceleration_noise=2e-5, max_rate_rad_s=0.2)
+    alone = ss.rates(craft, data, acceleration_noise=2e-5, max_rate_rad_s=0.2)
+    assert both["weight"].values[0, 0] > 0.9
+    assert np.all(both["omega_sigma_all_B"].values[0] < alone["omega_sigma_all_B"].values[0])
+    assert both.attrs["gyro_used"] == 1 and alone.attrs["gyro_used"] == 0
+
+
+def test_attitude_turns_the_local_sun_into_the_body():
+    from scipy.spatial.transform import Rotation
+
+    rng = np.random.default_rng(4)
+    data, _ = twin(CUBE, [0.01, 0.02, 0.0], irregular(rng, 8, 20.0), rng)
+    result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.1)
+    turned = Rotation.from_quat(result["B_from_N"].values).apply(SUN_N)
+    assert np.abs(turned - result["sun_B"].values).max() < 1e-12
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-9])
+def test_every_seed_rate_carries_the_first_direction_to_the_second(apart):
+    first = np.array([0.0, 0.6, 0.8])
+    second = turn(facing(first), np.array([apart, 0.0, 0.0])) @ SUN_N
+    rates = rates_between(first, second, 10.0, 1.5)
+    assert len(rates) > 40
+    carried = turn(np.broadcast_to(facing(first), (len(rates), 3, 3)), 10.0 * rates) @ SUN_N
+    strays = np.linalg.norm(carried - second, axis=1)
+    family = strays[: -80 * 2] if apart < 0.5 else strays  # the rest: whole turns about any axis, which stray by the angle
+    assert family.max() < 1e-6 and strays.max() < apart + 1e-6
+
+
+@pytest.mark.parametrize("body", [
+    Body(np.eye(3), np.array([1e-6, -2e-6, 5e-7]), True),
+    Body(np.diag([1.0, 1.2, 0.8]), np.array([1e-6, 0.0, 0.0]), False),
+])  # fmt: skip
+def test_the_answer_of_a_step_is_its_derivative(body):
+    rng = np.random.default_rng(6)
+    omega, dt = 0.03 * rng.normal(size=(5, 3)), np.full(5, 20.0)
+    ends = Ends(*(30 * rng.normal(size=(2, 5, 3))), np.tile([0.0, 0.01, 0.0], (5, 1)), np.tile([0.0, 0.008, 0.0], (5, 1)))
+    matrix, _, answer = step_with_answer(body, omega, dt, ends)
+    small = 1e-4 * rng.normal(size=(5, 3))
+    moved, rate = step(body, omega + small, dt, ends)
+    told = np.einsum("nij,nj->ni", answer[:, :3, 3:], small)
+    assert np.abs(turn_between(matrix, moved) - told).max() < 2e-5
+    assert np.abs(rate - step(body, omega, dt, ends)[1] - np.einsum("nij,nj->ni", answer[:, 3:, 3:], small)).max() < 1e-6
+
+
+@pytest.mark.evidence("rates", "verified", "the reference propagator over one interval")
+def test_a_step_agrees_with_the_reference_propagator(reached):
+    t = np.array([0.0, 25.0])
+    run = ss.propagate(CUBE, [0.03, -0.02, 0.05], [0.0, 0.0, 1.0], None, t)
+    matrix, rate = step(Body.of(CUBE), np.array([[0.03, -0.02, 0.05]]), np.array([25.0]))
+    assert np.abs(rate[0] - run["omega_B"].values[1]).max() < 1e-6
+    assert np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]).max() < 1e-4
+    reached("difference of the direction", np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]), "", 1e-4)
+
+
+@pytest.mark.evidence("rates", "verified", "NumPy's solution of the whole matrix")
+def test_the_tridiagonal_solution_is_that_of_the_whole_matrix():
+    rng = np.random.default_rng(7)
+    n, size = 4, 6
+    factor = rng.normal(size=(n * size, n * size))
+    block = np.kron(np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1), np.ones((size, size)))
+    whole = 0.05 * (factor @ factor.T) * block + 30 * np.eye(n * size)
+    parts = whole.reshape(n, size, n, size)
+    slope = rng.normal(size=(n, size))
+    diagonal = np.array([parts[i, :, i] for i in range(n)])
+    upper = np.array([parts[i, :, i + 1] for i in range(n - 1)])
+    change, covariance, log_size = solve(diagonal[None], upper[None], slope[None])
+    inverse = np.linalg.inv(whole).reshape(n, size, n, size)
+    assert np.abs(change[0].ravel() + np.linalg.solve(whole, slope.ravel())).max() < 1e-10
+    assert np.abs(covariance[0] - np.array([inverse[i, :, i] for i in range(n)])).max() < 1e-10
+    assert log_size[0] == pytest.approx(np.linalg.slogdet(whole)[1])
+
+
+def test_thinned_samples_leave_from_the_file_s_own_interval():
+    index = thinned(np.arange(3000))
+    steps = np.diff(index)
+    assert index[0] == 0 and index[-1] == 2999 and len(index) <= 40
+    assert steps[0] == 1 and np.all(steps[1:] <= 2 * steps[:-1])
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda d: d.isel(time=slice(0, 2)), "fewer than three samples"),
+        (lambda d: d.drop_vars("power_W"), "no Sun from panels or Sun sensors"),
+        (lambda d: d.assign(power_W=0 * d["power_W"]), "fewer than three samples"),
+    ],
+)
+def test_what_cannot_be_done_is_a_sentence(change, text):
+    data, _ = twin(CUBE, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5))
+    with pytest.raises(ss.SunspinError, match=text):
+        ss.rates(CUBE, change(data))
+
+
+@pytest.mark.parametrize("bad", [{"max_rate_rad_s": float("nan")}, {"acceleration_noise": -1.0}, {"source": "stars"}])
+def test_bad_settings_are_sentences(bad):
+    data, _ = twin(CUBE, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5))
+    with pytest.raises(ss.InputError):
+        ss.rates(CUBE, data, **bad)
+
+
+def test_no_rate_below_the_largest_allowed_is_a_sentence():
+    data, _ = twin(CUBE, [0.0, 0.05, 0.0], np.arange(6) * 20.0, np.random.default_rng(5), noise=0.001, albedo=0.0)
+    with pytest.raises(ss.InputError, match="max-rate"):
+        ss.rates(CUBE, data, acceleration_noise=1e-6, max_rate_rad_s=1e-4)

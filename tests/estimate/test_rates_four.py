@@ -1,0 +1,101 @@
+"""Rates of a satellite with panels on its sides only, whose gains no brightness tells. All telemetry is synthetic."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from coverage_twins import CUBE, FAULTS, FOUR, battery, coverage, twin
+from sunspin.estimate.rates.common import Clock, sun_part
+from sunspin.estimate.rates.light import sun_measured
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.observe import observations, passes
+from sunspin.estimate.rates.smooth import measured
+from sunspin.estimate.rates.start import blind_axis, facing, mirrored
+from sunspin.estimate.rates.state import Motion, Track
+
+MOTION = Motion(Body.of(CUBE), 2e-5, 0.075)
+
+
+def seen(craft=FOUR, faults=(), seed=3):
+    """Observations of a pass, and a hypothesis about it."""
+    rng = np.random.default_rng(seed)
+    data, _ = twin(faults, rng, craft)
+    o, why, _ = observations(craft, data)
+    o = o.take(passes(o, why)[0][:8])
+    sun = rng.normal(size=(1, len(o), 3))
+    sun[..., 2] = 0.3 + np.abs(sun[..., 2])
+    return o, Track(facing(sun / np.linalg.norm(sun, axis=-1, keepdims=True)), 0.03 * rng.normal(size=(1, len(o), 3)))
+
+
+def nearest(result, run):
+    """The error of the nearest mode's mean rate, in its sigma (3), and its weight."""
+    truth = run["omega_B"].sel(time=result["time"].values).values.mean(axis=0)
+    away = truth - result["omega_mean_B"].values[0]
+    k = np.nanargmin(np.linalg.norm(away, axis=1))
+    return away[k] / result["omega_sigma_B"].values[0, k], result["weight"].values[0, k]
+
+
+def test_gains_are_unknowns_only_where_brightness_does_not_tell_them():
+    four, six = seen()[0], seen(CUBE)[0]
+    assert len(four.row_unknowns) == 4 and not len(four.row_errors)
+    assert len(six.row_errors) == 6 and not len(six.row_unknowns)
+
+
+@pytest.mark.evidence("rates", "verified", "differences of the cost of the readings")
+def test_the_gradient_of_the_readings_to_gains_is_that_of_their_cost():
+    """The Student law's cost, by differences of 1e-5 of each gain's sigma."""
+    o, track = seen()
+    slope = sun_measured(o, track, o.row_unknowns)[1][0, :, 3:].sum(axis=0)
+    for unknown, told in zip(o.row_unknowns, slope, strict=True):
+        up, down = (measured(replace(o, rows=o.rows + sign * 1e-5 * unknown), track)[2].sum() for sign in (1, -1))
+        assert told == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
+
+
+def test_a_clock_and_gains_border_the_equations_together():
+    o, track = seen()
+    clock, error = Clock(0.0, 0.5), np.zeros((1, len(MOTION.body.errors) + 4 + 1))
+    part = sun_part(o, track, error, MOTION, clock)
+    step = np.zeros_like(error)
+    for place in (-1, -2):
+        step[:] = 0
+        step[:, place] = 1e-5
+        up, down = (sun_part(o, track, error + sign * step, MOTION, clock).cost[0] for sign in (1, -1))
+        assert part.error_slope[0, place] == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-5)
+
+
+def test_a_mirror_image_reads_the_same_and_turns_as_a_body_does():
+    o, track = seen()
+    axis = blind_axis(o)
+    assert abs(axis[2]) == pytest.approx(1.0) and blind_axis(seen(CUBE)[0]) is None
+    image = mirrored(track, axis)
+    np.testing.assert_allclose(measured(o, image)[2], measured(o, track)[2], rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(image.attitude), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(image.omega, track.omega * [-1, -1, 1], rtol=1e-12)
+
+
+@pytest.mark.long
+def test_a_dead_string_does_not_pass_for_another_motion():
+    """With all that is wrong with such files: the truth is near one of two mirror images, each half the weight."""
+    data, run = twin(FAULTS["sides"], np.random.default_rng(3), FOUR)
+    pull, weight = nearest(ss.rates(FOUR, data, max_rate_rad_s=0.15), run)
+    assert np.abs(pull).max() < 3.5 and weight > 0.3
+
+
+@pytest.mark.slow
+def test_gains_that_are_all_stated_too_high_do_not_hide_the_motion():
+    """By 30 %, and no sigma is stated: full Sun then looks like a Sun that always stands aside."""
+    wrong = replace(FOUR, panels=tuple(replace(panel, gain=1.3) for panel in FOUR.panels))
+    data, run = twin((battery,), np.random.default_rng(6), FOUR)
+    pull, weight = nearest(ss.rates(wrong, data, max_rate_rad_s=0.15), run)
+    assert np.abs(pull).max() < 3.5 and weight > 0.3
+
+
+@pytest.mark.slow
+def test_intervals_of_four_faces_hold_the_truth():
+    """Forty twins, each with its mirror image: the truth by the weights of both."""
+    found = coverage(FAULTS["sides"], 40, seed=2, craft=FOUR)
+    print(f"50 % holds {found.half:.0%}, 90 % holds {found.ninety:.0%}")
+    assert 0.35 < found.half < 0.8
+    assert found.ninety > 0.8

@@ -1,0 +1,154 @@
+"""First contact and rest: the support function by brute force, closed forms for rods and boxes, Philae's shape."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.landing import contact as c
+from sunspin.vehicle import HullPart, Leg, Panel, Vehicle
+
+BOX = np.array(list(product((-1.0, 1.0), (-2.0, 2.0), (-3.0, 3.0))))
+
+
+def box(shift=(0.0, 0.0, 0.0)) -> c.Shape:
+    return c.shape_of(Vehicle("box", hull=[HullPart("box", BOX + shift)]))
+
+
+def unit(x):
+    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+
+def test_support_function_against_all_vertices():
+    rng = np.random.default_rng(0)
+    points, directions = rng.normal(size=(17, 3)), unit(rng.normal(size=(40, 5, 3)))
+    height, index = c.support(points, directions)
+    for i, j in np.ndindex(40, 5):
+        brute = [float(np.dot(p, directions[i, j])) for p in points]
+        assert index[i, j] == int(np.argmax(brute))
+        assert height[i, j] == pytest.approx(max(brute), abs=1e-14)
+
+
+def test_support_of_a_box_is_the_sum_of_its_half_sides():
+    d = unit(np.random.default_rng(1).normal(size=(100, 3)))
+    np.testing.assert_allclose(c.support(BOX, d)[0], np.abs(d) @ [1, 2, 3], rtol=1e-14)
+
+
+def test_philae_stands_on_three_legs_and_shares_corners_between_panels():
+    shape = c.shape_of(ss.load_vehicle("philae"))
+    assert (shape.kind == 0).sum() == 3 and shape.complete
+    lid = shape.panels[:, 5]
+    assert lid.sum() == 6 and np.all(shape.panels[lid].sum(axis=1) >= 2)
+    standing = c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
+    assert shape.facet_kind[standing[0]] == 0
+    upside_down = c.rest_facet(shape, np.array([[0.0, 0.0, -1.0]]))
+    assert shape.facet_kind[upside_down[0]] == 1
+    assert c.legs_down(shape, np.array([0.0, 0.0, 1.0])) and not c.legs_down(shape, np.array([0.0, 0.0, -1.0]))
+
+
+def test_a_corner_that_is_a_legs_end_counts_as_leg_and_a_bare_one_as_body():
+    panel = Panel("top", [0, 0, 1], 1.0)
+    vehicle = Vehicle("v", panels=[panel], legs=[Leg("a", BOX[0])], hull=[HullPart("lid", BOX[1:3], "top"), HullPart("b", BOX)])
+    shape = c.shape_of(vehicle)
+    assert len(shape.points_B_m) == 8
+    assert sorted(shape.kind) == [0, 1, 1, 2, 2, 2, 2, 2]
+
+
+def test_a_centred_box_rests_on_the_face_that_its_plumb_line_meets_unless_a_wider_one_takes_it():
+    shape = box()
+    assert len(shape.normals_B) == 6 and sorted(shape.distances_m) == [1, 1, 2, 2, 3, 3]
+    up = unit(np.random.default_rng(2).normal(size=(300, 3)))
+    facet = c.rest_facet(shape, up)
+    expected = np.argmax(np.abs(up) / [1, 2, 3], axis=1)  # the face that the ray from the centre leaves through
+    np.testing.assert_array_equal(np.argmax(np.abs(shape.normals_B[facet]), axis=1), expected)
+    assert np.all(np.sum(shape.normals_B[facet] * -up, axis=1) > 0)
+
+
+def test_a_tower_that_leans_out_over_its_foot_falls():
+    """The centre of mass is beyond the edge of the small foot: standing upright is no rest."""
+    foot, top = [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]], [[-2, -1, 1], [1, -1, 1], [-2, 1, 1], [1, 1, 1]]
+    shape = c.shape_of(Vehicle("tower", hull=[HullPart("all", [*foot, *top])]))
+    facet = c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
+    assert shape.normals_B[facet[0]][2] > -0.99
+    inside = c.rest_facet(shape, -shape.normals_B[facet])
+    np.testing.assert_array_equal(inside, facet)
+
+
+def test_a_centre_of_mass_outside_the_hull_has_no_rest():
+    shape = box(shift=(5.0, 0, 0))
+    assert shape.normals_B is None
+    with pytest.raises(ss.InputError, match="no facet"):
+        c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
+    assert c.shape_of(Vehicle("flat", hull=[HullPart("plate", BOX[:4])])).normals_B is None
+    assert c.shape_of(Vehicle("nothing")) is None
+
+
+def spin(rate, t, phase):
+    """The ground's normal in a body that turns about x with its rate, starting at `phase` from z."""
+    angle = phase[:, None] + rate[:, None] * t
+    up = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=-1)
+    return up, np.broadcast_to(np.stack([rate, 0 * rate, 0 * rate], axis=-1)[:, None], up.shape)
+
+
+def test_without_turning_the_lowest_point_touches_at_its_own_time():
+    rng, shape, t = np.random.default_rng(3), box(), np.linspace(0, 60, 301)
+    up = np.broadcast_to(unit(rng.normal(size=(50, 1, 3))), (50, 301, 3))
+    found = c.first_contact(shape, t, up, np.zeros_like(up), np.full(50, 0.1))
+    reach, index = c.support(shape.points_B_m, -up[:, 0])
+    np.testing.assert_array_equal(found.point, index)
+    np.testing.assert_allclose(found.t_s, 60 - reach / 0.1, atol=0.2 / c.REFINE + 1e-9)
+
+
+@pytest.mark.evidence("outcomes", "verified", "a dense search in time")
+def test_a_turning_rod_touches_where_a_dense_search_says():
+    """Height of the centre v (T - t) against L |cos(angle)|, the angle growing at a constant rate."""
+    rng, n, t = np.random.default_rng(4), 60, np.linspace(0, 40, 101)
+    shape = c.shape_of(Vehicle("rod", hull=[HullPart("rod", [[0, 0, -1.5], [0, 0, 1.5]])]))
+    rate, phase, v = rng.uniform(-0.8, 0.8, n), rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.2, n)
+    up, omega = spin(-rate, t, phase)
+    found = c.first_contact(shape, t, up, omega, v)
+    dense = np.linspace(0, 40, 40_001)
+    reach = 1.5 * np.abs(np.cos(phase[:, None] - rate[:, None] * dense))
+    exact = dense[np.argmax(v[:, None] * (40 - dense) <= reach, axis=1)]
+    early = exact > 0  # rods that touch within the window
+    assert early.sum() > 40
+    late = found.t_s[early] - exact[early]
+    assert np.all(late > -2e-3) and np.max(late) < 0.4 / c.REFINE + 1e-2
+
+
+def test_turning_brings_the_far_ends_down_first():
+    """Negative control: with the turning left out the flat sides of a long box would touch more often than they do."""
+    rng, n, t = np.random.default_rng(5), 4000, np.linspace(0, 80, 401)
+    points = np.concatenate([BOX * [0.6, 0.3, 0.1], [[0, 0, 1.5], [0, 0, -1.5]]])
+    shape = c.shape_of(Vehicle("spiked", hull=[HullPart("box", points)]))
+    up, omega = spin(np.full(n, 0.4), t, rng.uniform(0, 2 * np.pi, n))
+    turning = c.first_contact(shape, t, up, omega, np.full(n, 0.03)).point >= 8
+    still = c.support(shape.points_B_m, -up[:, -1])[1] >= 8
+    assert turning.mean() > still.mean() + 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda: HullPart("a", [[1, 2]]), "points_B_m of hull part 'a' must be points of three finite numbers"),
+        (lambda: ss.Antenna([0, 0, 1], 7.0), "opening_rad must be an angle above 0 and at most 2 pi"),
+        (lambda: Vehicle("v", hull=[HullPart("a", BOX, "7")]), "hull part 'a' names a panel that the vehicle does not have"),
+        (lambda: Vehicle("v", hull=[HullPart("a", BOX)] * 2), "two hull share the name 'a'"),
+    ],
+)
+def test_bad_shapes_are_named(change, text):
+    with pytest.raises(ss.VehicleError, match=text.replace("(", r"\(")):
+        change()
+
+
+def test_philaes_antenna_and_walls_are_those_of_the_paper():
+    case = ss.load_case("philae")
+    assert np.degrees(case.vehicle.antenna.opening_rad) == pytest.approx(case.published["antenna_cone"].value)
+    for part in case.vehicle.hull:
+        if part.panel:
+            normal = case.vehicle.panels[case.vehicle.panel_names.index(part.panel)].normal_B
+            heights = part.points_B_m @ normal
+            assert np.ptp(heights) < 2e-3 and np.all(heights > 0)  # each panel is flat and faces as its normal says
+    assert replace(case.vehicle, hull=()).hull == ()

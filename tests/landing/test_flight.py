@@ -1,0 +1,87 @@
+"""Chains of kernel runs against the reference propagator, which knows schedules and attitude."""
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.dynamics.ensemble import Rows
+from sunspin.landing.flight import carry, fly, legs_of, sun_height_shares
+from vehicles import FIRST_SUN
+
+SUN = FIRST_SUN / np.linalg.norm(FIRST_SUN)
+SCHEDULES = {
+    "off": ((0.0, "coast"),),
+    "held": ((0.0, "hold"),),
+    "delayed": ((0.0, "hold"), (700.0, "coast")),
+    "braked after a while": ((0.0, "coast"), (300.0, "brake")),
+}
+
+
+def rows(n=6, seed=0) -> Rows:
+    omega = np.random.default_rng(seed).normal(size=(n, 3)) * 0.2
+    return Rows(omega, np.tile(SUN, (n, 1)), np.full((n, 1), 865.0))
+
+
+@pytest.mark.parametrize("name", SCHEDULES)
+def test_a_chain_is_the_reference_with_that_schedule(name):
+    """Rates, Sun, wheel speed and any other fixed direction, also after the brake has stopped the wheel."""
+    vehicle, start, times = ss.load_vehicle("philae"), rows(), np.array([100.0, 500.0, 1000.0, 1400.0])
+    track = fly(vehicle, start, SCHEDULES[name], 0.0, times)
+    fixed = np.tile([0.6, -0.48, 0.64], (6, 1))
+    momentum = fly(vehicle, start, SCHEDULES[name], 0.0, np.array([1e-3])).momentum_B[:, 0]
+    carried = carry(fixed, (momentum, start.sun_B), (track.momentum_B, track.sun_B))
+    for i in range(len(start)):
+        run = ss.propagate(vehicle, start.omega_B[i], SUN, 865.0, [0.0, *times], wheel_mode=list(SCHEDULES[name]), rtol=1e-11)
+        np.testing.assert_allclose(track.sun_B[i], run["sun_B"].values[1:], atol=2e-2)
+        np.testing.assert_allclose(track.omega_B[i], run["omega_B"].values[1:], atol=1e-2)
+        np.testing.assert_allclose(track.wheel_speed_rad_s[i], run["wheel_speed_rad_s"].values[1:], atol=0.02)
+        x, y, z, w = run["B_from_N"].values[1:].T
+        image = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=-1)  # of N's first axis
+        first = np.tile([1.0, 0.0, 0.0], (6, 1))
+        got = carry(first, (momentum, start.sun_B), (track.momentum_B, track.sun_B))[i]
+        np.testing.assert_allclose(got, image, atol=5e-2)
+    np.testing.assert_allclose(np.linalg.norm(carried, axis=-1), 1.0, atol=1e-9)
+
+
+def test_a_held_wheel_keeps_its_speed_and_a_coasting_one_does_not():
+    vehicle, times = ss.load_vehicle("philae"), np.array([10.0, 2000.0])
+    assert np.all(fly(vehicle, rows(), SCHEDULES["held"], 0.0, times).wheel_speed_rad_s == 865.0)
+    assert np.all(fly(vehicle, rows(), SCHEDULES["off"], 0.0, times).wheel_speed_rad_s[:, 1] < 300)
+
+
+def test_a_wheel_at_rest_is_at_rest_exactly():
+    track = fly(ss.load_vehicle("philae"), rows(), ((0.0, "brake"),), 0.0, np.array([600.0, 900.0]))
+    assert np.all(track.wheel_speed_rad_s == 0.0)
+
+
+def test_back_and_forth_is_the_identity():
+    vehicle, start = ss.load_vehicle("philae"), rows()
+    back = fly(vehicle, start, ((-np.inf, "coast"),), 56.0, np.array([0.0]))
+    again = fly(vehicle, back.at(0), SCHEDULES["off"], 0.0, np.array([56.0]))
+    np.testing.assert_allclose(again.omega_B[:, 0], start.omega_B, atol=1e-3)
+    np.testing.assert_allclose(again.wheel_speed_rad_s[:, 0], 865.0, atol=1e-2)
+    assert np.all(back.wheel_speed_rad_s > 890)
+
+
+def test_shares_of_time_are_those_of_a_dense_track_and_sum_to_one():
+    vehicle, start = ss.load_vehicle("philae"), rows(3)
+    share, outcome = sun_height_shares(vehicle, start, SCHEDULES["delayed"], 0.0, 1400.0, 80)
+    np.testing.assert_allclose(share.sum(axis=1), 1.0, rtol=1e-12)
+    assert not outcome.any()
+    t = np.arange(0.0, 1400.0, 0.25)
+    for i in range(3):
+        run = ss.propagate(vehicle, start.omega_B[i], SUN, 865.0, t, wheel_mode=list(SCHEDULES["delayed"]), rtol=1e-9)
+        dense = np.histogram(run["sun_B"].values[:, 2], 80, (-1, 1))[0] / t.size
+        assert np.abs(np.cumsum(share[i]) - np.cumsum(dense)).max() < 0.01
+
+
+def test_legs_of_a_schedule():
+    assert legs_of(SCHEDULES["delayed"], 0.0, 1000.0) == [(0.0, 700.0, "hold"), (700.0, 1000.0, "coast")]
+    assert legs_of(SCHEDULES["delayed"], 800.0, 1000.0) == [(800.0, 1000.0, "coast")]
+    assert legs_of(SCHEDULES["delayed"], 1000.0, 0.0) == [(1000.0, 700.0, "coast"), (700.0, 0.0, "hold")]
+
+
+def test_two_parallel_directions_carry_nothing():
+    """Turning about the Sun line, the Sun and the momentum cannot say how far the body has turned."""
+    z = np.array([[0.0, 0.0, 1.0]])
+    assert np.isnan(carry(np.array([[1.0, 0.0, 0.0]]), (z * 5, z), (z * 5, z))).all()

@@ -1,0 +1,119 @@
+"""Small results folders for the report's tests, each made once by the code that makes the large ones."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from browser import HOSTILE, Browser, found
+from shared_folder import shared_folder
+from sunspin.philae import carries, motions, published_lines, reproduction
+from sunspin.philae import study as rp
+from sunspin.telemetry.case import load_case
+
+
+@contextmanager
+def small() -> Iterator[None]:
+    """A study of few motions and runs, without drawn figures and the slowest part that the page does not draw."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, value in (
+            (motions, "SPREAD_MOTIONS", 4), (motions, "COLLISIONS", 40), (published_lines, "LINE_POINTS", 3),
+            (carries, "SHUFFLES", 3), (rp, "LEAST_RUNS", 40), (rp, "LANDING_RUNS", 1),
+            (rp, "PARTS", tuple(part for part in rp.PARTS if part.name != "precession")), (reproduction, "draw", lambda *_: []),
+        ):  # fmt: skip
+            patch.setattr(module, name, value)
+        yield
+
+
+@pytest.fixture(scope="session")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `sunspin reproduce` writes, from a coarse grid and few runs."""
+
+    def make(folder: Path) -> None:
+        with small():
+            reproduction.reproduce(folder, coarser=25, calibrate=TWINS)
+
+    return shared_folder(tmp_path_factory, "study", make)
+
+
+@pytest.fixture(scope="session")
+def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same from a file that carries no conclusion: each panel's readings in random order within their phase."""
+
+    def make(root: Path) -> None:
+        lines = (load_case("philae").folder / "telemetry.csv").read_text("utf-8").splitlines()
+        comments, (head, *body) = ([line for line in lines if line.startswith("#") is wanted] for wanted in (True, False))
+        table, rng = np.array([line.split(",") for line in body]), np.random.default_rng(1)
+        names = head.split(",")
+        for name in np.unique(table[:, names.index("phase")]):
+            at = np.flatnonzero(table[:, names.index("phase")] == name)
+            for k in (k for k, column in enumerate(names) if column.endswith("_W")):
+                table[at, k] = table[rng.permutation(at), k]
+        telemetry = root / "shuffled.csv"
+        telemetry.write_text("\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n", "utf-8")
+        with small():
+            reproduction.reproduce(root / "results", telemetry, coarser=25, calibrate=TWINS)
+
+    return shared_folder(tmp_path_factory, "shuffled", make) / "results"
+
+
+TWINS = 30
+"""Synthetic rebounds of the calibration: enough for a 90 % level."""
+
+
+@pytest.fixture(scope="session")
+def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Results of the commands for a user's own vehicle, whose name and panels are hostile."""
+    from sunspin.cli import cli
+
+    def make(root: Path) -> None:
+        run = CliRunner()
+
+        def sunspin(*arguments: str) -> None:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(sys, "argv", ["sunspin", *arguments])  # kept with the results as the line that repeats them
+                done = run.invoke(cli, arguments, catch_exceptions=False)
+            assert done.exit_code == 0, done.output
+
+        sunspin("init", str(root / "mine"))
+        vehicle, telemetry = root / "mine" / "vehicle.toml", root / "mine" / "telemetry.csv"
+        text = vehicle.read_text("utf-8").replace('name = "my satellite"', f"name = '{HOSTILE}'")
+        assert HOSTILE in text
+        vehicle.write_text(text, "utf-8")
+        lines = telemetry.read_text("utf-8").splitlines(keepends=True)
+        telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
+        data = str(vehicle), str(telemetry)
+        sunspin("sun", *data, "--out", str(root / "sun"))
+        sunspin("rates", *data, "--max-rate", "8", "--out", str(root / "rates"))
+        grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
+        sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
+        known = [f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed")]
+        sunspin("posterior", *data, "--prior=max_rate_rad_s=0.1", *known, "--predict=0,600", "--out", str(root / "posterior"))
+        motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
+        sunspin("simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate"))
+        sunspin("outcomes", "philae", "--runs", "20", "--strategy", "off", "--strategy", "held", "--out", str(root / "outcomes"))
+
+    root = shared_folder(tmp_path_factory, "user", make)
+    return {name: root / name for name in ("sun", "rates", "scan", "simulate", "posterior", "outcomes")}
+
+
+SAMPLES = 16
+"""Lines of the telemetry that are kept: `rates` takes the longer the more samples there are."""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One Chromium for all tests; where there is none they are skipped, but in CI (environment variable CI) they fail."""
+    if found() is None:
+        text = "no chromium on this machine: apt-get install chromium"
+        pytest.fail(text) if os.environ.get("CI") else pytest.skip(text)
+    one = Browser(tmp_path_factory.mktemp("browser"))
+    yield one
+    one.close()

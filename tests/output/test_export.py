@@ -1,0 +1,149 @@
+"""Exports read back: by SPICE, by an independent reader of the CCSDS message, by xarray and pyarrow. Telemetry is synthetic."""
+
+from datetime import UTC, datetime
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.output.export import LOCAL_FRAME, attitude_of, write_cf, write_parquet
+from sunspin.output.export.aem import write_aem
+from sunspin.output.export.ck import ephemeris_time, kernel_rates, write_ck
+from sunspin.vehicle import Vehicle
+
+BODY = Vehicle("made up", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]))
+
+
+@pytest.fixture(scope="module")
+def result():
+    run = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, np.arange(0, 100, 2.5))
+    run = run.assign(pass_of=("time", (run["time"].values > 50).astype(int)))
+    run.attrs |= {"epoch_utc": "2014-11-12T15:34:04Z", "synthetic": 1, "vehicle": "made up"}
+    return run
+
+
+def matrix_of_standard(q):
+    """CCSDS 504.0-B: direction cosines of frame B in frame A from a quaternion, scalar last; typed from the standard."""
+    a, b, c, d = q
+    return np.array(
+        [
+            [a * a - b * b - c * c + d * d, 2 * (a * b + c * d), 2 * (a * c - b * d)],
+            [2 * (a * b - c * d), -a * a + b * b - c * c + d * d, 2 * (b * c + a * d)],
+            [2 * (a * c + b * d), 2 * (b * c - a * d), -a * a - b * b + c * c + d * d],
+        ]
+    )
+
+
+def body_from_n(result):
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(result["B_from_N"].values).as_matrix()
+
+
+def test_the_kvn_message_read_back_by_its_standard(result, tmp_path):
+    text = write_aem(tmp_path / "a.aem", attitude_of(result)).read_text()
+    assert text.startswith("CCSDS_AEM_VERS = 1.0\n")
+    assert text.count("META_START") == text.count("DATA_STOP") == 2
+    assert "synthetic" in text and f"REF_FRAME_A = {LOCAL_FRAME}" in text and "QUATERNION_TYPE = LAST" in text
+    rows = [line.split() for line in text.splitlines() if line.startswith("2014-11-12T")]
+    assert rows[1][0] == "2014-11-12T15:34:06.500000"
+    made = np.array([matrix_of_standard([float(x) for x in row[1:]]) for row in rows])
+    assert np.abs(made - body_from_n(result)).max() < 1e-9
+
+
+def test_the_xml_message_says_the_same(result, tmp_path):
+    root = ElementTree.parse(write_aem(tmp_path / "a.xml", attitude_of(result), "xml")).getroot()
+    assert root.attrib == {"id": "CCSDS_AEM_VERS", "version": "2.0"}
+    states = root.findall("./body/segment/data/attitudeState/quaternionEphemeris")
+    made = np.array([matrix_of_standard([float(s.find(f"quaternion/{k}").text) for k in ("Q1", "Q2", "Q3", "QC")]) for s in states])
+    assert np.abs(made - body_from_n(result)).max() < 1e-9
+
+
+@pytest.mark.evidence("export", "validated", "ccsds-ndm reads the message back")
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+def test_another_library_reads_the_message(form, result, tmp_path):
+    ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
+    path = write_aem(tmp_path / "a.aem", attitude_of(result), form)
+    segments = ndm_io.NdmIo().from_path(path).body.segment
+    assert len(segments) == 2 and segments[0].metadata.ref_frame_a == LOCAL_FRAME
+    state = segments[0].data.attitude_state[1]
+    q = (state.quaternion_state if form == "kvn" else state.quaternion_ephemeris).quaternion
+    assert np.abs(matrix_of_standard([q.q1, q.q2, q.q3, q.qc]) - body_from_n(result)[1]).max() < 1e-9
+
+
+def test_a_celestial_frame_is_refused_without_a_second_direction(result):
+    with pytest.raises(ss.InputError, match="turn about the Sun line"):
+        attitude_of(result, "EME2000")
+    known = result.assign_attrs(celestial_frame="EME2000")
+    assert attitude_of(known, "EME2000").frame == "EME2000"
+    assert attitude_of(known).frame == "EME2000"
+
+
+@pytest.mark.evidence("export", "validated", "NAIF's SPICE reads the kernels back")
+def test_spice_reads_its_kernels_back(result, tmp_path, reached):
+    sp = pytest.importorskip("spiceypy")
+    attitude = attitude_of(result)
+    kernels = [str(path) for path in write_ck(tmp_path, attitude)]
+    et = ephemeris_time(attitude.epoch) + attitude.t_s
+    rates = kernel_rates(kernels, "SUNSPIN_BODY", LOCAL_FRAME, et)
+    assert np.abs(rates - attitude.omega_B).max() < 1e-9
+    sp.furnsh(kernels)
+    try:
+        made = np.array([sp.pxform(LOCAL_FRAME, "SUNSPIN_BODY", t) for t in et])
+        reached("largest difference of a matrix element", np.abs(made - body_from_n(result)), "", 1e-9)
+        assert np.abs(made - body_from_n(result)).max() < 1e-9
+        with pytest.raises(sp.exceptions.SpiceyError):
+            sp.pxform("J2000", "SUNSPIN_BODY", et[0])  # nobody knows how the local frame stands in the sky
+    finally:
+        for path in kernels:
+            sp.unload(path)
+
+
+@pytest.mark.evidence("compare", "verified", "kernels of our own in which the rates were changed by 2 %")
+def test_comparison_with_somebodys_kernels_finds_what_was_changed(result, tmp_path, reached):
+    """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
+    pytest.importorskip("spiceypy")
+    known = attitude_of(result.assign_attrs(celestial_frame="J2000"), "J2000")
+    kernels = [str(path) for path in write_ck(tmp_path, known._replace(omega_B=1.02 * known.omega_B))]
+    theirs = kernel_rates(kernels, "SUNSPIN_BODY", "J2000", ephemeris_time(known.epoch) + known.t_s)
+    assert np.abs(theirs / known.omega_B - 1.02).max() < 1e-9
+    reached("error of the factor found", np.abs(theirs / known.omega_B - 1.02), "", 1e-9)
+    broken = tmp_path / "broken.bc"
+    broken.write_bytes(b"DAF/CK  " + bytes(100))
+    for path, message in ((tmp_path / "absent.bc", "no such file"), (broken, "kernels cannot be used")):
+        with pytest.raises(ss.InputError, match=message):
+            kernel_rates([str(path)], "SUNSPIN_BODY", "J2000", np.zeros(1))
+
+
+@pytest.mark.parametrize(("utc", "et"), [
+    (datetime(2000, 1, 1, 12, tzinfo=UTC), 64.183927),  # known: J2000 is 64.184 s before noon UTC, less a periodic term
+    (datetime(2014, 11, 12, 15, 34, 4, tzinfo=UTC), 469078511.183),  # 67.184 s of TDB - UTC, as of the landing kernel
+])  # fmt: skip
+def test_ephemeris_time(utc, et):
+    assert ephemeris_time(utc) == pytest.approx(et, abs=2e-3)
+
+
+def test_netcdf_and_parquet_carry_frame_and_units(result, tmp_path):
+    attitude = attitude_of(result)
+    with xr.open_dataset(write_cf(tmp_path / "a.nc", result, attitude), engine="h5netcdf") as data:
+        assert data.attrs["Conventions"].startswith("CF-") and data.attrs["frame"] == LOCAL_FRAME
+        assert "synthetic" in data.attrs["source"]
+        assert str(data["time"].values[1]).startswith("2014-11-12T15:34:06.5")
+        assert data["omega_B"].attrs["units"] == "rad s-1"
+    pq = pytest.importorskip("pyarrow.parquet")
+    table = pq.read_table(write_parquet(tmp_path / "a.parquet", attitude))
+    assert table.schema.metadata[b"frame"] == LOCAL_FRAME.encode()
+    assert np.array_equal(table["q_w_B_from_N"].to_numpy(), attitude.quaternion[:, 3])
+
+
+def test_results_without_an_attitude_are_a_sentence(result, tmp_path):
+    from sunspin.output.export import read_results
+
+    with pytest.raises(ss.InputError, match="no attitude here"):
+        read_results(tmp_path)
+    with pytest.raises(ss.InputError, match="no B_from_N"):
+        attitude_of(result.drop_vars("B_from_N"))
+    with pytest.raises(ss.InputError, match="--epoch"):
+        attitude_of(result.assign_attrs(epoch_utc="someday"))

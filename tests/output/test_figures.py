@@ -1,0 +1,42 @@
+"""Drawn figures: what a line connects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sunspin.output.figures import _connected, sun_directions_figure
+
+
+def directions(hours: list[float], known: list[int], phase: list[str] | None = None) -> xr.Dataset:
+    sun = np.full((len(hours), 3), np.nan)
+    sun[known] = (0.0, 0.6, 0.8)
+    data = xr.Dataset({"sun_B": (("time", "axis"), sun)}, coords={"time": 3600 * np.array(hours)})
+    return data if phase is None else data.assign_coords(phase=("time", phase))
+
+
+@pytest.mark.parametrize(
+    ("hours", "known", "phase", "pieces"),
+    [
+        (list(range(6)), [0, 1, 2, 3, 4, 5], None, [[0, 1, 2, 3, 4, 5]]),
+        (list(range(6)), [0, 1, 2, 3, 4, 5], list("aaabbb"), [[0, 1, 2], [3, 4, 5]]),
+        (list(range(6)), [0, 2, 3, 5], list("aaabbb"), [[0, 2], [3, 5]]),
+        ([0, 1, 2, 30, 31], [0, 1, 2, 3, 4], None, [[0, 1, 2], [3, 4]]),
+        (list(range(20)), [0, 1, 13, 14], None, [[0, 1], [13, 14]]),
+        ([0, 1, 2], [0, 2], list("aba"), [[0, 2]]), ([0, 1, 2], [1], None, []), ([0], [0], None, []), ([0, 1], [], None, []),
+    ],
+)  # fmt: skip
+def test_a_line_connects_successive_directions_of_a_phase_and_crosses_no_pause(hours, known, phase, pieces):
+    found = _connected(np.array(hours, dtype=float), directions(hours, known, phase))
+    assert [piece.tolist() for piece in found] == pieces
+
+
+def test_the_figure_of_the_directions_draws_these_lines(study):
+    sun, telemetry = (xr.load_dataset(study / f"{name}.nc", engine="h5netcdf") for name in ("sun", "telemetry"))
+    figure = sun_directions_figure(sun, telemetry)
+    drawn = [line.get_xdata() for line in figure.axes[1].lines if line.get_linestyle() == "-" and len(line.get_xdata()) > 1]
+    pieces = _connected(sun["time"].values / 3600, sun)
+    assert len(drawn) == 3 * len(pieces) and len(pieces) >= 3
+    for k, piece in enumerate(pieces):
+        assert np.array_equal(drawn[3 * k], sun["time"].values[piece] / 3600) and len(set(sun["phase"].values[piece])) == 1

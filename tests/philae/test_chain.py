@@ -1,0 +1,167 @@
+"""From telemetry to conclusions: what follows from a file, held against the truth that made it; negative controls."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.base.errors import InputError
+from sunspin.philae import candidates, carries, touchdown
+from sunspin.philae import rebound as rb
+from validation import controls
+from validation.controls import chain_of
+
+CASE = ss.load_case("philae")
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """Fewer random orders of the descent's directions: its margin is a factor of hundreds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(carries, "SHUFFLES", 4)
+        yield
+
+
+@pytest.fixture(scope="module")
+def found(quick):
+    """Each control once: name -> what the chain makes of it."""
+    kept = {}
+
+    def of(name):
+        if name not in kept:
+            kept[name] = chain_of(controls.CONTROLS[name](CASE))
+        return kept[name]
+
+    return of
+
+
+def truth_of(omega, found):
+    """Smaller and larger angle of the momentum (rad) and the speed at the touchdown of a known motion."""
+    states = found.chain.rebound.states(np.array([omega]))
+    theta, alpha, _ = rb.momentum_angles(CASE.vehicle, states)
+    back = ss.propagate(CASE.vehicle, omega, rb.first_sun(CASE), 865.0, [0.0, -found.chain.rebound.lead_s])
+    return min(theta[0], alpha[0]), max(theta[0], alpha[0]), float(np.linalg.norm(back["omega_B"].values[-1]))
+
+
+@pytest.mark.long
+@pytest.mark.evidence("reproduce", "verified", "motions that made the telemetry")
+@pytest.mark.parametrize(
+    ("name", "omega"),
+    [
+        ("as it is", None),
+        ("never tumbled", controls.STILL),
+        pytest.param("spins about z", (0.0, 0.0, 0.3), marks=pytest.mark.slow),
+        pytest.param("another motion", controls.TUMBLING, marks=pytest.mark.slow),
+    ],
+)
+def test_what_is_concluded_holds_the_truth(found, name, omega):
+    one = found(name)
+    assert one.carries.one_sun and one.chain is not None, one.why
+    chosen = one.chain.chosen
+    small, large, speed = truth_of(rb.twin_truth(CASE) if omega is None else np.array(omega), one)
+    for value, values in ((small, chosen.smaller_angle), (large, chosen.larger_angle)):
+        low, high = chosen.angle_range(values)
+        assert low <= value <= high, (name, np.degrees([low, value, high]))
+    assert touchdown.lower_bound(one.chain) <= speed
+
+
+@pytest.mark.long
+def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
+    """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
+    still, tumbled = found("never tumbled"), found("as it is")
+    small = [np.degrees(one.chain.chosen.angle_range(one.chain.chosen.smaller_angle)) for one in (still, tumbled)]
+    assert small[0][0] == 0 and small[0][1] < 30 and small[1][1] > 60  # 7 of the 30 degrees are the coarse grid's cells
+    bounds = [touchdown.lower_bound(one.chain) for one in (still, tumbled)]
+    assert bounds[0] == 0 and bounds[1] > 0.07
+    words = " ".join(touchdown.sentences(still.chain))
+    assert "may have stood still" in words and f"is below {small[0][1]:.0f} degrees, 90%" in words
+    assert "or faster" in " ".join(touchdown.sentences(tumbled.chain))
+    assert still.rows["lines_found"].ours == 0 and still.rows["lines_found"].agrees is False
+    for one in (still, tumbled):
+        assert one.rows["rate_at_touchdown_max"].informative is False
+        assert "no motion at all" in one.rows["rate_at_touchdown_max"].note
+
+
+def test_readings_of_no_sun_conclude_nothing(found):
+    """Each panel shuffled in time, two columns exchanged: Delta and forbidden patterns catch it, and no conclusion is left."""
+    for name in ("each panel shuffled", "panels 1 and 2 exchanged"):
+        one = found(name)
+        assert not one.carries.one_sun and one.chain is None, name
+        assert "NOT THOSE OF ONE SUN" in one.carries.first_line and "nothing can be concluded" in one.why or one.scan is None
+        assert any("lit pattern" in reason for reason in one.carries.reasons)
+
+
+@pytest.mark.parametrize(("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")])
+def test_any_two_exchanged_panels_are_noticed(first, second):
+    case = rb.with_telemetry(CASE, controls.exchanged_panels(CASE, first, second))
+    assert not carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None).one_sun
+
+
+@pytest.mark.long
+def test_shuffled_samples_take_the_descent_and_cannot_move_the_scan(found):
+    """EMD does not use the order of samples: its rows are those of the right file, and the first line says why."""
+    mixed, right = found("samples shuffled"), found("as it is")
+    assert right.carries.descent_order and not mixed.carries.descent_order
+    assert "HOLDS NO SPIN" in mixed.carries.first_line and "not their order" in mixed.carries.first_line
+    assert sorted(mixed.scan.measured_z) == pytest.approx(sorted(right.scan.measured_z), abs=1e-12)
+    np.testing.assert_allclose(mixed.scan.scan.emd, right.scan.scan.emd, atol=1e-12)
+    for name, row in right.rows.items():
+        assert mixed.rows[name].ours == pytest.approx(row.ours, rel=1e-9), name
+
+
+@pytest.mark.long
+def test_a_telemetry_that_no_motion_makes_is_refused(quick):
+    """The Sun stands high at the first sample and low ever after, as in no free motion: the smallest EMD is far beyond noise."""
+    data = controls.with_motion(CASE, controls.STILL)
+    later = np.flatnonzero(data["phase"].values == "first_rebound")[1:]
+    low = np.array([0.8, 0.5, 0.2])
+    power = 0.02 * ss.panel_power(CASE.vehicle, low / np.linalg.norm(low))
+    data["power_W"].values[later] = np.where(power > 0, power, 0.0)
+    one = chain_of(data, coarser=10)
+    assert one.chain is None and "no motion of the model fits" in one.why
+
+
+@pytest.mark.long
+def test_the_published_lines_are_candidates_only_when_asked_for(found):
+    one = chain_of(controls.with_motion(CASE, controls.STILL), "published", coarser=10)
+    assert one.chain.name == "published" and "whatever this telemetry says" in one.chain.chosen.about
+    assert {row.chain for row in one.rows.values() if row.depends == "candidates"} == {"published"}
+
+
+@pytest.mark.long
+def test_candidates_from_a_table(tmp_path, quick):
+    path = tmp_path / "mine.csv"
+    path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
+    one = chain_of(None, str(path), coarser=10)
+    assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
+    assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
+    for text, said in (("a,b\n1,2\n", "columns omega_x"), ("omega_x,omega_y,omega_z\n1,x,2\n", "columns omega_x"),
+                       ("omega_x,omega_y,omega_z\n1,inf,2\n", "finite rates")):  # fmt: skip
+        path.write_text(text, "utf-8")
+        with pytest.raises(InputError, match=said):
+            candidates._from_file(path)
+    with pytest.raises(InputError, match="there is no such file"):
+        candidates._from_file(tmp_path / "none.csv")
+
+
+def test_without_a_calibration_nothing_is_concluded(quick):
+    one = chain_of(None, coarser=10, twins=0)
+    assert one.chain is None and "not calibrated for these data" in one.why
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
+def test_right_files_are_not_accused(seed):
+    """Of 20 seeds none was (docs/validation); three here."""
+    from sunspin.philae.twin_philae import philae_twin
+
+    one = chain_of(philae_twin(seed), coarser=10)
+    assert one.carries.one_sun and one.carries.descent_order and one.chain is not None, (one.carries.first_line, one.why)
+
+
+def test_a_vehicle_without_a_wheel_is_refused():
+    from sunspin.philae.study import require_wheel
+
+    with pytest.raises(InputError, match="one wheel and legs"):
+        require_wheel(replace(CASE.vehicle, wheels=()))

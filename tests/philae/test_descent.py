@@ -1,0 +1,103 @@
+"""The descent: which samples count, and the cubic against the published one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.philae import descent
+from sunspin.philae.figures import descent as figures_descent
+from sunspin.vehicle.response.cosine import panel_power
+
+CASE = ss.load_case("philae")
+SUN = ss.sun_directions(CASE.vehicle, CASE.telemetry)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return descent.compute(CASE, SUN)
+
+
+def test_the_samples_of_the_fit_are_those_of_the_paper(result):
+    """Samples 10 to 143 (paper, section 3.1), recognised by Delta, though the phases of the telemetry are not read."""
+    assert result.number == (10, 143)
+    bare = descent.compute(CASE, SUN.drop_vars("phase"))
+    assert bare.number == (10, 143)
+    low, high = CASE.published["delta_max"].value, CASE.published["delta_shadowed"].value[0]
+    assert low < result.delta_limit < high * 1.01
+
+
+@pytest.mark.parametrize("sigmas", [3.0, 4.0, 5.0, 6.0])
+def test_the_rule_does_not_hang_on_its_threshold(sigmas, monkeypatch):
+    monkeypatch.setattr(descent, "DELTA_SIGMAS", sigmas)
+    assert descent.clean_from(SUN.isel(time=slice(0, 147))) == 9
+
+
+def test_whole_panels_from_the_first_sample_leave_none_out():
+    """Negative control: the same telemetry without its first nine samples, and with single outliers."""
+    clean = SUN.isel(time=slice(9, 147))
+    assert descent.clean_from(clean) == 0
+    outlier = clean.copy(deep=True)
+    outlier["delta"][{"time": [0, 40, 80]}] = 0.3
+    outlier["status"][{"time": [0, 40, 80]}] = 0
+    assert descent.clean_from(outlier) == 0
+
+
+def test_a_longer_run_of_spoiled_samples_is_recognised_too():
+    """Thirty samples with side panels dimmed, made here from the forward model."""
+    rng = np.random.default_rng(2)
+    azimuth = np.arange(120) * 2.1
+    sun_B = np.stack([0.8 * np.cos(azimuth), 0.8 * np.sin(azimuth), np.full(120, 0.6)], axis=1)
+    power = panel_power(CASE.vehicle, sun_B)
+    power[:30] *= [0.4, 0.75, 0.4, 0.75, 0.4, 1.0]
+    power = np.where(power > 0, power + 3.0 * rng.normal(size=power.shape), 0.0)
+    sun = ss.sun_directions(CASE.vehicle, power, lit_threshold=1.0)
+    assert 30 <= descent.clean_from(sun) <= 33
+
+
+@pytest.mark.evidence("reproduce", "validated", "the paper's fit of the descent, on synthetic telemetry")
+def test_the_published_cubic_is_found(result):
+    rows = {row.id: row for row in descent.rows(result)}
+    assert rows["descent_rate_cubic"].agrees and rows["descent_unique"].agrees and rows["descent_samples"].agrees
+    assert rows["descent_behind"].ours > 0.97
+    assert rows["nz_descent"].agrees and rows["descent_rate_romap"].agrees
+    assert "synthetic" in rows["descent_E"].note
+    # PHYSICS, derived from the printed coefficients: 0.01201 to 0.01239, which is not the printed range
+    low, high = result.rate_range(np.array(CASE.published["descent_rate_cubic"].value))
+    assert (low, high) == (pytest.approx(0.01201, abs=6e-6), pytest.approx(0.01239, abs=6e-6))
+    assert rows["descent_rate_range"].agrees is False
+
+
+def test_a_telemetry_with_another_cubic_is_told_from_the_published_one(result):
+    """Negative control of the comparison: directions turned by a drift of 0.5 rad over the descent."""
+    t = CASE.telemetry["time"].values - CASE.telemetry["time"].values[9]
+    angle = 0.5 * np.clip(t / 23400.0, 0, None) ** 2
+    moved = SUN.copy(deep=True)
+    n = SUN["sun_B"].values
+    moved["sun_B"].values[:] = np.stack(
+        [n[:, 0] * np.cos(angle) + n[:, 1] * np.sin(angle), n[:, 1] * np.cos(angle) - n[:, 0] * np.sin(angle), n[:, 2]], axis=1
+    )
+    rows = {row.id: row for row in descent.rows(descent.compute(CASE, moved))}
+    assert rows["descent_rate_cubic"].agrees is False
+
+
+def test_the_wheel_gives_what_the_body_takes():
+    """Theta_zz 16.523 and J 0.0058: 1e-4 rad/s of the body are 0.285 rad/s of the wheel."""
+    assert descent.implied_wheel_change(CASE, 1e-4) == pytest.approx(-16.523e-4 / 0.0058, rel=1e-12)
+    run = ss.propagate(CASE.vehicle, [0, 0, 0.0122], [0, 0, 1], 865.0, [0, 60.0])
+    wheel = run["wheel_speed_rad_s"].values[:, 0]
+    body = run["omega_B"].values[:, 2]
+    assert descent.implied_wheel_change(CASE, body[1] - body[0]) == pytest.approx(wheel[1] - wheel[0], rel=2e-3)
+
+
+def test_the_figure_says_that_the_telemetry_is_synthetic(result):
+    assert "synthetic telemetry" in figures_descent.draw(result)._suptitle.get_text()
+    real = replace(result, sun=result.sun.assign_attrs(synthetic=0))
+    assert "synthetic" not in figures_descent.draw(real)._suptitle.get_text()
+
+
+def test_telemetry_without_a_descent_is_refused():
+    late = SUN.isel(time=slice(200, None))
+    with pytest.raises(ss.SunspinError, match="no sample before the first touchdown"):
+        descent.compute(CASE, late)

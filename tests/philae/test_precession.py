@@ -1,0 +1,91 @@
+"""The swing of an axis: closed forms for a symmetric body, Philae against figures computed elsewhere."""
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.philae import precession as pr
+from sunspin.philae.figures import precession as figures_precession
+from sunspin.vehicle import Friction, Vehicle, Wheel
+
+CASE = ss.load_case("philae")
+FRICTION = Friction(1e-3, 2.7e-6)
+SYMMETRIC = Vehicle("symmetric", np.diag([13.0, 13.0, 16.5]), wheels=[Wheel("w", [0, 0, 1], 0.0058, 865.0, FRICTION)])
+FIRST = np.array([0.1959, 0.5690, 0.7986])
+
+
+@pytest.fixture(scope="module")
+def result():
+    return pr.compute(CASE)
+
+
+def test_a_symmetric_body_keeps_its_nutation_angle_and_range_while_the_wheel_slows():
+    """theta from H by hand; z between cos(theta + alpha) and cos(theta - alpha); both while friction stops the wheel."""
+    omega = np.array([-0.25, 0.07, 0.05])
+    found = pr.swing(SYMMETRIC, omega, FIRST, 865.0, 2700.0)
+    momentum = np.array([13.0, 13.0, 16.5]) * omega + [0, 0, 0.0058 * 865.0]
+    theta = np.arccos(momentum[2] / np.linalg.norm(momentum))
+    alpha = np.arccos(momentum @ FIRST / np.linalg.norm(momentum) / np.linalg.norm(FIRST))
+    np.testing.assert_allclose(found.nutation[0], theta, atol=1e-7)
+    assert found.sun_angle[0] == pytest.approx(alpha, abs=1e-9)
+    np.testing.assert_allclose(found.z[0], np.cos([theta + alpha, theta - alpha]), atol=2e-3)
+    np.testing.assert_allclose(found.z_first, found.z_last, atol=5e-3)
+    assert found.axis_swing[0] == pytest.approx(2 * theta, abs=2e-3)
+    assert np.diff(found.height[0]) == pytest.approx(2 * min(theta, alpha), abs=5e-3)
+    assert found.peaks[0] == 2
+
+
+def test_another_axis_and_no_wheel():
+    """A rod that spins end over end: its long axis x stays at right angles to H, the Sun along H stays at right angles to it."""
+    rod = Vehicle("rod", np.diag([1.0, 5.0, 5.0]))
+    found = pr.swing(rod, [0, 0, 0.2], [0, 0, 1], None, 200.0, axis_B=[1, 0, 0], compared_s=50.0)
+    np.testing.assert_allclose(found.nutation, np.pi / 2, atol=1e-9)
+    np.testing.assert_allclose(found.z, 0.0, atol=1e-9)
+    assert found.axis_swing[0] == pytest.approx(np.pi, abs=0.1)
+    assert found.peaks[0] == 1
+
+
+def test_an_asymmetric_body_without_the_wheel_s_momentum_does_not_keep_its_nutation():
+    """Negative control: near the middle axis the body flips."""
+    body = Vehicle("flips", np.diag([1.0, 2.0, 3.0]))
+    found = pr.swing(body, [0.001, 0.3, 0.001], [0, 0.6, 0.8], None, 600.0, axis_B=[0, 1, 0], compared_s=60.0)
+    assert np.ptp(found.nutation[0]) > 3.0
+
+
+def test_philae_against_figures_computed_elsewhere(result):
+    """PHYSICS, section 8: nutation 26 to 36 deg on L3, L4 and 39 to 58 on L1, L2; [0.1, 0, 0]: 0.634..0.942, 0.605..0.955."""
+    inner = slice(3, None)
+    for line, low, high in zip(result.lines, (39, 39, 26, 26), (58, 58, 36, 36), strict=True):
+        angle = np.degrees(line.nutation[inner])
+        assert angle[:, 0] == pytest.approx(low, abs=0.7) and angle[:, 1] == pytest.approx(high, abs=0.7)
+    np.testing.assert_allclose(result.examples.z_first[1], [0.634, 0.942], atol=1.5e-3)
+    np.testing.assert_allclose(result.examples.z_last[1], [0.605, 0.955], atol=1.5e-3)
+
+
+def test_rows(result):
+    rows = {row.id: row for row in pr.rows(result)}
+    for key in ("sun_height_lines", "range_of_z_examples", "nutation_constant", "rz_peaks"):
+        assert rows[key].agrees, key
+    assert rows["axis_swing"].agrees is False
+    assert min(rows["axis_swing"].ours[:2]) > 110 and max(rows["axis_swing"].ours[2:]) < 75
+    assert all(row.chain == "" for row in rows.values())  # nothing of a telemetry is in them
+
+
+@pytest.mark.parametrize(("phase", "expected"), [(np.linspace(0, 200, 20001), 2), (None, 1)])
+def test_peaks_are_counted(phase, expected):
+    """A sinusoid has two, at its turning points; a bell has one."""
+    z = 0.5 * np.sin(phase) if phase is not None else np.random.default_rng(0).normal(0, 0.1, 20000)
+    assert pr.count_peaks(z) == expected
+    assert pr.count_peaks(np.full(10, 0.3)) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "text"), [({"compared_s": 20.0}, "compared_s"), ({"axis_B": [0, 0, 2], "compared_s": 1.0}, "axis_B must be")]
+)
+def test_bad_input_is_named(options, text):
+    with pytest.raises(ss.SunspinError, match=text):
+        pr.swing(SYMMETRIC, [0, 0, 0], FIRST, 865.0, 10.0, **options)
+
+
+def test_the_figure_names_what_was_simulated(result):
+    assert "simulated" in figures_precession.draw(result)._suptitle.get_text()

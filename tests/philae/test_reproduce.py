@@ -1,0 +1,167 @@
+"""The study's parts together: order, ids, figures; telemetry that does not hold everything."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sunspin.base.errors import InputError, TelemetryError
+from sunspin.output.folder import Picture
+from sunspin.philae import carries, inputs, pictures
+from sunspin.philae import rebound as rb
+from sunspin.philae import study as rp
+from sunspin.philae.headline import headline
+from sunspin.philae.reproduction import conclusions, figure_rows
+from sunspin.telemetry.case import load_case
+from validation import controls
+
+CASE = load_case("philae")
+ALL_PARTS = rp.PARTS
+QUICK = ("phases", "descent", "carries", "level_set", "candidates", "touchdown", "mechanics", "published_lines", "worth", "inputs",
+         "contradictions")  # fmt: skip
+"""Parts that take seconds on a coarse grid; the others have tests of their own."""
+
+
+def without(*phases: str) -> xr.Dataset:
+    data = CASE.telemetry
+    return data.isel(time=np.flatnonzero(~np.isin(data["phase"].values, phases)))
+
+
+@pytest.fixture(scope="module")
+def quick():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rp, "PARTS", tuple(part for part in rp.PARTS if part.name in QUICK))
+        patch.setattr(rp, "LEAST_RUNS", 60)
+        patch.setattr(rp, "LANDING_RUNS", 1)
+        patch.setattr(carries, "SHUFFLES", 4)
+        yield lambda case, **options: rp.compute(case, **({"coarser": 5, "twins": 30} | options))
+
+
+@pytest.fixture(scope="module")
+def own(quick):
+    """The study of the built-in telemetry, once."""
+    return quick(CASE)
+
+
+def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
+    found = quick(rb.with_telemetry(CASE, without("descent", "deployment")))
+    assert list(found.missing) == ["descent"] and "no sample before the first touchdown" in found.missing["descent"]
+    assert set(found.rows_by_part) == set(QUICK) - {"descent", "candidates"}
+    assert any(said.startswith("Section 3.1: the descent: not reproduced") for said in conclusions(found))
+    assert "holds too little" in headline(found)[0]
+    ids = [row.id for row in found.rows]
+    assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
+    sheets = [sheet for part, make in pictures.SHEETS if part in found.parts for sheet in make(found, found.parts[part])]
+    names = {sheet.name for sheet in sheets}
+    assert "fig10_11_descent" not in names and {"fig03_measured", "fig09_lines", "fig12_touchdown", "worth"} <= names
+    assert all(sheet.alt and sheet.caption for sheet in sheets)
+
+
+def test_figures_that_were_put_in_are_told_apart_and_neither_agree_nor_differ(own):
+    put_in = {row.id for row in own.rows if row.kind == "put_in"}
+    assert {"delta_mean", "delta_max", "descent_rate_cubic", "samples_after_collision", "spin_down_coefficients"} <= put_in
+    assert put_in == set(rp.PUT_IN) | set(rp.PUT_IN_ALWAYS)
+    assert all(row.agrees is None and row.holds is not None for row in own.rows if row.kind == "put_in")
+    assert not {"wheel_stop", "rate_at_touchdown_min", "line_L1_distance", "descent_behind"} & put_in
+
+
+@pytest.mark.long
+def test_with_measured_telemetry_they_are_tests(quick):
+    data = CASE.telemetry.copy()
+    data.attrs = {key: value for key, value in CASE.telemetry.attrs.items() if key != "synthetic"}
+    kinds = {row.id: row.kind for row in quick(rb.with_telemetry(CASE, data)).rows}
+    assert {kinds[name] for name in ("delta_mean", "descent_rate_cubic", "shadowed_panel")} == {"test"}
+
+
+def test_only_informative_tests_agree_or_differ(own):
+    for row in own.rows:
+        assert row.chain and row.kind in ("test", "put_in", "arithmetic", "not_comparable"), row.id
+        if row.kind != "test" or not row.informative:
+            assert row.agrees is None, row.id
+        if row.depends == "candidates":
+            assert row.chain == "scan" and row.prior_low is not None and row.prior_high is not None, row.id
+    counts = own.counts()
+    assert counts["telemetry"]["agree"] + counts["telemetry"]["differ"] < 15
+    judged = [row for row in own.rows if row.agrees is not None]
+    assert sum(c["agree"] + c["differ"] for c in counts.values()) == len(judged)
+    assert {row.kind for row in own.rows_by_part["contradictions"]} == {"arithmetic"}
+
+
+def test_what_needs_no_telemetry_does_not_change_with_it(quick, own):
+    """A lander that never tumbled: the section on the printed lines stays to the digit, what follows from the telemetry moves."""
+    still = quick(rb.with_telemetry(CASE, controls.CONTROLS["never tumbled"](CASE)))
+    for name, section in rp.sections().items():
+        if section == "no_telemetry" and name in own.rows_by_part:
+            assert [row.ours for row in own.rows_by_part[name]] == [row.ours for row in still.rows_by_part[name]], name
+    pairs = zip(own.rows_by_part["touchdown"], still.rows_by_part["touchdown"], strict=True)
+    moved = [a.id for a, b in pairs if (a.low, a.high) != (b.low, b.high)]
+    assert {"rate_at_touchdown_min", "rate_at_touchdown_bound", "angle_smaller", "sun_height_range"} <= set(moved)
+    told, before = " ".join(headline(still)), " ".join(headline(own))
+    assert "need not have tumbled" in told and "may have stood still" in told and "once in" in before.split(". ")[1]
+    for text in (told, before, *conclusions(still)[:4]):
+        assert "four lines" not in text
+
+
+@pytest.mark.long
+def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
+    found = quick(rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)))
+    assert found.chain is None and "touchdown" in found.missing
+    assert not [row for row in found.rows if row.depends == "candidates"]
+    told = headline(found)
+    assert "cannot be concluded" in told[0] and "lit pattern" in told[0] and "Nothing is said" in told[1]
+    sheets = [sheet.name for part, make in pictures.SHEETS if part in found.parts for sheet in make(found, found.parts[part])]
+    assert "fig12_touchdown" not in sheets and "fig12_lines" in sheets
+
+
+def test_no_tolerance_admits_anything(own):
+    """A tolerance of half of the figure or more would pass nearly whatever this run found."""
+    loose = set()
+    for row in own.rows:
+        if row.agrees and row.tolerance and isinstance(row.ours, float) and isinstance(row.published, float):
+            loose |= {row.id} if row.tolerance >= abs(row.published) / 2 else set()
+    assert not loose
+
+
+def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
+    names = ["fig03_measured", "fig09_lines", "fig09_telemetry", "fig10_11_descent", "growth"]
+    rows = figure_rows([Picture(tmp_path / f"{name}.png", "alt", f"{name}.") for name in names])
+    assert [row.id for row in rows] == [f"figure_{number}" for number in range(1, 14)]
+    shown = {row.id: row.ours for row in rows}
+    assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"
+    assert shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png" and shown["figure_3"] == "fig03_measured.png"
+    assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith("not drawn: a picture")
+
+
+def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
+    with pytest.raises(TelemetryError, match="no sample between first touchdown and collision"):
+        quick(rb.with_telemetry(CASE, without("first_rebound")))
+
+
+def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
+    monkeypatch.setattr(rp.worth, "SHIPPED", "nothing.json")
+    inputs = rp.Inputs(CASE, rp.sun_directions(CASE.vehicle, CASE.telemetry), done={"level_set": None})
+    with pytest.raises(InputError, match="sunspin worth"):
+        rp._worth(inputs)
+
+
+def test_every_figure_of_the_paper_has_a_sheet_in_its_order():
+    parts = [name for name, _ in pictures.SHEETS]
+    assert set(parts) <= {part.name for part in ALL_PARTS}
+    order = ["phases", "mechanics", "sensitivity", "level_set", "descent", "precession", "touchdown", "landing"]
+    assert [name for name in dict.fromkeys(parts) if name in order] == order
+
+
+@pytest.mark.evidence("reproduce", "verified", "the list of published figures: none is passed over")
+def test_every_published_figure_has_a_row_somewhere(reached):
+    """Rows are made by the parts; what they take over is listed, and no key is in neither."""
+    folder = Path(rp.__file__).parent
+    text = "".join(path.read_text("utf-8") for path in folder.glob("*.py") if path.name != "inputs.py")
+    pattern = r'(?:case|landing), "{0}"|Row\(\s*"{0}"'
+    made = {key for key in CASE.published if re.search(pattern.format(key), text)} | {f"line_L{k}" for k in range(1, 5)}
+    sun = rp.sun_directions(CASE.vehicle, CASE.telemetry)
+    checked = {row.id for row in inputs.rows(inputs.Taken(CASE, sun))}
+    assert set(CASE.published) <= made | checked
+    reached("published figures", len(CASE.published))
+    assert not made & set(inputs.TAKEN)

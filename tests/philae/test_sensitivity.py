@@ -1,0 +1,155 @@
+"""Maps of E and the growth of errors: against single runs, closed forms and any vehicle."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.compute.identity import plain
+from sunspin.estimate.scan import error_growth as gr
+from sunspin.estimate.scan import error_maps as em
+from sunspin.philae import sensitivity
+from sunspin.philae.figures import sensitivity as figures_sensitivity
+from sunspin.vehicle import Friction, Panel, Vehicle, Wheel
+
+CASE = ss.load_case("philae")
+SUN = ss.sun_directions(CASE.vehicle, CASE.telemetry)
+CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+FACES = [Panel(str(k), corner, 1.0) for k, corner in enumerate(CORNERS)]
+ROUND = Vehicle("round, no wheel", np.diag([2.0, 2.0, 3.0]), panels=FACES)
+SIDEWAYS = Vehicle(
+    "wheel on x", np.diag([3.0, 2.5, 2.0]), panels=FACES, wheels=[Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 1e-7))]
+)
+CRAFT = [(ROUND, None), (SIDEWAYS, 100.0)]
+
+
+def own_track(craft, omega, speed, times):
+    run = ss.propagate(craft, omega, [0.6, 0.0, 0.8], speed, times)
+    return xr.Dataset({"sun_B": (("time", "axis"), run["sun_B"].values)}, coords={"time": times})
+
+
+@pytest.fixture(scope="module")
+def result():
+    return sensitivity.compute(CASE, SUN, coarser=8)
+
+
+@pytest.mark.parametrize(("craft", "speed"), CRAFT, ids=["no wheel", "wheel on x"])
+def test_maps_agree_with_single_runs(craft, speed):
+    times, omega = np.array([0.0, 50.0, 130.0, 210.0]), [0.1, 0.05, -0.08]
+    track = own_track(craft, omega, speed, times)
+    axes = [np.array([0.09, 0.1]), np.array([0.05, 0.07]), np.array([-0.08])]
+    rates = em.rate_map(craft, track, [0.6, 0.0, 0.8], axes, speed)
+    second = "mu_0" if craft.wheels else "theta_xy"
+    values = {"theta_xx": np.array([2.1, 2.2]), second: np.array([1e-4, 3e-4])}
+    parameters = em.parameter_map(craft, track, [0.6, 0.0, 0.8], omega, speed, values)
+    for i in range(2):
+        for j in range(2):
+            run = ss.propagate(craft, [axes[0][i], axes[1][j], -0.08], [0.6, 0.0, 0.8], speed, times)
+            assert rates.values[i, j, 0] == pytest.approx(ss.direction_error(run, track), abs=1e-4)
+            other = em.varied(em.varied(craft, "theta_xx", values["theta_xx"][i]), second, values[second][j])
+            run = ss.propagate(other, omega, [0.6, 0.0, 0.8], speed, times)
+            assert parameters.values[i, j] == pytest.approx(ss.direction_error(run, track), abs=1e-4)
+    assert rates.values[1, 0, 0] < 1e-6  # the truth
+    assert parameters.values.min() > 1e-6  # not among these
+
+
+def test_e_of_a_start_that_is_no_unit_vector():
+    """The Sun's motion is linear in its start: E by the formula, and by scaling the track."""
+    track = np.array([[0.6, 0, 0.8], [0, 1, 0]])
+    measured = np.array([[0, 0, 1], [0, 0.8, 0.6]])
+    direct = ss.direction_error(0.9646 * track, measured)
+    assert em.of_length(ss.direction_error(track, measured), 0.9646) == pytest.approx(direct, abs=1e-15)
+    assert em.of_length(0.0, 0.9646) == pytest.approx(0.0177, abs=5e-5)  # the bound
+
+
+def test_parameters_are_replaced_and_nothing_else():
+    craft = CASE.vehicle
+    changed = em.varied(em.varied(craft, "mu_0", 2e-3), "theta_xy", -0.3)
+    assert changed.wheels[0].friction == Friction(2e-3, craft.wheels[0].friction.viscous_N_m_s)
+    assert changed.inertia_kg_m2[0, 1] == changed.inertia_kg_m2[1, 0] == -0.3
+    assert np.count_nonzero(changed.inertia_kg_m2 != craft.inertia_kg_m2) == 2
+    for name in (*em.INERTIA, *em.WHEEL_PARAMETERS):
+        same = em.varied(craft, name, em.nominal(craft, name))
+        assert plain(same) == plain(craft)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: em.varied(ROUND, "mu_0", 1.0), "mu_0 belongs to a wheel"),
+        (lambda: em.nominal(ROUND, "J"), "J belongs to a wheel"),
+        (lambda: em.varied(ROUND, "mass", 1.0), "no parameter of this name"),
+        (lambda: em.parameter_map(ROUND, None, [0, 0, 1], [0, 0, 0], None, {"theta_xx": [1.0]}), "exactly two parameters"),
+        (lambda: gr.Motion.of(ROUND, [0, 0, 1], [0, 0, 1], None, 0.0), "duration_s must be positive"),
+    ],
+)
+def test_bad_input_is_named(call, text):
+    with pytest.raises(ss.SunspinError, match=text):
+        call()
+
+
+def test_growth_of_a_plain_spin_is_the_closed_form():
+    """A body that spins about its axis of symmetry: the Sun at right angles to it errs by t times the error of the rate."""
+    motion = gr.Motion.of(ROUND, [0, 0, 0.1], [1, 0, 0], None, 600.0)
+    table = gr.growth(motion)
+    np.testing.assert_allclose(table["error_rad"].sel(input="omega_z").values[1:], 0.1 * table["time"].values[1:], rtol=1e-5)
+    assert float(table["power"].sel(input="omega_z")) == pytest.approx(1.0, abs=1e-4)
+    assert float(table["error_rad"].sel(input="theta_zz").max()) < 1e-6  # negative control: it does not enter
+    assert table["input"].values.tolist() == ["omega_x", "omega_y", "omega_z", "theta_xx", "theta_yy", "theta_zz"]
+
+
+def test_friction_makes_the_error_grow_with_the_square():
+    """Wheel and body on one axis: the body gains mu_0 t / (Theta - J), the angle mu_0 t^2 / (2 (Theta - J))."""
+    wheel = Wheel("w", [0, 0, 1], 0.01, 100.0, Friction(1e-4, 0.0))
+    craft = Vehicle("one axis", np.diag([2.0, 2.0, 3.0]), panels=FACES, wheels=[wheel])
+    table = gr.growth(gr.Motion.of(craft, [0, 0, 0], [1, 0, 0], 100.0, 600.0))
+    late = table["time"].values[1:]
+    angle = 1e-4 * late**2 / (2 * (3.0 - 0.01))
+    np.testing.assert_allclose(table["error_rad"].sel(input="mu_0").values[1:], angle, rtol=1e-3, atol=1e-6)
+    assert float(table["power"].sel(input="mu_0")) == pytest.approx(2.0, abs=0.01)
+
+
+def test_the_valley_narrows_as_one_over_the_window_and_as_its_closed_form():
+    """Plain spin, Sun across it: E = (1 - sinc) / 2 of change times window, half its depth at about 1.9 rad."""
+    motion = gr.Motion.of(ROUND, [0.1, 0, 0], [0, 0.6, 0.8], None, 400.0)
+    motion = gr.Motion(Vehicle("ball", np.eye(3), panels=FACES), motion.omega_B, motion.sun_B, motion.wheel_speed_rad_s, 400.0)
+    valley = gr.valleys(motion, np.linspace(-0.05, 0.05, 2001), [200.0, 400.0], 2.0)
+    x = valley["change"].values[:, None] * np.arange(0.0, 400.1, 2.0)
+    np.testing.assert_allclose(valley.sel(window=400.0).values, (1 - np.cos(x).mean(axis=1)) / 2, atol=1e-3)
+    wide, narrow = gr.valley_width(valley)
+    assert wide / narrow == pytest.approx(2.0, abs=0.1)
+
+
+def test_one_percent_moves_e_and_not_emd(result):
+    """Paper, section 2.3; PHYSICS: 180 to 2000 rad per rad/s at 45 min; the printed start allows no E below 0.0177."""
+    rows = {row.id: row for row in sensitivity.rows(result)}
+    assert rows["one_percent_E"].agrees and rows["one_percent_emd"].agrees and rows["phase_growth"].agrees
+    assert rows["one_percent_E"].ours > 20 * rows["one_percent_emd"].ours
+    per_rate = [
+        float(table["error_rad"].sel(input=n).isel(time=-1)) / table.attrs["angular_speed_rad_s"]
+        for table in result.growth for n in gr.RATES
+    ]  # fmt: skip
+    assert 180 < min(per_rate) < 600 and 1500 < max(per_rate) < 2200
+    assert rows["E_study_bound"].ours == pytest.approx(0.0177, abs=5e-5)
+    assert rows["valley_width"].ours[-1] < CASE.published["scan_step"].value / 3
+    assert min(result.rates.min(), result.parameters.min()) >= rows["E_study_bound"].ours
+
+
+def test_the_map_has_the_axes_of_the_paper(result):
+    assert result.rates["omega_x"].values[[0, -1]].tolist() == [0.55, 0.6]
+    assert result.rates["omega_y"].values[[0, -1]].tolist() == [-0.33, -0.3]
+    assert float(result.rates["omega_z"]) == 0.3
+    assert result.parameters["theta_xx"].values[[0, -1]].tolist() == [12.603, 13.905]
+    assert result.parameters["mu_0"].values[[0, -1]].tolist() == [1.1e-3, 2.1e-3]
+
+
+def test_valleys_are_counted_along_both_axes():
+    x, y = np.meshgrid(np.linspace(0, 4 * np.pi, 81), np.linspace(0, 2 * np.pi, 61), indexing="ij")
+    assert sensitivity.valleys_crossed(np.cos(x) + 0.3 * np.cos(y)) == [2, 1]
+    assert sensitivity.valleys_crossed(np.cos(x + 0.1 * y)) == [2, 0]
+    assert sensitivity.valleys_crossed(x + y + 0.001 * np.cos(20 * x)) == [0, 0]
+
+
+def test_the_figures_say_what_they_show(result):
+    assert "synthetic telemetry" in figures_sensitivity.draw_maps(result)._suptitle.get_text()
+    assert "simulated" in figures_sensitivity.draw_growth(result)._suptitle.get_text()

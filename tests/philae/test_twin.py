@@ -1,0 +1,242 @@
+"""Twins: reproducible from their seed, true to the published facts, and without noise exactly what was put in."""
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.estimate.synthetic import NOISE_OF_LARGEST
+from sunspin.philae.twin import main
+from sunspin.philae.twin_philae import SPIN_PERIOD_S, philae_twin
+from sunspin.telemetry.sun import SunStatus, best_directions, is_reconstructed
+from sunspin.vehicle import Panel, Vehicle
+
+case = ss.load_case("philae")
+vehicle = case.vehicle
+committed = case.telemetry
+truth = tomllib.loads((case.folder / "twin_truth.toml").read_text("utf-8"))
+phase = committed["phase"].values
+published = {key: figure.value for key, figure in case.published.items()}
+
+
+@pytest.fixture(scope="module")
+def made():
+    return philae_twin(truth["seed"])
+
+
+@pytest.fixture(scope="module")
+def sun():
+    return ss.sun_directions(vehicle, committed)
+
+
+def free_flight():
+    return np.isin(phase, ["descent", "first_rebound", "second_rebound"])
+
+
+@pytest.mark.evidence("twin", "verified", "the file that comes with the package")
+def test_the_committed_file_follows_from_its_seed(made):
+    # the file holds 6 decimals and whole milliseconds
+    np.testing.assert_allclose(committed["power_W"].values, made["power_W"].values, rtol=0, atol=0.51e-6)
+    np.testing.assert_allclose(committed["time"].values, made["time"].values, rtol=0, atol=1e-6)
+    assert np.array_equal(phase, made["phase"].values)
+    for key, value in truth.items():
+        expected = made.attrs[f"truth_{key}"]
+        assert value == (expected if isinstance(expected, str) else pytest.approx(expected, rel=1e-9, abs=1e-12))
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_others(made):
+    again, other = philae_twin(truth["seed"]), philae_twin(truth["seed"] + 1)
+    assert again["power_W"].values.tobytes() == made["power_W"].values.tobytes()
+    assert again["time"].values.tobytes() == made["time"].values.tobytes()
+    assert not np.array_equal(other["time"].values, made["time"].values)
+
+
+def test_the_committed_file_says_that_it_is_synthetic_and_how_it_was_made():
+    comments = committed.attrs["comments"].splitlines()
+    assert committed.attrs["synthetic"] == 1
+    assert all(comment.startswith("synthetic:") for comment in comments)
+    assert re.search(r"sunspin \d+\.\d+\.\d+", comments[0])
+    assert f"python -m sunspin.philae.twin --case philae --seed {truth['seed']} " in comments[1]
+
+
+def test_phases_are_those_of_the_timeline():
+    times = committed["time"].values
+    assert [case.timeline.phase_at(t) for t in times] == phase.tolist()
+    count = {name: int((phase == name).sum()) for name in dict.fromkeys(phase)}
+    assert list(count) == [item.name for item in case.timeline.phases]
+    first, last = published["descent_samples"]
+    assert count["deployment"] == first - 1
+    assert times[first - 1] == case.timeline.event("descent_fit_begins").t_s
+    assert (times[last - 1] - times[first - 1]) / 3600 == pytest.approx(published["descent_span"], abs=10 / 3600)
+    assert count["first_rebound"] in (22, 23)
+    assert count["second_rebound"] == published["samples_after_collision"]
+    assert times[phase == "first_rebound"][0] == case.timeline.event("first_sample_after_touchdown").t_s
+
+
+def test_sample_times_are_irregular_by_seconds():
+    for name, interval in (("descent", 175.9), ("first_rebound", 120.0), ("second_rebound", 231.0)):
+        steps = np.diff(committed["time"].values[phase == name])
+        assert np.abs(steps - interval).max() < 12.5
+        assert steps.std() > 2.0
+
+
+def test_delta_of_free_flight_is_as_published(sun):
+    delta = sun["delta"].values[free_flight() & is_reconstructed(sun["status"])]
+    assert delta.mean() == pytest.approx(published["delta_mean"], abs=0.0015)
+    assert delta.max() < published["delta_max"]
+
+
+def test_folded_legs_show_in_delta_and_height(sun):
+    low, high = published["delta_shadowed"]
+    checked = (phase == "deployment") & (sun["status"].values == SunStatus.OK)
+    assert checked.sum() >= 3
+    assert np.all((sun["delta"].values[checked] > low) & (sun["delta"].values[checked] < high))
+    assert sun["sun_B"].values[checked, 2].mean() == pytest.approx(published["nz_folded"], abs=0.05)
+    descent = (phase == "descent") & is_reconstructed(sun["status"])
+    assert sun["sun_B"].values[descent, 2].mean() == pytest.approx(published["nz_descent"], abs=0.01)
+
+
+def test_lit_patterns_are_possible_until_the_second_touchdown_and_panel_1_explains_those_after(sun):
+    before = committed["time"].values < case.timeline.event("second_touchdown").t_s
+    assert not np.any(sun["status"].values[before] == SunStatus.IMPOSSIBLE)
+    health = ss.panel_health(vehicle, committed)
+    expected = {tuple(str(panel) for panel in pattern) for pattern in published["lit_patterns_at_rest"]}
+    assert set(health["impossible"]) == expected
+    assert health["explanations"] == [(str(published["shadowed_panel"]),)]
+
+
+def test_delta_at_rest_where_panel_6_is_lit():
+    power = committed["power_W"].values
+    at = (phase == "rest") & (power[:, 5] > 0)
+    _, delta = best_directions(vehicle, power[at])
+    assert at.sum() >= 10
+    assert delta.mean() == pytest.approx(0.14, abs=0.03)
+    assert delta.min() > 0.08 and delta.max() < 0.2
+
+
+def test_the_first_direction_after_the_touchdown_is_the_published_one(sun, made):
+    i = np.flatnonzero(phase == "first_rebound")[0]
+    expected = np.array(published["first_sun"])
+    np.testing.assert_array_equal(made["true_sun_B"].values[i], expected)
+    np.testing.assert_allclose(sun["sun_B"].values[i], expected / np.linalg.norm(expected), atol=1e-6)
+
+
+def test_the_true_rate_is_on_line_L3_and_turns_in_13_s_at_the_collision():
+    point, along = np.array(published["line_L3"])
+    offset = np.array(truth["omega_B"]) - point
+    assert np.linalg.norm(np.cross(offset, along)) < 1e-12
+    times = [truth["t_s"], truth["collision_t_s"]]
+    run = ss.propagate(vehicle, truth["omega_B"], truth["sun_B"], truth["wheel_speed_rad_s"], times)
+    assert 2 * np.pi / np.linalg.norm(run["omega_B"].values[-1]) == pytest.approx(SPIN_PERIOD_S, rel=1e-9)
+    np.testing.assert_allclose(run["omega_B"].values[-1], truth["collision_omega_before_B"], atol=1e-9)
+    assert 14 <= is_reconstructed(ss.sun_directions(vehicle, committed)["status"])[phase == "first_rebound"].sum() <= 17
+
+
+def test_the_collision_is_a_sticking_impact_at_the_published_speed_from_below():
+    velocity = np.array(truth["collision_velocity_B"])
+    assert np.linalg.norm(velocity) == pytest.approx(published["collision_speed"], rel=1e-12)
+    assert velocity[2] < 0
+    after = ss.impact(vehicle, truth["collision_omega_before_B"], 0.0, velocity, truth["collision_leg"])
+    np.testing.assert_allclose(after["omega_B"].values, truth["collision_omega_after_B"], atol=1e-9)
+
+
+def test_the_sun_is_continuous_through_the_collision_and_below_the_panels_after_it(made):
+    t = made["time"].values
+    last, first = np.flatnonzero(phase == "first_rebound")[-1], np.flatnonzero(phase == "second_rebound")[0]
+    end, sun_B = truth["collision_t_s"], truth["collision_sun_B"]
+    # the wheel has stopped before the last sample, so the way back to it knows no wheel
+    back = ss.propagate(
+        vehicle, truth["collision_omega_before_B"], sun_B, 0.0, [end, t[last]], stopped_at_s=t[last] - 1
+    )
+    speed = truth["collision_wheel_speed_after_rad_s"]
+    onward = ss.propagate(vehicle, truth["collision_omega_after_B"], sun_B, speed, [end, t[first]])
+    np.testing.assert_allclose(back["sun_B"].values[-1], made["true_sun_B"].values[last], atol=1e-8)
+    np.testing.assert_allclose(onward["sun_B"].values[-1], made["true_sun_B"].values[first], atol=1e-8)
+    assert (made["true_sun_B"].values[phase == "second_rebound", 2] < 0).sum() >= 4
+
+
+def test_without_noise_the_directions_come_back():
+    clean = philae_twin(truth["seed"], noise=0.0)
+    found = ss.sun_directions(vehicle, clean)
+    at = free_flight() & is_reconstructed(found["status"])
+    true = clean["true_sun_B"].values / np.linalg.norm(clean["true_sun_B"].values, axis=1, keepdims=True)
+    assert at.sum() > 100
+    np.testing.assert_allclose(found["sun_B"].values[at], true[at], rtol=0, atol=1e-9)
+    assert np.abs(found["delta"].values[at]).max() < 1e-9
+
+
+def test_the_descent_turns_at_the_published_rate(made):
+    at = np.flatnonzero(phase == "descent")
+    t = made["time"].values[at] - made["time"].values[at[0]]
+    x, y, _ = made["true_sun_B"].values[at].T
+    turned = -(np.arctan2(y, x) - np.arctan2(y[0], x[0]))
+    expected = np.polynomial.Polynomial(published["descent_rate_cubic"]).integ()(t)
+    np.testing.assert_allclose(np.exp(1j * turned), np.exp(1j * expected), atol=1e-9)
+
+
+# ---- twins of any vehicle --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.evidence("twin", "modelled", "its own inverse")
+def test_a_twin_of_any_vehicle_carries_its_truth_and_gives_it_back():
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    faces = [Panel(str(k), normal, 2.0) for k, normal in enumerate(normals)]
+    cube = Vehicle("cube", np.diag([0.01, 0.012, 0.015]), 1.0, panels=faces, gain_unit="W")
+    known = {"omega_B": [0.1, -0.05, 0.2], "sun_B": [0.0, 0.6, 0.8], "t_s": np.arange(0.0, 600.0, 7.0)}
+    telemetry = ss.twin(cube, known, seed=4)
+    run = ss.propagate(cube, known["omega_B"], known["sun_B"], None, known["t_s"])
+    np.testing.assert_array_equal(telemetry["true_sun_B"].values, run["sun_B"].values)
+    np.testing.assert_allclose(np.linalg.norm(telemetry["power_W"].values, axis=1), 2.0, rtol=1e-9)
+    assert telemetry.attrs["truth_omega_B"].tolist() == known["omega_B"]
+    assert telemetry.attrs["truth_noise"] == 0.0
+    noisy = ss.twin(cube, known | {"noise": 0.01}, seed=4)
+    lit = telemetry["power_W"].values > 0.1
+    assert (noisy["power_W"].values - telemetry["power_W"].values)[lit].std() == pytest.approx(0.01, rel=0.2)
+    assert np.all(noisy["power_W"].values[telemetry["power_W"].values == 0] == 0)
+
+
+def test_relative_gains_are_scaled_to_the_noise_of_the_vehicle():
+    known = {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}
+    telemetry = ss.twin(case, known, seed=0)
+    assert telemetry.attrs["truth_scale"] * 254 * NOISE_OF_LARGEST == pytest.approx(vehicle.telemetry.noise)
+    assert telemetry.attrs["truth_wheel_speed_rad_s"].tolist() == [865.0]
+
+
+def test_a_twin_survives_a_file(tmp_path, made):
+    pytest.importorskip("h5py", reason="NetCDF files need h5py")
+    made.to_netcdf(tmp_path / "twin.nc", engine="h5netcdf")
+    with xr.open_dataset(tmp_path / "twin.nc", engine="h5netcdf") as again:
+        np.testing.assert_array_equal(again["power_W"].values, made["power_W"].values)
+        np.testing.assert_array_equal(again.attrs["truth_omega_B"], made.attrs["truth_omega_B"])
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"rate": 1}, "unknown rate"),
+        ({"noise": -1.0}, "zero or positive"),
+        ({"scale": 0.0}, "scale of a twin must be positive"),
+    ],
+)
+def test_a_truth_that_is_none(change, text):
+    known = {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}
+    with pytest.raises(ss.InputError, match=text):
+        ss.twin(case, known | change)
+    with pytest.raises(ss.InputError, match="no sun_B"):
+        ss.twin(case, {"omega_B": [0, 0, 0], "t_s": [0.0]})
+    with pytest.raises(ss.InputError, match="needs a truth"):
+        ss.twin(vehicle)
+
+
+def test_the_command_writes_the_committed_file_and_replaces_nothing_unasked(tmp_path, capsys):
+    out = tmp_path / "telemetry.csv"
+    assert main(["--seed", str(truth["seed"]), str(out)]) == 0
+    again = ss.read_telemetry(out, vehicle)
+    np.testing.assert_allclose(again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6)
+    written = out.read_bytes()
+    assert main(["--seed", "1", str(out)]) == 2
+    assert "the file exists" in capsys.readouterr().err
+    assert out.read_bytes() == written

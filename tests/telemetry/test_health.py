@@ -1,0 +1,135 @@
+"""Panel health: allowed patterns, the smallest explanation, and what noise alone may have done."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import sunspin as ss
+from sunspin.telemetry.health import explanations, noise_alone
+from sunspin.vehicle import Panel, Vehicle
+from sunspin.vehicle.response.cosine import panel_power
+
+PHILAE = ss.load_vehicle("philae")
+SIGMA = 4.0  # of readings whose full scale is 254: the committed telemetry's relation
+
+
+def tetrahedron():
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+    return Vehicle("tetrahedron", panels=[Panel("abcd"[k], corner, 100.0 + 20 * k) for k, corner in enumerate(corners)])
+
+
+def random_suns(n, seed=0):
+    sun = np.random.default_rng(seed).normal(size=(n, 3))
+    return sun / np.linalg.norm(sun, axis=1, keepdims=True)
+
+
+def test_allowed_patterns_of_philae_are_the_sixteen_of_its_geometry():
+    allowed = set(ss.panel_health(PHILAE, panel_power(PHILAE, random_suns(5)), noise=SIGMA)["allowed"])
+    without = {tuple(p) for p in ("1", "12", "123", "1234", "2345", "345", "45", "5")}
+    assert allowed == without | {(*p, "6") for p in without}
+
+
+def test_four_panels_on_a_tetrahedron_show_all_but_none_and_all():
+    """One to three faces of a tetrahedron see the Sun: 14 patterns."""
+    craft = tetrahedron()
+    allowed = ss.panel_health(craft, panel_power(craft, random_suns(5)), noise=1.0)["allowed"]
+    assert len(allowed) == 14 and {len(p) for p in allowed} == {1, 2, 3}
+
+
+@pytest.mark.evidence("panel_health", "validated", "the patterns that the paper reports after the second touchdown")
+def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns():
+    """Paper, section 4. By trial: remove each panel in turn from what random directions light."""
+    patterns = [("2", "3", "6"), ("2", "3"), ("2",)]
+    assert explanations(PHILAE, patterns) == [("1",)]
+    lit = panel_power(PHILAE, random_suns(20_000)) > 0
+    names = np.array(PHILAE.panel_names)
+    for k, name in enumerate(names):
+        seen = lit.copy()
+        seen[:, k] = False
+        shown = {tuple(names[row].tolist()) for row in np.unique(seen, axis=0)}
+        assert set(patterns) <= shown if name == "1" else not set(patterns) <= shown
+
+
+def test_a_pair_is_found_only_where_no_single_panel_will_do():
+    """Panel 2 alone wants panel 1 and panel 4 alone wants panel 5, by symmetry; opposite panels nothing can explain."""
+    assert explanations(PHILAE, [("2",), ("4",)]) == [("1", "5")]
+    assert explanations(PHILAE, [("1", "5")]) == []
+
+
+@pytest.mark.evidence("panel_health", "verified", "SciPy's Nelder-Mead from 25 starts")
+def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds(reached):
+    rng = np.random.default_rng(3)
+    power = np.maximum(panel_power(PHILAE, random_suns(4, 2)) + SIGMA * rng.normal(size=(4, 6)), 0.0)
+    power[0, 0], power[1, 2] = 0.0, 0.0  # lost panels
+    made = noise_alone(PHILAE, power, SIGMA, 3 * SIGMA)
+
+    def distance(sun, reading):
+        mean = panel_power(PHILAE, sun)
+        dark = np.maximum(0.0, mean - 3 * SIGMA)
+        return (np.where(reading > 3 * SIGMA, mean - reading, dark) ** 2).sum() / SIGMA**2
+
+    for reading, found in zip(power, made.chi_square, strict=True):
+        starts = rng.normal(size=(25, 3))
+        options = {"xatol": 1e-9, "fatol": 1e-10, "maxiter": 4000}
+        best = min(minimize(distance, s, args=(reading,), method="Nelder-Mead", options=options).fun for s in starts)
+        assert found <= best + 1e-6
+        reached("chi-square above the best of the search", found - best, "", 1e-6)
+        assert found == pytest.approx(best, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.evidence("panel_health", "modelled", "500 noisy samples of whole panels, and of one panel dead")
+@pytest.mark.parametrize("craft", [PHILAE, tetrahedron()], ids=["philae", "tetrahedron"])
+def test_whole_panels_are_seldom_accused_and_a_lost_one_nearly_always(craft):
+    """The bound holds over many noisy samples of whole panels; the negative control has one panel dead."""
+    rng, sun = np.random.default_rng(8), random_suns(500, 5)
+    clean = panel_power(craft, sun)
+    noisy = np.maximum(clean + SIGMA * rng.normal(size=clean.shape), 0.0)
+    for level in (0.5, 0.1, 0.01):
+        assert np.mean(noise_alone(craft, noisy, SIGMA, 2 * SIGMA).probability < level) <= level
+    lost = noisy.copy()
+    lost[:, 0] = 0.0
+    bright = clean[:, 0] > 12 * SIGMA
+    forbidden = ss.panel_health(craft, lost, noise=SIGMA, lit_threshold=2 * SIGMA)["impossible"]
+    names = [tuple(n for n, x in zip(craft.panel_names, row, strict=True) if x > 2 * SIGMA) for row in lost]
+    accused = bright & np.array([name in forbidden for name in names])
+    assert accused.sum() > 0 or craft is not PHILAE
+    if accused.any():
+        assert np.median(noise_alone(craft, lost[accused], SIGMA, 2 * SIGMA).probability) < 1e-4
+
+
+def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
+    rng = np.random.default_rng(1)
+    grazing = np.tile([0.9, 0.02, 0.43], (200, 1))  # panel 1 near its edge
+    power = np.maximum(panel_power(PHILAE, grazing / np.linalg.norm(grazing[0])) + SIGMA * rng.normal(size=(200, 6)), 0.0)
+    told = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA)
+    assert told["impossible"] and all(verdict.largest > 0.3 for verdict in told["noise"].values())
+    lenient = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
+    assert lenient["impossible"] == told["impossible"] and lenient["explanations"] == []
+    dead = panel_power(PHILAE, random_suns(300)) * [0, 1, 1, 1, 1, 1]
+    strict = ss.panel_health(PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
+    assert strict["explanations"] == [("1",)]
+    assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
+
+
+def test_the_probability_of_a_pattern_is_its_share_under_that_sun():
+    """Against drawn noise: the least contradictory Sun, the pattern counted."""
+    power = panel_power(PHILAE, [[0.9, 0.02, 0.43]])
+    power[0, 0], power[0, 1] = 0.0, 1.2 * SIGMA
+    made = noise_alone(PHILAE, power, SIGMA, SIGMA)
+    mean = panel_power(PHILAE, made.sun_B[0])
+    drawn = mean + SIGMA * np.random.default_rng(4).normal(size=(200_000, 6)) > SIGMA
+    share = np.mean(np.all(drawn == (power[0] > SIGMA), axis=1))
+    assert made.pattern_probability[0] == pytest.approx(share, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((np.zeros((2, 5)), 1.0, 0.1), "one column for each of the 6 panels"),
+        ((np.zeros((2, 6)), 0.0, 0.1), "sigma must be the positive noise"),
+        ((np.zeros((2, 6)), 1.0, -0.1), "lit_threshold must be zero or positive"),
+    ],
+)
+def test_bad_input_is_named(arguments, text):
+    with pytest.raises(ss.SunspinError, match=text):
+        noise_alone(PHILAE, *arguments)

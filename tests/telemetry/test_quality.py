@@ -1,0 +1,100 @@
+"""Dirty panel readings: each fault is found, modelled, and said. The telemetry is synthetic."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.telemetry.quality import ALBEDO_DEFAULT, DOWNWEIGHTED, DROPPED, USED, panel_quality
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+
+NORMALS = np.vstack([np.eye(3), -np.eye(3)])
+CUBE = Vehicle(
+    "cube", gain_unit="A", panels=[Panel(f"p{k}", NORMALS[k], 0.5) for k in range(6)],
+    telemetry=TelemetryForm(quantity="current_A", noise=0.002),
+)  # fmt: skip
+
+
+def telemetry(value, time=None, flag=None):
+    n = len(value)
+    return xr.Dataset(
+        {"current_A": (("time", "panel"), value), "flag": ("time", np.zeros(n, np.uint8) if flag is None else flag)},
+        {"time": np.arange(n) * 30.0 if time is None else time, "panel": list(CUBE.panel_names)},
+    )
+
+
+def clean(n, seed=0):
+    rng = np.random.default_rng(seed)
+    sun = rng.normal(size=(n, 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    return ss.panel_power(CUBE, sun) + 0.002 * rng.uniform(size=(n, 6)), sun
+
+
+def test_clean_samples_are_used():
+    quality = panel_quality(CUBE, telemetry(clean(40)[0]))
+    assert np.all(quality["use"] == USED) and not quality["dead"].any()
+    assert set(quality["why"].values) == {"used"}
+    assert np.isfinite(quality["sigma"]).all()
+
+
+@pytest.mark.evidence("panel_quality", "modelled", "a panel set to zero")
+def test_a_dead_panel_is_named_and_left_out():
+    value, _ = clean(60)
+    value[:, 2] = 0.0
+    quality = panel_quality(CUBE, telemetry(value))
+    assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
+    assert np.isinf(quality["sigma"].values[:, 2]).all()
+
+
+def test_few_samples_are_no_ground_to_call_a_panel_dead():
+    value, _ = clean(10)
+    value[:, 2] = 0.0
+    assert not panel_quality(CUBE, telemetry(value))["dead"].any()
+
+
+@pytest.mark.evidence("panel_quality", "modelled", "currents scaled down")
+@pytest.mark.parametrize(("share", "use", "word"), [(0.6, DOWNWEIGHTED, "battery and not the Sun"), (0.2, DROPPED, "far below")])
+def test_currents_that_follow_the_battery_are_told_from_those_that_follow_the_sun(share, use, word):
+    value, _ = clean(40)
+    value[10:20] *= share
+    quality = panel_quality(CUBE, telemetry(value))
+    assert np.all(quality["use"].values[10:20] == use)
+    assert all(word in text for text in quality["why"].values[10:20])
+    assert np.all(quality["use"].values[:10] == USED)
+    if use == DOWNWEIGHTED:
+        assert np.all(quality["scale_sigma"].values[10:20] > 1)
+
+
+@pytest.mark.evidence("panel_quality", "modelled", "faults put into clean samples")
+def test_spikes_stale_late_and_empty_frames_are_said():
+    value, _ = clean(40)
+    value[3, 1] = 65.535
+    value[6] = value[5]
+    value[8] = np.nan
+    flag = np.zeros(40, np.uint8)
+    flag[9] = 4
+    quality = panel_quality(CUBE, telemetry(value, flag=flag))
+    why = quality["why"].values
+    assert "wrapped count or spike" in why[3] and np.isinf(quality["sigma"].values[3, 1])
+    assert np.isfinite(quality["sigma"].values[3, 0])  # the others of that sample still count
+    assert "stale" in why[6] and "no panel has a number" in why[8] and "late or repeated" in why[9]
+    assert quality["use"].values[[3, 6, 8, 9]].tolist() == [DOWNWEIGHTED, DROPPED, DROPPED, DROPPED]
+
+
+def test_a_body_at_rest_is_not_stale():
+    value = np.tile(ss.panel_power(CUBE, [0.6, 0.0, 0.8]), (30, 1))
+    assert np.all(panel_quality(CUBE, telemetry(value))["use"] == USED)
+
+
+def test_albedo_is_estimated_from_faces_opposite_to_lit_ones():
+    value, sun = clean(300)
+    rng = np.random.default_rng(1)
+    dark = sun @ NORMALS.T < 0
+    quality = panel_quality(CUBE, telemetry(value + dark * 0.5 * rng.uniform(0, 0.2, size=value.shape)))
+    assert quality.attrs["albedo"] == pytest.approx(0.168, abs=0.03)  # 84 % point of a uniform law up to 0.2
+    assert panel_quality(CUBE, telemetry(value[:3])).attrs["albedo"] == ALBEDO_DEFAULT
+
+
+def test_without_panels_it_is_a_sentence():
+    with pytest.raises(ss.InputError, match="no panel powers or currents"):
+        panel_quality(CUBE, telemetry(clean(4)[0]).drop_vars("current_A"))

@@ -1,0 +1,142 @@
+"""skCUBE, June 2017, real telemetry: the decoder, the currents against the Sun sensors, rates against the gyro."""
+
+import importlib.util
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.telemetry.decoders.skcube import ADCS, ADCS_COLUMNS, adcs_csv, decode_beacons, unescape
+
+FREE_S = 219_600
+"""The coils were off from the pass of 25 June 20:13 UTC on: seconds after the first beacon of the file."""
+
+
+def frame(kind, fields):
+    content = bytes(18) + bytes([kind]) + fields
+    return content.replace(b"\xdb", b"\xdb\xdd").replace(b"\xc0", b"\xdb\xdc")
+
+
+def test_the_decoder_undoes_the_escapes_and_counts_what_it_cannot_read(tmp_path):
+    numbers = list(range(len(ADCS_COLUMNS)))
+    numbers[2] = -16320  # C0 40 in two bytes, little endian: an escape inside a field
+    raw = tmp_path / "raw.zip"
+    with zipfile.ZipFile(raw, "w") as archive:
+        archive.writestr("1498201375_OM3KAA__skCUBE.gsr", frame(2, ADCS.pack(*numbers)))
+        archive.writestr("1498201376_OM3KAA__skCUBE.gsr", frame(2, ADCS.pack(*numbers)[:20]))
+        archive.writestr("1498201377_OM3KAA__skCUBE.gsr", frame(1, b"whatever"))
+        archive.writestr("1498201378_OM3KAA__skCUBE.gsr", b"")
+        archive.writestr("notes.txt", b"no beacon")
+    beacons = decode_beacons(raw)
+    assert beacons.adcs == [(1498201375, "OM3KAA", tuple(numbers))]
+    assert beacons.kinds == {"ADCS": 2, "CDHS": 1, "too short": 1}
+    assert sum(beacons.unread.values()) == 2
+    assert adcs_csv(beacons).splitlines()[0].startswith("unix_s_rx,station,adcsMode")
+
+
+def test_unescape():
+    assert unescape(b"\x01\xdb\xdc\x02\xdb\xdd\xdb") == b"\x01\xc0\x02\xdb\xdb"
+    assert ADCS.size == struct.calcsize("<BBhhh") + 6 * 5 + 32 + 8
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off"])
+def test_a_file_that_is_no_zip_is_a_sentence(content, tmp_path):
+    path = tmp_path / "raw.zip"
+    path.write_bytes(content)
+    with pytest.raises(ss.TelemetryError, match="raw beacons cannot be read"):
+        decode_beacons(path)
+    with pytest.raises(ss.TelemetryError, match="no raw beacon here"):
+        (tmp_path / "empty").mkdir()
+        decode_beacons(tmp_path / "empty")
+
+
+@pytest.mark.evidence("decode", "validated", "the published table of skCUBE's attitude beacons")
+@pytest.mark.real_data
+def test_the_decoder_gives_the_published_table_number_by_number(data_dir, reached):
+    beacons = decode_beacons(data_dir / "skcube" / "skcube_raw_23_27_june.zip")
+    assert len(beacons.adcs) == 252 and not beacons.unread
+    ours = adcs_csv(beacons).splitlines()
+    theirs = (data_dir / "skcube" / "skcube_adcs.csv").read_text().splitlines()[: len(ours)]
+    assert ours == theirs
+    reached("beacons equal in every number", len(beacons.adcs))
+
+
+@pytest.fixture(scope="module")
+def free_passes(data_dir):
+    """Rates from the Sun sensors (and the magnetometer's torque) of the passes of free motion, without the gyro; and it."""
+    craft = ss.load_vehicle("skcube")
+    data = ss.read_telemetry(data_dir / "skcube" / "skcube_adcs.csv", craft)
+    data = data.isel(time=data["time"].values > FREE_S)
+    return ss.rates(craft, data.drop_vars("gyro_B")), data
+
+
+@pytest.mark.evidence("rates", "validated", "the gyro of skCUBE, 25 to 27 June 2017 (calibrated on the same passes)")
+@pytest.mark.real_data
+def test_rates_from_sun_sensors_agree_with_the_gyro(free_passes, reached):
+    """Thirteen passes of 25 to 27 June, of which eight have seven samples or more: the figures rest on 78 samples."""
+    result, data = free_passes
+    gyro = data["gyro_B"].sel(time=result["time"]).values
+    known = np.isfinite(gyro).all(axis=1)
+    count = np.bincount(result["pass_of"].values)[result["pass_of"].values]
+    use = known & (count >= 7)
+    assert 70 <= use.sum() <= 110
+    error = np.degrees(result["omega_B"].values - gyro)[use]
+    assert np.all(np.median(np.abs(error), axis=0) < [0.16, 0.14, 0.18])  # deg/s; the rates are 0.5 to 1.2 deg/s
+    # coverage: error of a pass's mean against what it says, all modes counted, and the gyro's own zero (0.05 deg/s)
+    square = []
+    for number in np.unique(result["pass_of"].values[use]):
+        at = result["pass_of"].values == number
+        miss = np.degrees((result["omega_B"].values - gyro)[at].mean(axis=0))
+        square.append((miss / np.hypot(np.degrees(result["omega_sigma_all_B"].values[number]), 0.05)) ** 2)
+    assert 0.2 < np.mean(square) < 2.5
+    reached("median error, worst axis", np.median(np.abs(error), axis=0), "deg/s")
+    reached("squared error over stated variance", np.mean(square))
+    reached("samples", use.sum())
+
+
+@pytest.mark.evidence("rates", "validated", "the Sun sensors of skCUBE, 28 June 2017: two passes")
+@pytest.mark.real_data
+def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, reached):
+    """Only the passes just out of eclipse say something: 16 samples; the rest is dropped and says why."""
+    craft = ss.load_vehicle("skcube")
+    data = ss.read_telemetry(data_dir / "skcube" / "skcube_pwr.csv", craft)
+    result = ss.rates(craft, data)
+    why = result["why"].values
+    assert sum(text == "used" for text in why) == 8
+    assert sum("far below full Sun" in text for text in why) == 35
+    assert result.sizes["pass_id"] == 2
+    sensors, _ = free_passes
+    shift = np.datetime64(data.attrs["epoch_utc"][:-1]) - np.datetime64(sensors.attrs["epoch_utc"][:-1])
+    start = result["time"].values + shift / np.timedelta64(1, "s")
+    for number in range(2):
+        when = start[result["pass_of"].values == number].mean()
+        nearest = int(np.abs(sensors["time"].values - when).argmin())
+        other = int(sensors["pass_of"].values[nearest])
+        miss = result["omega_mean_B"].values[number, 0] - sensors["omega_mean_B"].values[other, 0]
+        sigma = np.hypot(result["omega_sigma_all_B"].values[number], sensors["omega_sigma_all_B"].values[other])
+        assert np.all(np.abs(miss[:2]) < 2 * sigma[:2])
+        assert np.abs(miss[2]) < 3 * sigma[2]
+        reached("difference in stated sigma, worst axis", np.abs(miss / sigma), "", 3.0)
+
+
+@pytest.mark.evidence("rates", "validated", "skCUBE's Sun sensors, 23 to 27 June: the plainer fit of docs/skcube_gyro.py")
+@pytest.mark.real_data
+def test_scale_and_zero_of_the_gyro_are_those_that_carry_the_sun_along(data_dir, reached):
+    """140 pairs of beacons, the gyro of 28 June not read; the vehicle file's values agree within two sigma of both."""
+    spec = importlib.util.spec_from_file_location("skcube_gyro", Path(__file__).parents[2] / "docs" / "skcube_gyro.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    craft = ss.load_vehicle("skcube")
+    found = script.pairs(craft, ss.read_telemetry(data_dir / "skcube" / "skcube_adcs.csv", craft))
+    assert len(found.t_s) == 140 and found.day.max() < np.datetime64("2017-06-28")
+    value, sigma, cost = script.fit(found, craft.sensors.disturbance.acceleration_noise)
+    gyro = craft.sensors.gyro
+    stated = np.array([np.degrees(gyro.scale_rad_s), *gyro.zero])
+    both = np.hypot(sigma, [np.degrees(gyro.scale_sigma), *gyro.zero_sigma])
+    assert np.all(np.abs(value - stated) < 2 * both)
+    reached("scale, deg/s per count", value[0])
+    turned = found._replace(first=found.second, second=found.first)  # the control: the Sun carried the wrong way fits worse
+    assert script.fit(turned, craft.sensors.disturbance.acceleration_noise)[2] > cost + 10

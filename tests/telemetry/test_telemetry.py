@@ -1,0 +1,128 @@
+"""The telemetry reader: clocks, columns, units; and one sentence for everything that can be wrong."""
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.base.errors import TelemetryError
+from sunspin.telemetry.sun import is_reconstructed
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+
+GOOD = "time,a,b\n2026-01-01T00:00:00Z,1.0,2.0\n2026-01-01T00:02:00Z,1.5,0.0\n"
+
+
+def vehicle(**form) -> Vehicle:
+    return Vehicle("two", panels=[Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 1, 0], 1.0)], telemetry=TelemetryForm(**form))
+
+
+def read(tmp_path, text, craft=None):
+    path = tmp_path / "t.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return ss.read_telemetry(path, craft or vehicle())
+
+
+@pytest.mark.evidence("read_telemetry", "verified", "a file written by hand")
+def test_a_good_file(tmp_path):
+    data = read(tmp_path, "# synthetic: made up\n" + GOOD)
+    np.testing.assert_array_equal(data["power_W"].values, [[1, 2], [1.5, 0]])
+    np.testing.assert_array_equal(data["time"].values, [0, 120])
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
+    assert data.attrs["synthetic"] == 1
+    assert np.all(data["flag"].values == 0)
+
+
+def test_unix_seconds_scale_current_and_named_columns(tmp_path):
+    craft = vehicle(quantity="current_A", time_column="t", time_format="unix", scale=0.001, columns={"a": "ia", "b": "ib"})
+    data = read(tmp_path, "t,ia,ib,other\n1498633767,500,0,x\n1498633807.5,250,1,y\n", craft)
+    np.testing.assert_allclose(data["current_A"].values, [[0.5, 0], [0.25, 0.001]], rtol=1e-12)
+    np.testing.assert_allclose(data["time"].values, [0, 40.5], rtol=0, atol=1e-6)
+    assert data.attrs["epoch_utc"].startswith("2017-06-28T07:09:27")
+
+
+def test_elapsed_seconds_need_and_keep_their_epoch(tmp_path):
+    craft = vehicle(time_format="elapsed", epoch_utc="2026-03-01T12:00:00")
+    data = read(tmp_path, "time,a,b\n10,1,1\n20,1,1\n", craft)
+    np.testing.assert_array_equal(data["time"].values, [10, 20])
+    assert data.attrs["epoch_utc"] == "2026-03-01T12:00:00Z"
+
+
+@pytest.mark.evidence("read_telemetry", "verified", "files with one mistake each")
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["empty"]),
+        ("time,a,b\n", ["header but no samples"]),
+        (GOOD.replace("time,a,b", "time,a,c"), ["column 'Pb_W'", "missing", "columns time, a, c"]),
+        (GOOD.replace("2.0", "nan"), ["line 2", "column 'b'", "nan"]),
+        (GOOD.replace("2.0", ""), ["line 2", "column 'b'", "empty cell"]),
+        (GOOD.replace("2.0", "two"), ["line 2", "two"]),
+        (GOOD.replace("1.5", "-3"), ["line 3", "negative", "-3"]),
+        (GOOD.replace("00:02:00", "00:00:00"), ["line 3", "time does not increase"]),
+        (GOOD.replace("2026-01-01T00:02:00Z", "yesterday"), ["line 3", "ISO-8601", "yesterday"]),
+        (GOOD.replace("1.5,0.0", "1.5"), ["line 3", "2 values", "3 columns"]),
+        (GOOD.encode("utf-16"), ["not UTF-8"]),
+        (b"time,a,b\n\xff,1,2\n", ["line 2", "not UTF-8"]),
+        (GOOD + "\0", ["binary"]),
+        ("time,a,a,b\n1,2,3,4\n", ["share a name"]),
+        ('time,a,b\n"2026,1,2\n', ["CSV"]),
+    ],
+)
+def test_bad_files_are_refused_in_one_sentence(tmp_path, text, parts):
+    with pytest.raises(ss.TelemetryError) as error:
+        read(tmp_path, text)
+    message = str(error.value)
+    assert "t.csv" in message and "\n" not in message
+    for part in parts:
+        assert part in message, message
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(ss.TelemetryError, match="cannot be read"):
+        ss.read_telemetry(tmp_path / "none.csv", vehicle())
+    with pytest.raises(ss.TelemetryError, match="folder"):
+        ss.read_telemetry(tmp_path, vehicle())
+
+
+def test_bad_rows_can_be_flagged_instead(tmp_path):
+    text = "time,a,b\n0,1,1\n10,nan,1\n20,-2,1\n15,1,1\n30,1,1\n"
+    craft = vehicle(time_format="elapsed", epoch_utc="2026-01-01", bad_rows="flag")
+    data = read(tmp_path, text, craft)
+    np.testing.assert_array_equal(data["flag"].values, [0, 1, 2, 4, 0])
+    status = ss.sun_directions(craft, data, lit_threshold=0.1)["status_text"].values
+    assert "flagged" in status[1] and "flagged" in status[2] and "flagged" in status[3]
+
+
+def test_small_negative_values_are_noise_where_noise_is_stated(tmp_path):
+    data = read(tmp_path, GOOD.replace("0.0", "-0.02"), vehicle(noise=0.01))
+    assert data["power_W"].values[1, 1] == -0.02
+
+
+def test_without_a_stated_noise_the_file_tells_what_is_noise(tmp_path):
+    """Dark panels of a real file read a little below zero now and then; a panel with its sign turned reads far below."""
+    rng = np.random.default_rng(2)
+    lit = np.maximum(0, np.sin(np.arange(40)[:, None] + [0.0, np.pi]))
+    noisy = lit + 0.01 * rng.standard_normal(lit.shape)
+    craft = vehicle(time_format="elapsed", epoch_utc="2026-01-01")
+
+    def text(values) -> str:
+        return "time,a,b\n" + "".join(f"{10 * k},{a:.4f},{b:.4f}\n" for k, (a, b) in enumerate(values))
+
+    assert (noisy < -0.01).sum() > 3
+    data = read(tmp_path, text(noisy), craft)
+    np.testing.assert_array_equal(data["flag"].values, 0)
+    np.testing.assert_allclose(data["power_W"].values, noisy, rtol=0, atol=1e-4)
+    assert ss.sun_directions(craft, data).attrs["noise"] == pytest.approx(0.01, rel=0.5)
+    for spoilt in (noisy * [1, -1], np.where(np.arange(80).reshape(40, 2) == 33, -0.2, noisy)):
+        with pytest.raises(TelemetryError, match="a panel cannot give a negative value"):
+            read(tmp_path, text(spoilt), craft)
+
+
+@pytest.mark.evidence("read_telemetry", "validated", "real beacons of skCUBE")
+@pytest.mark.real_data
+def test_skcube_beacons_read_and_say_what_they_can_tell(data_dir):
+    craft = ss.load_vehicle("skcube")
+    data = ss.read_telemetry(data_dir / "skcube" / "skcube_pwr.csv", craft)
+    assert data.sizes["time"] == 55
+    sun = ss.sun_directions(craft, data)
+    assert is_reconstructed(sun["status"]).sum() == 6  # as counted by hand: six beacons with three lit faces
+    assert set(np.unique(sun["n_lit"].values)) <= {0, 1, 2, 3}

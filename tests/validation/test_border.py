@@ -1,0 +1,299 @@
+"""What hostile input found: a sentence each time. A small part of the campaigns of docs/validation.md, and a case for each mend."""
+
+import json
+import os
+import zipfile
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.base.errors import printable, sentence
+from sunspin.compute.rows import ensemble
+from sunspin.vehicle import Panel, Vehicle, Wheel
+from sunspin.vehicle.file import parse_vehicle
+from validation import pool
+from validation.border import Told, judge, sunspin
+from validation.corrupt import Corrupt
+from validation.fuzz import Fuzz
+
+START = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    return tmp_path
+
+
+def refused(*arguments, words=()):
+    told = sunspin(*map(str, arguments))
+    assert judge(told).what == "refused", told
+    for word in words:
+        assert word in told.err
+    return told.err
+
+
+@pytest.mark.parametrize("suite", [Fuzz, pytest.param(Corrupt, marks=pytest.mark.long)])
+def test_hostile_input_is_a_result_or_a_sentence(suite):
+    with suite(seed=20, memory=None) as case:
+        verdicts = [case(index) for index in range(40)]
+    assert [v for v in verdicts if v.bad] == []
+    assert sum(v.what == "refused" for v in verdicts) > 15  # the campaign does attack
+    assert sum(v.what == "fine" for v in verdicts) > 2  # and does not only send nonsense
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("suite", "n"), [(Fuzz, 3000), (Corrupt, 1500)])
+def test_a_larger_campaign_in_guarded_processes(suite, n):
+    report = pool.run(suite, n, seed=30)
+    assert report.findings == [] and sum(report.counts.values()) == n
+
+
+@pytest.mark.parametrize(
+    ("told", "what"),
+    [
+        (Told(0, "fine", ""), "fine"),
+        (Told(0, "", "a warning"), "noise"),
+        (Told(2, "", "sunspin: error: no.\n"), "refused"),
+        (Told(2, "half a result", "sunspin: error: no.\n"), "not one sentence"),
+        (Told(2, "", "sunspin: error: no.\nand more\n"), "not one sentence"),
+        (Told(2, "", "sunspin: error: \x1b[2J.\n"), "not one sentence"),
+        (Told(1, "", "sunspin: defect\n"), "exit code"),
+        (Told(None, "", "", "Traceback"), "traceback"),
+    ],
+)
+def test_the_judge_would_notice(told, what):
+    assert judge(told).what == what and judge(told).bad == (what not in ("fine", "refused"))
+
+
+class Broken:
+    """A suite that does what no case may do."""
+
+    def __init__(self, **_):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def __call__(self, index):
+        if index == 1:
+            os._exit(7)
+        while index == 2:
+            pass
+        return pool.Verdict("fine")
+
+
+def test_the_watch_notices_crashes_and_hangs_and_goes_on():
+    report = pool.run(Broken, 5, workers=1, cpu_s=0.3)
+    assert report.counts == {"fine": 3, "crash": 1, "hang": 1}
+    assert {index: verdict.what for index, verdict in report.findings} == {1: "crash", 2: "hang"}
+
+
+def test_text_from_outside_obeys_no_terminal():
+    assert printable("a\x1b[2J\u202eb\n c\udce9 é") == "a\\x1b[2J\\u202eb c\\udce9 é"
+    assert sentence("x", got=10**5000).isprintable()
+    assert "\\x1b[31m" in refused("check", "\x1b[31m.toml")
+
+
+def test_a_defect_is_said_to_be_one(monkeypatch, home):
+    def broken(*_):
+        raise TypeError("oops")
+
+    monkeypatch.delenv("SUNSPIN_TRACEBACK", raising=False)
+    monkeypatch.setattr("sunspin.vehicle.load_vehicle", broken)
+    told = sunspin("check", "philae")
+    assert told.code == 1 and told.err.count("\n") == 1 and "fault of sunspin" in told.err and "oops" in told.err
+    monkeypatch.setenv("SUNSPIN_TRACEBACK", "1")
+    assert "TypeError" in sunspin("check", "philae").escaped
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mass_kg = " + "9" * 400, "between 1e-30 and 1e+30"),
+        ("mass_kg = " + "9" * 5000, "not valid TOML"),
+        ("mass_kg = 0x" + "f" * 5000, "between 1e-30 and 1e+30"),
+        ("mass_kg = 1e308", "between 1e-30 and 1e+30"),
+        ("mass_kg = nan", "between 1e-30 and 1e+30"),
+        ("a." * 50_000 + "a = 1", "line 1"),
+        ("a = " + "[" * 50_000, "nested too deeply"),
+        ('name = "\\u001b[2J"', "printable"),
+    ],
+)
+def test_vehicle_files_that_are_bombs_or_nonsense(text, said):
+    with pytest.raises(ss.VehicleError, match=said.replace("+", r"\+")) as error:
+        parse_vehicle(text if text.startswith(("a", "name")) else f"name = 'v'\n[body]\n{text}", "v.toml")
+    assert str(error.value).isprintable()
+
+
+def test_a_vehicle_has_not_any_number_of_parts():
+    with pytest.raises(ss.VehicleError, match="at most 32 panels"):
+        Vehicle("many", panels=[Panel(str(k), [0, 0, 1], 1.0) for k in range(33)])
+    with pytest.raises(ss.VehicleError, match="at most 8 wheels"):
+        Vehicle("many", wheels=[Wheel(str(k), [0, 0, 1], 1.0) for k in range(9)])
+
+
+def test_no_key_of_a_vehicle_file_names_a_file(home, tmp_path_factory):
+    """Paths cannot leave its folder, as there are none: text that looks like one is a name, and nothing is opened."""
+    secret = tmp_path_factory.mktemp("other") / "secret.csv"
+    secret.write_text("time_utc,px\n")
+    text = (home / "vehicle.toml").read_text("utf-8")
+    (home / "v.toml").write_text(text.replace('"px"', f'"{secret}"').replace('"my satellite"', '"../../etc/passwd"'))
+    err = refused("sun", "v.toml", "telemetry.csv", words=["is missing"])
+    assert "time_utc,px\n" not in err
+
+
+@pytest.mark.parametrize("command", ["check", "decode"])
+def test_devices_and_pipes_are_no_files(command, home):
+    os.mkfifo("pipe")
+    for path in ("pipe", "/dev/zero", "/dev/null"):
+        refused(command, path, words=["device or a pipe"])
+    if command == "check":
+        refused("check", "vehicle.toml", "pipe", words=["device or a pipe"])
+
+
+def test_grids_by_typo_are_refused_with_an_estimate(home):
+    files = "scan", "vehicle.toml", "telemetry.csv", "--to=160"
+    huge = [f"--omega-{x}=-0.5:0.5:0.0001" for x in "xyz"]
+    assert "2.8e+04 h of one core and 3e+04 GB" in refused(*files, *huge)
+    refused(*files, "--omega-x=0:1:1e-12", words=["h of one core", "GB of memory", "larger step"])
+    refused("simulate", "philae", *START, "--duration=1e7", "--step=1", words=["output times", "GB of memory"])
+    refused("simulate", "philae", *START, "--duration=1e9", "--step=1e8", words=["rad", "would take some"])
+    refused("simulate", "philae", "--omega=1e5,0,0", "--sun=0,0.6,0.8", "--duration=1e4", "--step=1e3", words=["check the units"])
+
+
+def test_results_that_no_machine_holds_are_refused_with_an_estimate():
+    from rowsets import Waves
+
+    with pytest.raises(ss.InputError, match="GB of memory"):
+        ensemble(Waves(n_rows=10**13))
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "1e308", "1e-308"])
+def test_numbers_beyond_all_measure_are_refused_by_every_command(value, home):
+    refused("simulate", "philae", *START, f"--duration={value}", words=["--duration", "1e-30"])
+    refused("simulate", "philae", f"--omega=0,{value},0", START[1], "--duration=1", words=["--omega"])
+    refused("sun", "vehicle.toml", "telemetry.csv", f"--noise={value}", words=["--noise"])
+
+
+def test_a_lead_of_ages_is_a_sentence(home):
+    """Back in time friction makes a wheel faster without bound."""
+    given = ["--omega=0,0,1", START[1], "--after=1", "--collision-speed=0", "--runs=4"]
+    refused("outcomes", "vehicle.toml", *given, "--lead=1e20", words=["steps", "unit"])
+
+
+def test_too_many_turns_between_samples_are_refused(home):
+    refused("rates", "vehicle.toml", "telemetry.csv", "--max-rate=1e6", "--noise=1e-4", words=["whole turns", "--max-rate"])
+
+
+def test_file_names_of_any_bytes_are_printed(home):
+    told = sunspin("init", "caf\udce9", "--json")
+    assert json.loads(told.out)["vehicle"].startswith("caf\udce9")
+    assert sunspin("init", "caf\udce8").code == 0
+
+
+def test_results_and_their_page_in_a_folder_of_any_name(home):
+    os.rename("telemetry.csv", "t\udce9.csv")
+    folder = "caf\udce9 \u202e"
+    for command in (["simulate", "philae", *START, "--duration=5"], ["sun", "vehicle.toml", "t\udce9.csv"]):
+        place = folder + command[0]
+        told = sunspin(*command, f"--out={place}")
+        assert not told.err and told.code == 0, told
+        assert place in json.loads((home / place / "summary.json").read_text("utf-8"))["command"]
+        told = sunspin("report", place)
+        assert not told.err and told.code == 0, told
+    pytest.importorskip("spiceypy")
+    refused("export", folder + "simulate", "--epoch=2026-01-01T00:00:00Z", "--format=ck", f"--out={folder}", words=["SPICE"])
+
+
+def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, monkeypatch):
+    import h5netcdf
+
+    assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
+    with h5netcdf.File("results/bomb.nc", "w") as file:
+        file.dimensions = {"time": 10**12}
+        file.create_variable("px", ("time",), "f8", chunks=(10**6,))
+    data = bytearray((home / "results" / "trajectory.nc").read_bytes())
+    data[200:260] = bytes(60)
+    (home / "results" / "trajectory.nc").write_bytes(data)
+    (home / "results" / "summary.json").write_text('{"title": "\\ud800 <script>x</script>", "verdict": [1, {"a": null}]}')
+    assert sunspin("report", "results") == sunspin("report", "results") and sunspin("report", "results").code == 0
+    page = (home / "results" / "report.html").read_text("utf-8")
+    assert "bomb.nc could not be read" in page and "GB of memory" in page and "<script>x" not in page
+
+
+@pytest.mark.parametrize("value", [0.0, 1e300, np.nan])
+def test_a_page_of_numbers_that_cannot_be(home, value):
+    assert sunspin("simulate", "philae", *START, "--duration=20", "--out=results").code == 0
+    with xr.open_dataset("results/trajectory.nc", engine="h5netcdf") as data:
+        data = data.load()
+    for name in ("sun_B", "omega_B", "B_from_N"):
+        data[name].values[3:6] = value
+    data.to_netcdf("results/trajectory.nc", engine="h5netcdf")
+    told = sunspin("report", "results")
+    assert told.code == 0 and not told.err, told
+
+
+def test_names_too_long_are_a_sentence(home):
+    err = refused("check", "vehicle.toml", "y/" * 2500)
+    assert len(err) < 1300
+
+
+def test_wide_and_long_tables(home):
+    (home / "wide.csv").write_text("time_utc," + ",".join(f"c{i}" for i in range(50_000)) + "\n1\n")
+    refused("sun", "vehicle.toml", "wide.csv", words=["more than 10000 columns"])
+    (home / "commas.csv").write_text("," * 3_000_000)
+    refused("sun", "vehicle.toml", "commas.csv")
+
+
+def test_files_in_columns_may_not_unpack_to_any_size(home):
+    """A few kB of Parquet or NetCDF can hold a billion cells."""
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(20_000_000, np.int8)), pa.array([1.0]))
+    pq.write_table(pa.table({f"c{i}": column for i in range(6)}), "bomb.parquet")
+    assert os.path.getsize("bomb.parquet") < 1_000_000
+    refused("sun", "vehicle.toml", "bomb.parquet", words=["more than 1e+08 cells"])
+    import h5netcdf
+
+    with h5netcdf.File("bomb.nc", "w") as file:
+        file.dimensions = {"time": 10**12}
+        file.create_variable("px", ("time",), "f8", chunks=(10**6,))
+    refused("sun", "vehicle.toml", "bomb.nc", words=["GB of memory"])
+
+
+def test_a_scan_that_is_none_is_a_sentence(home):
+    xr.Dataset({"emd": ("x", [1.0])}).to_netcdf("scan.nc", engine="h5netcdf")
+    refused("outcomes", "vehicle.toml", "--scan=scan.nc", "--sun=0,0.6,0.8", "--after=60", words=["no scan"])
+
+
+def test_kernels_that_are_none_are_a_sentence(home):
+    pytest.importorskip("spiceypy")
+    assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
+    given = "compare", "results", "--frame=X", "--epoch=2026-01-01T00:00:00Z"
+    refused(*given, "", words=["no such file"])
+    refused(*given, "telemetry.csv", words=["kernels cannot be used"])
+
+
+def test_an_archive_of_nameless_frames(home):
+    with zipfile.ZipFile("frames.zip", "w") as archive:
+        archive.writestr("x", b"")
+    data = (home / "frames.zip").read_bytes().replace(b"\x01\x00\x00\x00x", b"\x00\x00\x00\x00\x00")
+    (home / "frames.zip").write_bytes(data)
+    refused("decode", "frames.zip", words=["raw"])
+
+
+def test_a_netcdf_file_on_which_the_library_computes_for_ever(home, monkeypatch):
+    """The other process is ended after its time; here every file is such a one."""
+    from sunspin.base import netcdf
+
+    xr.Dataset({"px": ("time", [1.0])}).to_netcdf("good.nc", engine="h5netcdf")
+    monkeypatch.setattr(netcdf, "PROBE_S", 1)
+    (home / "netcdf_probe.py").write_text("while True: pass\n")
+    monkeypatch.setattr(netcdf, "__file__", str(home / "netcdf.py"))
+    refused("sun", "vehicle.toml", "good.nc", words=["ends the program that reads it"])

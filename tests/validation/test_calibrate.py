@@ -1,0 +1,44 @@
+"""Calibration on a few small twins: the machinery works, and goes on where it was stopped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunspin import VehicleError
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from validation.calibrate import QUANTITIES, calibrate, make, tally
+
+FACES = ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1])
+
+
+def cube() -> Vehicle:
+    panels = [Panel(str(k), normal, 1.0) for k, normal in enumerate(FACES)]
+    form = TelemetryForm(quantity="current_A", noise=0.02)
+    return Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form)
+
+
+def test_small_twins_are_recalled_and_resumed(tmp_path):
+    options = {"max_rate": 0.1, "samples": 12, "interval_s": 20.0, "workers": 2, "vehicle": cube()}
+    first = calibrate(tmp_path, "unknown", 1, **options)
+    files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json")}
+    rows = calibrate(tmp_path, "unknown", 2, **options)
+    assert rows[0] == first[0] and all(path.stat().st_mtime_ns == when for path, when in files.items())
+    figures = tally(rows)
+    assert figures["twins"] == 2 and figures["confident_misses"] == 0 and set(figures["ranks_p"]) == set(QUANTITIES)
+
+
+def test_a_swapped_twin_is_the_same_but_for_the_swap():
+    craft = cube()
+    telemetry, truth, _, _ = make(craft, "swapped", 0.2, 12, 20.0, 0, 0)
+    again, same, _, _ = make(craft, "swapped", 0.2, 12, 20.0, 0, 0)
+    assert np.array_equal(telemetry["current_A"], again["current_A"]) and np.array_equal(truth.omega, same.omega)
+
+
+def test_a_vehicle_without_a_noise_is_refused_with_a_sentence():
+    """Its twins have no noise to be made with; once this was a division of None."""
+    craft = replace(cube(), telemetry=TelemetryForm(quantity="current_A"))
+    with pytest.raises(VehicleError, match=r"noise under \[telemetry\]"):
+        make(craft, "unknown", 0.2, 12, 20.0, 0, 0)

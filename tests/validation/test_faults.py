@@ -1,0 +1,140 @@
+"""What the machine may do to a run: no room, no memory, another run on the same store, a clock that jumps, a kill."""
+
+import ast
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sources import nodes
+from sunspin.output.folder import results_folder, write_whole
+from validation.kill import TARGETS, campaign, environment, is_whole
+
+START = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
+SOURCES = Path(__file__).parents[2] / "src"
+
+
+def limited(kind, most, *arguments):
+    """The command line in another process that may not have more of something; exit code, complaint."""
+    command = [sys.executable, "-m", "sunspin.cli", *map(str, arguments)]
+    done = subprocess.run(
+        command, env=environment(), capture_output=True, text=True, preexec_fn=lambda: resource.setrlimit(kind, (most, most))
+    )
+    return done.returncode, done.stderr
+
+
+def said(outcome, *words):
+    code, complaint = outcome
+    assert code == 2 and complaint.startswith("sunspin: error: ") and complaint.count("\n") == 1, complaint
+    assert all(word in complaint for word in words), complaint
+
+
+def test_no_room_for_results_is_said_and_no_half_file_stays(tmp_path):
+    out = tmp_path / "out"
+    said(limited(resource.RLIMIT_FSIZE, 20_000, "simulate", "philae", *START, "--duration=3000", "--out", out), "free space")
+    assert [path.name for path in out.iterdir()] == [".sunspin-results"]
+
+
+def test_no_room_for_a_store_is_said(tmp_path):
+    given = ["outcomes", "philae", "--runs=64", "--workers=1", "--strategy=off", "--store", tmp_path / "rows"]
+    said(limited(resource.RLIMIT_FSIZE, 500, *given), "free space", str(tmp_path))
+
+
+def test_too_little_memory_is_said():
+    given = ["simulate", "philae", *START, "--duration=200000", "--step=0.101"]
+    said(limited(resource.RLIMIT_AS, 900_000_000, *given), "memory")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_is_said(tmp_path):
+    tmp_path.chmod(0o500)
+    given = ["simulate", "philae", *START, "--duration=3", "--out", tmp_path / "out"]
+    said(limited(resource.RLIMIT_CPU, 60, *given), "Permission denied")
+
+
+def test_what_a_killed_run_had_begun_is_swept_and_no_living_one(tmp_path):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    (folder / f".sun.nc.{ended.pid}.part").write_bytes(b"half")
+    (folder / f".sun.nc.{os.getppid()}.part").write_bytes(b"another run's")
+    with pytest.raises(Exception, match="not empty"):
+        results_folder(folder, "sun")
+    (folder / f".sun.nc.{os.getppid()}.part").unlink()
+    results_folder(folder, "sun")
+    assert [path.name for path in folder.iterdir()] == [".sunspin-results"]
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
+    target = tmp_path / "a.json"
+    write_whole(target, lambda part: part.write_text("1"))
+
+    def fails(part):
+        part.write_text("half")
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write_whole(target, fails)
+    assert target.read_text() == "1" and list(tmp_path.iterdir()) == [target]
+
+
+def test_no_result_hangs_on_the_clock():
+    """Durations come from clocks that never jump; the time of day is written once, as the date of a message that must have one."""
+    jumping = {("time", "time"), ("datetime", "now"), ("datetime", "utcnow"), ("datetime", "today"), ("time", "localtime")}
+    found = []
+    for path in sorted(SOURCES.rglob("*.py")):
+        for node in nodes(path):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and (node.value.id, node.attr) in jumping:
+                found.append(path.name)
+    assert found == ["export_aem.py"]
+
+
+@pytest.mark.parametrize(("name", "whole", "half"), [
+    ("a.json", b'{"a": 1}\n', b'{"a": '), ("a.html", b"<html></html>\n", b"<html>"), ("a.svg", b"<svg></svg>", b"<svg>"),
+    ("a.png", b"\x89PNG IEND\xaeB`\x82", b"\x89PNG"), ("a.csv", b"a\n", b""), ("a.nc", None, b"\x89HDF\r\n\x1a\n"),
+])  # fmt: skip
+def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
+    path = tmp_path / name
+    path.write_bytes(half)
+    assert not is_whole(path)
+    if whole is not None:
+        path.write_bytes(whole)
+        assert is_whole(path)
+
+
+def test_the_campaign_would_notice_other_results(tmp_path, monkeypatch):
+    """A command whose result hangs on whether it was killed."""
+    code = (
+        "import json, pathlib, sys, time; args = sys.argv; out = pathlib.Path(args[args.index('--out') + 1]); "
+        "out.mkdir(parents=True, exist_ok=True); n = len(list(out.glob('.try*'))); (out / f'.try{n}').touch(); "
+        "time.sleep(0.5); (out / 'a.json').write_text(json.dumps({'tries': n}))"
+    )
+    target = TARGETS[0]
+    monkeypatch.setattr(type(target), "command", lambda self, folder, small: [sys.executable, "-c", code, "--out", f"{folder}/out"])
+    told = campaign(target, 3, tmp_path, 0, say=lambda text: None)
+    assert told.kills >= 3 and any("other results" in what for what in told.wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+def test_killed_runs_end_with_the_same_bits(target, tmp_path):
+    told = campaign(target, 6, tmp_path, 1, small=True)
+    assert told.kills >= 6 and told.wrong == []
+
+
+@pytest.mark.slow
+def test_two_runs_on_one_store(tmp_path):
+    """Both end well, or one is told that another run is writing; the results are those of one."""
+    store = ["--store", str(tmp_path / "rows")]
+    given = [sys.executable, "-m", "sunspin.cli", "outcomes", "philae", "--runs=3000", "--strategy=off", "--json", *store]
+    runs = [subprocess.Popen(given, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    ended = [(run.communicate(timeout=300), run.returncode) for run in runs]
+    good = [json.loads(out) for (out, _), code in ended if code == 0]
+    assert good and all(result == good[0] for result in good)
+    for (_, complaint), code in ended:
+        assert code == 0 or (code == 2 and "another run is writing" in complaint), complaint

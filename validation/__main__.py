@@ -1,0 +1,32 @@
+"""``python -m validation``: one campaign, its figures, and exit code 1 if it found anything."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+CAMPAIGNS = {
+    "fuzz": "hostile vehicle files, telemetry and options through the command line",
+    "corrupt": "binary files damaged and opened: NetCDF, Parquet, Zarr stores, SPICE kernels, zip",
+    "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
+    "witnesses": "closed forms, published values and other software beside ours, digits matched",
+    "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
+    "controls": "telemetry of landers that did something else, and of spoilt files, through the Philae study",
+    "lowest": "the tests with the lowest versions of the dependencies",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    told = "Campaigns that judge sunspin, most by trying to break it; see docs/validation.md."
+    parser = argparse.ArgumentParser(prog="python -m validation", description=told)
+    commands = parser.add_subparsers(dest="campaign", required=True)
+    for name, told in CAMPAIGNS.items():
+        import_module(f"validation.{name}_command").options(commands.add_parser(name, help=told, description=told))
+    options = parser.parse_args(arguments)
+    return import_module(f"validation.{options.campaign}_command").run(options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

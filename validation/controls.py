@@ -1,0 +1,136 @@
+"""Telemetry of landers that did something else than Philae, and of files with something wrong: negative controls of `reproduce`.
+
+Each is the built-in synthetic telemetry with one thing changed, so that whatever a study concludes from it can be held against
+the truth that made it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import SunspinError
+from sunspin.dynamics.propagate import propagate
+from sunspin.philae import candidates, carries, descent, level_set, touchdown
+from sunspin.philae import rebound as rb
+from sunspin.philae.readings import with_own_noise
+from sunspin.philae.row import Row, settled
+from sunspin.philae.twin_philae import CELL_W, keep_direction
+from sunspin.telemetry.case import Case, load_case
+from sunspin.telemetry.sun import sun_directions
+from sunspin.telemetry.synthetic import generator, noisy_power
+from sunspin.vehicle.response.cosine import panel_power
+
+STILL = (0.0, 0.0, 0.0)
+TUMBLING = (0.35, -0.2, 0.15)
+"""rad/s at the first sample: a motion off the printed lines."""
+
+
+def with_motion(case: Case, omega_B: Any, wheel_mode: str = "coast", seed: int = 0, noise: float | None = None) -> xr.Dataset:
+    """The case's telemetry with the first rebound of a lander that turns at `omega_B` (rad/s) at its first sample."""
+    data = case.telemetry.copy(deep=True)
+    inside = np.flatnonzero(data["phase"].values == "first_rebound")
+    t = data["time"].values[inside]
+    run = propagate(
+        case.vehicle, omega_B, rb.first_sun(case), rb.nominal_speed(case.vehicle), t - t[0], wheel_mode=wheel_mode, rtol=1e-9
+    )
+    exact = CELL_W * panel_power(case.vehicle, run["sun_B"].values)
+    sigma = case.vehicle.require_noise() if noise is None else noise
+    power = noisy_power(case.vehicle, exact, sigma, generator(seed, 20))
+    power[0] = keep_direction(case.vehicle, exact[0], power[0])
+    data["power_W"].values[inside] = power
+    data.attrs.pop("sha256", None)  # no longer the file whose truth ships with the case
+    return data
+
+
+def shuffled_panels(case: Case, seed: int = 0) -> xr.Dataset:
+    """Each panel's readings shuffled in time, apart from the others: no Sun is left in any sample."""
+    data, rng = _copy(case), generator(seed, 21)
+    for k in range(data.sizes["panel"]):
+        data["power_W"].values[:, k] = rng.permutation(data["power_W"].values[:, k])
+    return data
+
+
+def shuffled_samples(case: Case, seed: int = 0) -> xr.Dataset:
+    """Whole samples shuffled within each phase: every sample is right, no motion is left."""
+    data, rng = _copy(case), generator(seed, 22)
+    phase = data["phase"].values
+    for name in dict.fromkeys(phase):
+        inside = np.flatnonzero(phase == name)
+        data["power_W"].values[inside] = data["power_W"].values[rng.permutation(inside)]
+    return data
+
+
+def exchanged_panels(case: Case, first: str = "1", second: str = "2") -> xr.Dataset:
+    """The columns of two panels exchanged."""
+    data, names = _copy(case), list(case.vehicle.panel_names)
+    pair = [names.index(first), names.index(second)]
+    data["power_W"].values[:, pair] = data["power_W"].values[:, pair[::-1]]
+    return data
+
+
+def _copy(case: Case) -> xr.Dataset:
+    data = case.telemetry.copy(deep=True)
+    data.attrs.pop("sha256", None)
+    return data
+
+
+CONTROLS: dict[str, Callable[[Case], xr.Dataset]] = {
+    "as it is": lambda case: case.telemetry,
+    "never tumbled": lambda case: with_motion(case, STILL),
+    "spins about z": lambda case: with_motion(case, (0.0, 0.0, 0.3)),
+    "another motion": lambda case: with_motion(case, TUMBLING),
+    "wheel held": lambda case: with_motion(case, rb.twin_truth(case), "hold"),
+    "each panel shuffled": shuffled_panels,
+    "samples shuffled": shuffled_samples,
+    "panels 1 and 2 exchanged": exchanged_panels,
+}
+"""Name -> telemetry."""
+
+COARSER = 3
+"""34 x 34 x 14 motions."""
+
+TWINS = 60
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the file carries; its scan and its chain of candidates, or why there is none."""
+
+    case: Case
+    carries: carries.Carries
+    scan: level_set.LevelSet | None
+    chain: candidates.Chain | None
+    why: str
+
+    @property
+    def rows(self) -> dict[str, Row]:
+        """Rows of the scan and of the touchdown as they count."""
+        found = level_set.rows(self.scan) if self.scan else []
+        found = found + (touchdown.rows(self.chain) if self.chain else [])
+        return {row.id: settled(row) for row in found}
+
+
+def chain_of(telemetry: xr.Dataset | None = None, source: str = "scan", coarser: int = COARSER, **options: Any) -> Found:
+    """The chain on a telemetry file, the built-in one unless given."""
+    case = load_case("philae")
+    case = case if telemetry is None else rb.with_telemetry(case, telemetry)
+    case, _ = with_own_noise(case, carries.whole_panels(case, case.telemetry))
+    sun = sun_directions(case.vehicle, case.telemetry)
+    try:
+        fit = descent.compute(case, sun)
+    except SunspinError:
+        fit = None
+    looked = carries.compute(case, sun, fit)
+    scan = chain = None
+    why = ""
+    try:
+        scan = level_set.compute(case, sun, coarser=coarser)
+        chain = candidates.compute(scan.scan, looked, source, **({"twins": TWINS} | options))
+    except SunspinError as error:
+        why = str(error)
+    return Found(case, looked, scan, chain, why)

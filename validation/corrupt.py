@@ -1,0 +1,197 @@
+"""Binary files damaged in many ways and opened: NetCDF, Parquet, Zarr stores, SPICE kernels, zip archives.
+
+Their readers are other people's C; a case runs in a worker of :mod:`validation.pool`, so a crash there is seen and counted.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.folder import MARKER
+from tests.corrupted import BYTES
+from validation import fuzz
+from validation.border import judge, sunspin
+from validation.pool import Verdict
+from validation.suite import Suite
+
+FORMATS = (
+    "telemetry.nc", "telemetry.parquet", "trajectory.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip", "report",
+)  # fmt: skip
+SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+    """One way or another: what `tests/corrupted.py` does, or numbers of the file's own structure replaced."""
+    if rng.random() < 0.5:
+        return BYTES[int(rng.integers(len(BYTES) - 1))](content, rng)  # the last one is about text
+    data = bytearray(content)
+    for _ in range(int(rng.integers(1, 4))):
+        at, size = int(rng.integers(len(data))), int(rng.choice([1, 2, 4, 8, 64, 512]))
+        fill = (b"\xff", b"\0", b"\x7f", b"\x01")[int(rng.integers(4))]
+        data[at : at + size] = (fill * size)[: len(data[at : at + size])]
+    return bytes(data)
+
+
+class Corrupt(Suite):
+    """Damaged files of every format that is read."""
+
+    def prepare(self) -> None:
+        """Good files, and shorter work."""
+        for change in fuzz.cut_short():
+            self.stack.enter_context(change)
+        os.chdir(self.home)
+        self.good = make_files(self.home)
+
+    def __call__(self, index: int) -> Verdict:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))
+        self.last = self.only or FORMATS[int(rng.integers(len(FORMATS)))]
+        place = self.home / "case"
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        verdict = getattr(self, "try_" + self.last.replace(".", "_"))(place, rng)
+        return verdict._replace(shown=f"{self.last}: {verdict.shown}") if verdict.bad else verdict
+
+    def _bad(self, name: str, place: Path, rng: np.random.Generator) -> Path:
+        target = place / Path(name).name
+        target.write_bytes(damaged(self.good[name], rng))
+        return target
+
+    def _told(self, *arguments: object) -> Verdict:
+        self.told = sunspin(*map(str, arguments))
+        return judge(self.told)
+
+    def try_telemetry_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
+        return self._told("sun", "stock/vehicle.toml", self._bad("telemetry.nc", place, rng))
+
+    def try_telemetry_parquet(self, place: Path, rng: np.random.Generator) -> Verdict:
+        return self._told("sun", "stock/vehicle.toml", self._bad("telemetry.parquet", place, rng))
+
+    def try_trajectory_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
+        self._bad("trajectory.nc", place, rng)
+        form = str(rng.choice(["aem", "ck", "netcdf", "parquet"]))
+        return self._told("export", place, "--epoch=2026-01-01T00:00:00Z", f"--format={form}", "--out", place / "out")
+
+    def try_scan_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
+        bad = self._bad("scan.nc", place, rng)
+        return self._told("outcomes", "stock/vehicle.toml", "--scan", bad, "--sun=0,0.6,0.8", "--after=60", "--runs=4")
+
+    def try_kernel_bc(self, place: Path, rng: np.random.Generator) -> Verdict:
+        bad = self._bad("kernel.bc", place, rng)
+        more = ["kernels/sunspin.tsc", "kernels/sunspin.tf"]
+        if rng.random() < 0.3:
+            k = int(rng.integers(2))
+            text = place / Path(more[k]).name
+            text.write_bytes(damaged(Path(more[k]).read_bytes(), rng))
+            more[k] = str(text)
+        names = ["--frame=SUNSPIN_BODY", "--base=SUNSPIN_LOCAL", "--epoch=2026-01-01T00:00:00Z"]
+        return self._told("compare", "stock/results", bad, *more, *names)
+
+    def try_orbit_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
+        from sunspin.philae.collision import KERNEL, kernel_facts
+        from sunspin.telemetry.case import load_case
+
+        (place / KERNEL[0]).mkdir()
+        place.joinpath(*KERNEL).write_bytes(damaged(self.good["orbit.bsp"], rng))
+        return _sentence(lambda: kernel_facts(load_case("philae"), place))
+
+    def try_frames_zip(self, place: Path, rng: np.random.Generator) -> Verdict:
+        return self._told("decode", self._bad("frames.zip", place, rng), "--out", place / "out")
+
+    def try_report(self, place: Path, rng: np.random.Generator) -> Verdict:
+        """A page is made all the same, of what can be read; the file is named on it."""
+        shutil.copytree("stock/results", place / "results")
+        files = sorted(path for path in (place / "results").iterdir() if path.name != MARKER and path.stat().st_size)
+        for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 3))):
+            path.write_bytes(damaged(path.read_bytes(), rng) if path.stat().st_size else b"x")
+        return self._told("report", place / "results")
+
+    def try_store(self, place: Path, rng: np.random.Generator) -> Verdict:
+        from sunspin.compute.rows import ensemble
+
+        shutil.copytree("store", place / "store")
+        files = sorted(path for path in (place / "store").rglob("*") if path.is_file())
+        for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 4))):
+            path.write_bytes(damaged(path.read_bytes(), rng)) if path.stat().st_size else path.write_bytes(b"x")
+        found: dict[str, Any] = {}
+        verdict = _sentence(lambda: found.update(ensemble(self.good["rows"], store=place / "store", workers=1, chunk=7)))
+        if verdict.what == "fine" and any(found[k].tobytes() != v.tobytes() for k, v in self.good["result"].items()):
+            return Verdict("wrong result", True, "damage passed unseen")
+        return verdict
+
+
+def _sentence(call: Any) -> Verdict:
+    """Whether a call returns or says one sentence."""
+    from sunspin.base.errors import SunspinError
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", RuntimeWarning)
+        try:
+            call()
+        except SunspinError as error:
+            return Verdict("refused", not str(error).isprintable(), repr(str(error)))
+        except Exception as error:
+            return Verdict("traceback", True, f"{type(error).__name__}: {error}")
+    noise = [str(w.message) for w in said if issubclass(w.category, RuntimeWarning)]
+    return Verdict("noise", True, "; ".join(noise)) if noise else Verdict("fine")
+
+
+def make_files(home: Path) -> dict[str, Any]:
+    """One good file of each kind, in the present folder; contents by name."""
+    import xarray as xr
+
+    from sunspin.compute.rows import ensemble
+    from tests.rowsets import Waves
+
+    fuzz.make_stock(home / "stock")
+    rows = (home / "stock" / "telemetry.csv").read_text("utf-8").splitlines()[1:]
+    header, cells = rows[0].split(","), [row.split(",") for row in rows[1:]]
+    columns: dict[str, Any] = {name: np.array([float(row[k]) for row in cells]) for k, name in enumerate(header) if k}
+    utc = np.array([row[0].rstrip("Z") for row in cells], dtype="datetime64[ns]")
+    table = xr.Dataset({name: ("row", v) for name, v in columns.items()} | {"time_utc": ("row", utc)})
+    table.to_netcdf("telemetry.nc", engine="h5netcdf")
+    write_parquet("telemetry.parquet", columns | {"time_utc": utc.astype("datetime64[us]")})
+    axes = {f"omega_{x}": np.array([0.0, 0.1]) for x in "xyz"}
+    dims = tuple(axes)
+    volume = xr.DataArray(np.linspace(0.1, 0.2, 8).reshape(2, 2, 2), dims=dims, coords=axes, name="emd")
+    volume.assign_coords(outcome=(dims, np.zeros((2, 2, 2), dtype=np.int8))).to_dataset().to_netcdf("scan.nc", engine="h5netcdf")
+    made = sunspin("export", "stock/results", "--epoch=2026-01-01T00:00:00Z", "--format=ck", "--out=kernels")
+    if made.code != 0:
+        raise RuntimeError(made.err)
+    write_orbit(home / "orbit.bsp")
+    function = Waves(n_rows=ROWS)
+    result = ensemble(function, store="store", chunk=7, workers=1)
+    content = {name: Path(name).read_bytes() for name in ("telemetry.nc", "telemetry.parquet", "scan.nc", "orbit.bsp")}
+    content["trajectory.nc"] = Path("stock/results/trajectory.nc").read_bytes()
+    content["kernel.bc"] = Path("kernels/sunspin.bc").read_bytes()
+    content["frames.zip"] = Path("stock/frames.zip").read_bytes()
+    return content | {"rows": function, "result": result}
+
+
+def write_parquet(path: str, columns: dict[str, np.ndarray]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table(columns), path)
+
+
+def write_orbit(path: Path) -> None:
+    """A made-up trajectory of the lander where the case's kernel would be, with its ids and times."""
+    import spiceypy as sp
+
+    from sunspin.philae import collision
+    from sunspin.telemetry.case import load_case
+
+    case = load_case("philae")
+    begin = collision._tdb(case, "first_touchdown") - 100
+    end = collision._tdb(case, "second_touchdown") + 100
+    t = np.linspace(begin, end, 200)
+    states = np.column_stack([1 + 1e-5 * (t - begin), 2 - 1e-5 * (t - begin), 0 * t, 1e-5 + 0 * t, -1e-5 + 0 * t, 0 * t])
+    handle = sp.spkopn(str(path), "made up", 0)
+    sp.spkw09(handle, -226800, 1000012, "J2000", begin, end, "made up", 3, len(t), states, t)
+    sp.spkcls(handle)

@@ -1,0 +1,219 @@
+"""Hostile vehicle files, telemetry and options through the command line: a result or one sentence, never anything else.
+
+Options are read off the commands themselves, so a new one is tried without being named here. Work that takes long where the
+input is good (a scan, the Monte Carlo, the whole study) is cut short at its beginning: what counts is whether it would begin.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import click
+import numpy as np
+
+from sunspin.estimate.rates.motion import _runge_kutta
+from validation import hostile
+from validation.border import Accepted, judge, sunspin
+from validation.pool import Verdict
+from validation.suite import Suite
+
+SMALL_ROWS = 64
+"""Scans and Monte Carlos of so few rows are run."""
+
+SEARCH_S = 2.5
+"""CPU time of a case after which a search of rates that has begun is ended: fast rates and sparse samples may well take longer."""
+
+KINDS = {"vehicle": 0.4, "telemetry": 0.25, "options": 0.35}
+"""Share of the cases whose vehicle, telemetry or options are hostile."""
+
+ON_VEHICLES = ("check", "check", "sun", "simulate", "simulate", "scan", "outcomes", "rates", "posterior")
+ON_TABLES = ("check", "check", "sun", "sun", "scan", "rates", "posterior")
+
+
+class Fuzz(Suite):
+    """Hostile vehicles, telemetry and options."""
+
+    def prepare(self) -> None:
+        """The stock of good files, and shorter work."""
+        os.environ.pop("SUNSPIN_DATA", None)
+        self.stock = self.home / "stock"
+        make_stock(self.stock)
+        for change in cut_short():
+            self.stack.enter_context(change)
+        self.stack.enter_context(mock.patch("sunspin.estimate.rates.motion._runge_kutta", self._while_short(_runge_kutta)))
+        self.commands = command_table()
+
+    def _while_short(self, function: Any) -> Any:
+        def short(*arguments: Any) -> Any:
+            if time.process_time() - self.begun > SEARCH_S:
+                raise Accepted
+            return function(*arguments)
+
+        return short
+
+    def arguments(self, index: int) -> list[str]:
+        """The arguments of this case; makes its files in the present folder."""
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))
+        kind = self.only or str(rng.choice(list(KINDS), p=list(KINDS.values())))
+        if kind == "options":
+            return self.with_options(rng)
+        choices = ON_VEHICLES if kind == "vehicle" else ON_TABLES
+        command = choices[int(rng.integers(len(choices)))]
+        arguments = base(command)
+        if kind == "vehicle":
+            Path("bad.toml").write_bytes(hostile.vehicle(rng))
+            return [("bad.toml" if word == "vehicle.toml" else word) for word in arguments]
+        Path("bad.csv").write_bytes(hostile.table(Path("telemetry.csv").read_bytes(), rng))
+        return [("bad.csv" if word == "telemetry.csv" else word) for word in arguments]
+
+    def with_options(self, rng: np.random.Generator) -> list[str]:
+        names = sorted(self.commands)
+        command = names[int(rng.integers(len(names)))]
+        arguments = base(command)
+        parameters = self.commands[command].params
+        for _ in range(int(rng.integers(1, 4))):
+            parameter = parameters[int(rng.integers(len(parameters)))]
+            value = hostile_value(parameter, rng)
+            if isinstance(parameter, click.Argument):
+                places = [k for k, word in enumerate(arguments) if k and not word.startswith("--")]
+                if places:
+                    arguments[places[int(rng.integers(len(places)))]] = value
+            elif parameter.is_flag:
+                arguments.append(parameter.opts[0])
+            else:
+                arguments.append(f"{parameter.opts[0]}={value}")
+        if rng.random() < 0.05:
+            arguments.insert(int(rng.integers(len(arguments) + 1)), hostile.TEXTS[int(rng.integers(len(hostile.TEXTS)))])
+        return arguments
+
+    def __call__(self, index: int) -> Verdict:
+        place = self.home / "case"
+        shutil.copytree(self.stock, place, symlinks=True)
+        os.mkfifo(place / "pipe")
+        os.chdir(place)
+        try:
+            arguments = self.last = self.arguments(index)
+            self.begun = time.process_time()
+            told = self.told = sunspin(*arguments)
+            verdict = judge(told)
+            if verdict.bad:
+                verdict = verdict._replace(shown=f"{[word[:80] for word in arguments]}\n{verdict.shown}")
+            return verdict
+        finally:
+            os.chdir(self.home)
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def make_stock(folder: Path) -> None:
+    """Good files to start from: start files with few samples, results of two commands, a zip, things that are no files."""
+    import zipfile
+
+    for code, *arguments in (
+        (0, "init", str(folder)),
+        (0, "simulate", "philae", "--omega=0.1,0,0", "--sun=0,0.6,0.8", "--duration=20", "--out", str(folder / "results")),
+    ):
+        told = sunspin(*arguments)
+        if told.code != code:
+            raise RuntimeError(f"the stock could not be made: {told}")
+    telemetry = folder / "telemetry.csv"
+    telemetry.write_text("".join(telemetry.read_text("utf-8").splitlines(keepends=True)[:7]), "utf-8")
+    (folder / "folder").mkdir()
+    (folder / "empty").write_bytes(b"")
+    (folder / "loop").symlink_to("loop")
+    (folder / "nowhere").symlink_to("missing/there")
+    with zipfile.ZipFile(folder / "frames.zip", "w") as archive:
+        archive.writestr("1500000000_OM3KAA_1", b"\xc0\x00" + bytes(16) + b"\x02" + bytes(80))
+
+
+def cut_short() -> list[Any]:
+    """What takes long where the input is good ends at its beginning; small ensembles of vehicles known beforehand run."""
+    from sunspin.compute.rows import ensemble
+    from sunspin.dynamics.ensemble import ahead
+
+    def few(function: Any, **options: Any) -> Any:
+        if function.n_rows > SMALL_ROWS or options.get("scheduler") is not None:
+            raise Accepted
+        return ensemble(function, **options)
+
+    def kept(structure: Any) -> Any:
+        module = ahead.kernel(structure)
+        if not ahead.is_kept(Path(str(module.__file__))):
+            raise Accepted
+        return module
+
+    def begins(*_: Any, **__: Any) -> Any:
+        raise Accepted
+
+    return [
+        mock.patch("sunspin.estimate.scan.volume.ensemble", few),
+        mock.patch("sunspin.landing.outcomes.ensemble", few),
+        mock.patch("sunspin.estimate.posterior.modes.ensemble", begins),
+        mock.patch("sunspin.dynamics.ensemble.run.ready_kernel", kept),
+        mock.patch("sunspin.dynamics.ensemble.ahead.compile_ahead", lambda structures: None),
+        mock.patch("sunspin.dynamics.ensemble.run.compile_ahead", lambda structures: None),
+        mock.patch("sunspin.philae.reproduction.compute", begins),
+        mock.patch("sunspin.philae.coverage.compute", begins),
+    ]
+
+
+def command_table() -> dict[str, click.Command]:
+    """Every command by its name."""
+    from sunspin.cli import cli
+
+    context = click.Context(cli)
+    return {name: cli.get_command(context, name) for name in cli.list_commands(context)}
+
+
+def base(command: str) -> list[str]:
+    """Arguments with which a command does its work on the stock."""
+    grid = ["--omega-x=0:0.02:0.02", "--omega-y=-0.03:-0.03:1", "--omega-z=0.05:0.05:1"]
+    start = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
+    known = {
+        "check": ["vehicle.toml", "telemetry.csv"],
+        "sun": ["vehicle.toml", "telemetry.csv"],
+        "rates": ["vehicle.toml", "telemetry.csv", "--noise=1e-4"],
+        "posterior": ["vehicle.toml", "telemetry.csv", "--prior=max_rate_rad_s=0.05"],
+        "report": ["results"],
+        "simulate": ["vehicle.toml", *start, "--duration=100"],
+        "scan": ["vehicle.toml", "telemetry.csv", "--to=160", "--lines=0", *grid],
+        "outcomes": ["vehicle.toml", "--runs=8", *start, "--after=60", "--collision-speed=0"],
+        "init": ["new"],
+        "decode": ["frames.zip", "--out=decoded"],
+        "export": ["results", "--epoch=2026-01-01T00:00:00Z", "--out=exported"],
+        "compare": ["results", "empty", "--frame=X", "--epoch=2026-01-01T00:00:00Z"],
+    }
+    return [command, *known.get(command, [])]
+
+
+PATHS = (
+    "folder", "empty", "loop", "nowhere", "missing", "missing/deep/er", "vehicle.toml", "telemetry.csv", "results", "frames.zip",
+    ".", "..", "",
+    "pipe", "results/trajectory.nc", "/dev/null", "/dev/zero", "/dev/full/x", "/proc/self/mem", "/proc/self/x", "x" * 300,
+    "y/" * 2500, "caf\udce9",
+    "\u202egpj.x", "new\nline", "~", "file:///etc/passwd", "philae", "con", "\x1b[2J", "empty/below", "new place",
+)  # fmt: skip
+
+
+def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:
+    """A value for an option or argument, mostly of its own kind."""
+    kind = parameter.type
+    if rng.random() < 0.1:
+        pool: Any = hostile.TEXTS + hostile.OPTION_NUMBERS + PATHS
+    elif isinstance(kind, click.Choice):
+        pool = (*kind.choices, *kind.choices, "", "nonsense", str(kind.choices[0]).upper())
+    elif isinstance(kind, click.Path) or isinstance(parameter, click.Argument):
+        pool = PATHS
+    elif "FLOAT" in kind.name.upper() or "INTEGER" in kind.name.upper():
+        pool = hostile.OPTION_NUMBERS
+    else:
+        pool = hostile.TEXTS
+    if parameter.name == "scheduler":
+        pool = ("", "nonsense", "tcp://", "tcp://127.0.0.1:1", "http://x", "\n", "tcp://[::1")
+    if parameter.name == "workers":
+        pool = ("1", "2", "0", "-1", "nan", "4097", "1e3", "")
+    return str(pool[int(rng.integers(len(pool)))])

@@ -1,0 +1,182 @@
+"""Runs killed with SIGKILL at random moments, resumed until they get through, and compared bit by bit with undisturbed ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
+UNALIKE = ("seconds", "processor_s", "command", "folder")
+"""Keys of summaries that say how long a run took and where it stood."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A command, its share of the kills, its arguments in full and small (for a quick look), the module that runs it."""
+
+    name: str
+    share: float
+    full: tuple[str, ...]
+    small: tuple[str, ...]
+    stored: bool = True
+    module: str = "sunspin.cli"
+
+    def command(self, folder: Path, small: bool) -> list[str]:
+        given = [*(self.small if small else self.full)]
+        if self.module != "sunspin.cli":  # a program of its own, which goes on from what is in its folder
+            return [sys.executable, "-m", self.module, str(folder / "out"), *given]
+        store = ["--store", str(folder / "store")] if self.stored else []
+        return [sys.executable, "-m", self.module, self.name, *given, "--out", str(folder / "out"), *store]
+
+
+SCAN = ("philae", str(TELEMETRY), "--from=90", "--to=2800", "--workers=2", "--lines=0")
+KNOWN = ("--prior=inertia=0", "--prior=friction=0", "--prior=wheel_speed=0")
+WINDOW = ("philae", *KNOWN, "--draws=1000", "--workers=2", "--from=100", "--to=1500")
+TARGETS = (
+    Target("scan", 0.3, (*SCAN, "--omega-x=-0.5:1:0.02", "--omega-y=-0.5:1:0.02", "--omega-z=-0.3:0.3:0.03"),
+           (*SCAN, "--omega-x=-0.5:1:0.05", "--omega-y=-0.5:1:0.05", "--omega-z=-0.3:0.3:0.04")),
+    Target("posterior", 0.2, (*WINDOW, "--prior=max_rate_rad_s=0.1"), (*WINDOW, "--prior=max_rate_rad_s=0.05")),
+    Target("calibrate", 0.1, ("--kind=known", "--twins=3", "--max-rate=0.1", "--samples=12", "--interval=30", "--workers=2"),
+           ("--kind=known", "--twins=2", "--max-rate=0.05", "--samples=12", "--interval=30", "--workers=2"),
+           module="validation.calibrate"),
+    Target("outcomes", 0.15, ("philae", "--runs=16000", "--workers=2"), ("philae", "--runs=5000", "--workers=2")),
+    Target("worth", 0.15, ("--twins=16", "--coarser=3", "--workers=2", "--confidence=0.6"),
+           ("--twins=10", "--coarser=8", "--workers=2", "--confidence=0.5")),
+    Target("reproduce", 0.1, ("--coarser=8",), ("--coarser=25",), stored=False),
+)  # fmt: skip
+
+
+@dataclass
+class Told:
+    """What became of one target."""
+
+    name: str
+    seconds: float = 0.0
+    kills: int = 0
+    runs_through: int = 0
+    after_files: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(ROOT / "src")}
+
+
+def start(command: list[str]) -> subprocess.Popen:
+    return subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
+
+
+def halves(folder: Path) -> list[str]:
+    """Files under their final names that are not whole."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
+    return [path.name for path in files if not is_whole(path)]
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a results file is complete, as far as its own form tells."""
+    ends: dict[str, Callable[[bytes], bool]] = {
+        ".html": lambda data: data.rstrip().endswith(b"</html>"), ".svg": lambda data: data.rstrip().endswith(b"</svg>"),
+        ".png": lambda data: data.endswith(b"IEND\xaeB`\x82"), ".json": lambda data: json.loads(data) is not None,
+    }  # fmt: skip
+    try:
+        if path.suffix == ".nc":
+            content(path)
+            return True
+        return ends[path.suffix](path.read_bytes()) if path.suffix in ends else path.stat().st_size > 0
+    except (OSError, ValueError, KeyError):
+        return False
+
+
+def content(path: Path) -> dict[str, Any]:
+    """What a results file holds, to be compared: arrays as bytes; durations and the places of the run left out."""
+    import xarray as xr
+
+    if path.suffix == ".nc":
+        groups = xr.open_groups(path, engine="h5netcdf", decode_timedelta=False)
+        held: dict[str, Any] = {}
+        for group, data in groups.items():
+            held |= {f"{group}:{name}": (v.dims, v.shape, str(v.dtype), _bits(v.values)) for name, v in data.variables.items()}
+            held[f"{group}:attrs"] = {key: str(value) for key, value in data.attrs.items()}
+            data.close()
+        return held
+    told = json.loads(path.read_text("utf-8"))
+    return {key: value for key, value in told.items() if key not in UNALIKE} if isinstance(told, dict) else {"": told}
+
+
+def _bits(values: np.ndarray) -> bytes:
+    return repr(values.tolist()).encode() if values.dtype == object else values.tobytes()
+
+
+def results(folder: Path) -> dict[str, Any]:
+    files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".nc", ".json")]
+    return {str(path.relative_to(folder)): content(path) for path in files}
+
+
+def campaign(target: Target, kills: int, folder: Path, seed: int, small: bool = False, say: Callable[[str], None] = print) -> Told:
+    """Kill one target so many times; what was wrong."""
+    told, draw = Told(target.name), random.Random(f"{seed} {target.name}")
+    calm = folder / "calm"
+    for _ in range(2):  # the first compiles
+        told.seconds = _undisturbed(target.command(calm, small), calm)
+    wanted = results(calm / "out")
+    say(f"{target.name}: undisturbed in {told.seconds:.1f} s")
+    number = 0
+    while told.kills < kills:
+        place = folder / f"round{number}"
+        number += 1
+        while not _once(target, place, draw, told, small):
+            if told.kills > 3 * kills + 20:
+                told.wrong.append("no run gets through")
+                return told
+        told.runs_through += 1
+        found = results(place / "out")
+        if found != wanted:
+            names = [name for name in {*found, *wanted} if found.get(name) != wanted.get(name)]
+            told.wrong.append(f"other results after kills: {', '.join(sorted(names))}")
+        if left := [path.name for path in place.rglob("*.part")]:
+            told.wrong.append(f"left behind: {', '.join(left[:3])}")
+    return told
+
+
+def _undisturbed(command: list[str], folder: Path) -> float:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    begun = time.monotonic()
+    process = start(command)
+    _, complaint = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(command)}: {complaint.decode()}")
+    return time.monotonic() - begun
+
+
+def _once(target: Target, place: Path, draw: random.Random, told: Told, small: bool) -> bool:
+    """Start and kill at a random moment; whether it got through before."""
+    place.mkdir(parents=True, exist_ok=True)
+    process = start(target.command(place, small))
+    try:
+        process.communicate(timeout=draw.uniform(0.2, 1.4 * told.seconds))
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        told.kills += 1
+        told.after_files += any((place / "out").glob("[!.]*")) if (place / "out").exists() else 0
+        if half := halves(place / "out"):
+            told.wrong.append(f"half written: {', '.join(half)}")
+        return False
+    if process.returncode:
+        told.wrong.append(f"a resumed run ended with {process.returncode}")
+        return True
+    return True

@@ -1,0 +1,211 @@
+"""What others say of the same physics: closed forms, published values, other people's integrators and transport; digits matched.
+
+Each witness is a function that returns rows of (what, ours minus theirs, the size it is a part of, digits that must match).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipj, ellipkinc
+from scipy.stats import wasserstein_distance
+
+import sunspin as ss
+from sunspin.dynamics import ensemble as k
+from sunspin.vehicle import Friction, Vehicle, Wheel
+
+BASILISK_MRP = (0.373034285, -0.00239564413, 0.208570797)
+"""Attitude after 10 s, from the unit test of Basilisk's spacecraft module: diag(500, 200, 300) kg m2, (0.5, -0.4, 0.7) rad/s."""
+
+SUN = np.array([0.36, 0.48, 0.8])
+
+
+class Row(NamedTuple):
+    """One comparison: `error` is the largest difference relative to `size`."""
+
+    witness: str
+    what: str
+    error: float
+    wanted: float
+
+    @property
+    def digits(self) -> float:
+        """Decimal digits that agree, 16 at most."""
+        return float(min(16.0, -np.log10(max(self.error, 1e-16))))
+
+    @property
+    def holds(self) -> bool:
+        return self.error <= self.wanted
+
+
+def basilisk() -> Iterator[Row]:
+    run = ss.propagate(Vehicle("hub", np.diag([500.0, 200.0, 300.0])), [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
+    mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
+    yield Row("Basilisk, published", "attitude (MRP) after 10 s", float(np.abs(mrp - BASILISK_MRP).max()), 5e-10)
+
+
+def free_rigid_body() -> Iterator[Row]:
+    """Euler's case by Jacobi's functions, both kinds of motion, 200 turns, with phase (Landau and Lifshitz 1, section 37)."""
+    moments = np.array([0.7, 1.0, 1.6])  # increasing
+    t = np.linspace(0, 1300.0, 400)
+    for name, omega in (("about the short axis", (0.2, 0.3, 1.0)), ("about the long axis", (1.0, 0.3, 0.1))):
+        expected = euler(moments, np.array(omega), t)
+        run = ss.propagate(Vehicle("free", np.diag(moments)), omega, SUN, None, t)
+        error = np.abs(run["omega_B"].values - expected).max() / np.linalg.norm(omega)
+        yield Row("Jacobi's elliptic functions (SciPy)", f"free body {name}, rates with phase, 1300 s", float(error), 1e-10)
+        sized = 100.0 * np.diag(moments), np.tile(omega, (1, 1)).astype(float)
+        rows = k.Rows(sized[1], SUN[None], np.zeros((1, 0)))
+        end = k.run_rows(Vehicle("free", sized[0]), rows, t[1:], direction_error=1e-9).omega_B[0]
+        error = np.abs(end - expected[1:]).max() / np.linalg.norm(omega)
+        yield Row("Jacobi's elliptic functions (SciPy)", f"the ensemble kernel, the same {name}", float(error), 1e-8)
+
+
+def euler(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Rates (n, 3) of a free body with increasing principal moments, from `omega` at t = 0."""
+    if (moments * omega) @ (moments * omega) < moments[1] * (moments @ omega**2):  # the other kind: the axes turned round
+        return _polhode(moments[::-1], omega[::-1] * [1, -1, 1], t)[:, ::-1] * [1, -1, 1]
+    return _polhode(moments, omega, t)
+
+
+def _polhode(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """The motion about the third axis, whose moment is the largest or the smallest."""
+    a, b, c = moments
+    twice, square = moments @ omega**2, (moments * omega) @ (moments * omega)
+    least, most = twice * c - square, square - twice * a
+    size = np.sqrt([least / (a * (c - a)), least / (b * (c - b)), most / (c * (c - a))])
+    rate = np.sign(c - a) * np.sqrt((c - b) * most / (a * b * c))
+    m = (b - a) * least / ((c - b) * most)
+    third = np.sign(omega[2])
+    begin = ellipkinc(np.arctan2(third * omega[1] / size[1], omega[0] / size[0]), m)
+    sn, cn, dn, _ = ellipj(rate * t + begin, m)
+    return np.stack([size[0] * cn, third * size[1] * sn, third * size[2] * dn], axis=1)
+
+
+def gyrostat() -> Iterator[Row]:
+    """An axisymmetric body with a coasting wheel on its axis: a closed form at any time, through the wheel's stop."""
+    moment, axial, inertia, begin = 13.0, 16.5, 0.0058, 865.0
+    friction = Friction(1e-3, 2.7e-6)
+    vehicle = Vehicle("axisymmetric", np.diag([moment, moment, axial]), wheels=[Wheel("w", [0, 0, 1], inertia, begin, friction)])
+    omega = np.array([-0.2, 0.1, 0.05])
+    t = np.linspace(0, 3600.0, 241)
+    run = ss.propagate(vehicle, omega, SUN, begin, t)
+    H = np.array([moment, moment, axial]) * omega + [0, 0, inertia * begin]
+    turned = Rotation.from_rotvec(H / moment * t[:, None])  # fixed in space H is an axis about which the symmetry axis goes round
+    z_N = turned.apply([0.0, 0.0, 1.0])
+    error = float(np.abs(run["sun_B"].values[:, 2] - z_N @ SUN).max())
+    yield Row("closed form", "axisymmetric gyrostat, Sun's height with phase, 1 h", error, 1e-9)
+    # axial rate: the wheel's speed relative to the body obeys J' dW/dt = -mu0 - mu1 W, J' = J (1 - J / axial)
+    left = inertia * (1 - inertia / axial)
+    tau, dry = left / friction.viscous_N_m_s, friction.coulomb_N_m / friction.viscous_N_m_s
+    speed = np.maximum((begin + dry) * np.exp(-t / tau) - dry, 0.0)
+    error = float(np.abs(run["wheel_speed_rad_s"].values[:, 0] - speed).max() / begin)
+    yield Row("closed form", "wheel spin-down on a free body, 1 h", error, 1e-10)
+    stop = tau * np.log1p(begin / dry)
+    yield Row("closed form", "instant at which the wheel stops", float(abs(run["event_time_s"].values[0] - stop) / stop), 1e-11)
+    axial_rate = omega[2] + inertia * (begin - speed) / axial
+    error = float(np.abs(run["omega_B"].values[:, 2] - axial_rate).max() / 0.3)
+    yield Row("closed form", "axial rate of the body meanwhile", error, 1e-10)
+
+
+def paper_equations() -> Iterator[Row]:
+    """SciPy's DOP853 on the paper's eqs. (3), (4), (5), (7) as printed, Philae through the wheel's stop."""
+    theta = np.array([[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]])
+    axis, J = np.array([0, 0, 1.0]), 0.0058
+    friction = Friction.from_spin_down(1271.0, -4.643e-4, -388.9, J)
+    inverse = np.linalg.inv(theta - J * np.outer(axis, axis))
+
+    def slipping(_t: float, y: np.ndarray) -> np.ndarray:
+        omega, W, r = y[:3], y[3], y[4:]
+        torque = -np.sign(W) * (friction.coulomb_N_m + friction.viscous_N_m_s * abs(W))
+        rate = -inverse @ (np.cross(omega, theta @ omega) + axis * torque + np.cross(omega, J * axis * W))
+        return np.concatenate([rate, [torque / J - axis @ rate], -np.cross(omega, r)])
+
+    def stuck(_t: float, y: np.ndarray) -> np.ndarray:
+        rate = -np.linalg.solve(theta, np.cross(y[:3], theta @ y[:3]))
+        return np.concatenate([rate, [0.0], -np.cross(y[:3], y[4:])])
+
+    def stops(_t: float, y: np.ndarray) -> float:
+        return y[3]
+
+    stops.terminal = True  # type: ignore[attr-defined]
+    options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+    omega = [-0.1, 0.2, 0.0]
+    first = solve_ivp(slipping, (0, 2700), [*omega, 865.0, *SUN], events=stops, **options)
+    second = solve_ivp(stuck, (first.t[-1], 2700), [*first.y[:3, -1], 0.0, *first.y[4:, -1]], **options)
+    vehicle = Vehicle("philae", theta, 97.63, wheels=[Wheel("w", axis, J, 865.0, friction)])
+    run = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
+    error = float(abs(run["event_time_s"].values[0] / first.t[-1] - 1))
+    yield Row("DOP853 (SciPy), paper's equations", "instant of the stop", error, 1e-11)
+    error = float(np.abs(run["sun_B"].values[-1] - second.y[4:, -1]).max())
+    yield Row("DOP853 (SciPy), paper's equations", "Sun after 45 min", error, 1e-8)
+    rate = np.abs(run["omega_B"].values[-1] - second.y[:3, -1]).max() / np.linalg.norm(second.y[:3, -1])
+    yield Row("DOP853 (SciPy), paper's equations", "rates after 45 min", float(rate), 1e-8)
+
+
+def transport() -> Iterator[Row]:
+    """EMD against other solvers of the same transport problem (`sunspin.emd` itself is SciPy's); a scan's against SciPy's."""
+    rng = np.random.default_rng(0)
+    worst = {"linprog": 0.0, "pot": 0.0, "sorted": 0.0}
+    for n, m in ((5, 9), (15, 40), (30, 11)):
+        (a, wa), (b, wb) = ((rng.uniform(-1, 1, size), rng.uniform(0.1, 1, size)) for size in (n, m))
+        ours = ss.emd(a, b, wa, wb)
+        worst["linprog"] = max(worst["linprog"], abs(ours - _cheapest(a, b, wa / wa.sum(), wb / wb.sum())))
+        if (pot := _pot(a, b, wa, wb)) is not None:
+            worst["pot"] = max(worst["pot"], abs(ours - pot))
+        x, y = rng.uniform(-1, 1, (2, n))
+        worst["sorted"] = max(worst["sorted"], abs(ss.emd(x, y) - np.abs(np.sort(x) - np.sort(y)).mean() / 2))
+    yield Row("linear programme (HiGHS)", "EMD as the cheapest transport", worst["linprog"], 1e-9)
+    if _pot(a, b, wa, wb) is not None:
+        yield Row("POT, emd2_1d", "EMD, weighted samples", worst["pot"], 1e-14)
+    yield Row("closed form", "EMD of equal numbers: sorted differences", worst["sorted"], 1e-14)
+    vehicle, target, omega = Vehicle("free", np.diag([0.7, 1.0, 1.6])), rng.uniform(-1, 1, 20), np.array([0.2, 0.3, 0.6])
+    ours = ss.scan(vehicle, target, SUN, *omega[:, None], None, 900.0, mask=None).item()
+    track = ss.propagate(vehicle, omega, SUN, None, np.linspace(0, 900, 90_001), rtol=1e-9)["sun_B"].values[:, 2]
+    error = abs(ours - wasserstein_distance(track, target) / 2)
+    yield Row("SciPy, wasserstein_distance", "EMD of a scan, of a sampled track of the reference", error, 1e-3)
+
+
+def _cheapest(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float:
+    leaves, arrives = np.kron(np.eye(len(a)), np.ones(len(b))), np.kron(np.ones(len(a)), np.eye(len(b)))
+    plan = linprog(np.abs(a[:, None] - b).ravel() / 2, A_eq=np.vstack([leaves, arrives]), b_eq=np.concatenate([wa, wb]))
+    return float(plan.fun)
+
+
+def _pot(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float | None:
+    try:
+        import ot
+    except ImportError:
+        return None
+    return float(ot.emd2_1d(a, b, wa / wa.sum(), wb / wb.sum(), metric="euclidean")) / 2
+
+
+def return_trips() -> Iterator[Row]:
+    """There and back through the wheel's stop, by the reference and by the kernel."""
+    friction = Friction.from_spin_down(1271.0, -4.643e-4, -388.9, 0.0058)
+    theta = [[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]]
+    vehicle = Vehicle("philae", theta, wheels=[Wheel("w", [0, 0, 1], 0.0058, 865.0, friction)])
+    omega = np.array([-0.2, 0.05, 0.02])
+    there = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
+    end = there.isel(time=-1)
+    back = ss.propagate(vehicle, end["omega_B"], end["sun_B"], 0.0, [2700.0, 0.0], stopped_at_s=float(there["event_time_s"][0]))
+    error = float(np.abs(back["sun_B"].values[-1] - SUN).max())
+    yield Row("itself, backward", "Sun after 45 min there and back, through the stop", error, 1e-9)
+    rows = k.Rows(omega[None], SUN[None], np.array([[865.0]]))
+    far = k.run_rows(vehicle, rows, 2000.0, direction_error=1e-9)
+    turned = k.Rows(far.omega_B[:, 0], far.sun_B[:, 0], far.wheel_speed_rad_s[:, 0])
+    home = k.run_rows(vehicle, turned, -2000.0, direction_error=1e-9)
+    yield Row("itself, backward", "the ensemble kernel, 2000 s there and back", float(np.abs(home.sun_B[0, 0] - SUN).max()), 1e-8)
+
+
+WITNESSES = (basilisk, free_rigid_body, gyrostat, paper_equations, transport, return_trips)
+
+
+def table(rows: list[Row]) -> str:
+    """The comparisons as a table in Markdown."""
+    lines = ["| witness | what | difference | digits |", "|---|---|---|---|"]
+    return "\n".join(lines + [f"| {r.witness} | {r.what} | {r.error:.1e} | {r.digits:.1f} |" for r in rows])
