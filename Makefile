@@ -2,8 +2,9 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
-# bytecode is written when a module is first used: most of what is installed never is
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+# pip would compile to bytecode on one core; a few files of other packages are no Python of this version
+BYTECODE := $(BIN)/python -m compileall -qq -j 0 $(VENV)
 READY := $(VENV)/.ready
 OUT ?= results
 BENCH ?=
@@ -34,6 +35,7 @@ $(READY): requirements.lock pyproject.toml
 	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { echo "$(PYTHON) cannot make environments; install its venv package (python3.11-venv)" >&2; exit 1; }
 	"$(PYTHON)" -m venv --clear $(VENV)
 	$(PIP) -r requirements.lock
+	@$(BYTECODE) || true
 	$(PIP) --no-deps --no-build-isolation --editable .
 	@touch $(READY)
 

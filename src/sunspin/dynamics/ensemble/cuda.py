@@ -33,8 +33,6 @@ SUBSTITUTIONS = (
     # scratch of a thread; no array is empty, and none is made while the kernel runs
     (r"np\.empty\((.+)\)$", r"cuda.local.array(\1, np.float64)"),
     (r"np\.isfinite\(", "math.isfinite("),
-    # an assignment to a slice would bring in the exception for shapes that do not fit
-    (r"^( *)one\[:\] = work\[(.*)\]$", r"\1for k in range(ROWS):\n\1    one[k] = work[\2, k]"),
 )
 """Patterns of the processor's text, each of which must be found, and what stands on the GPU in their place."""
 
