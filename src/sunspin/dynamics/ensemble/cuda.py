@@ -28,7 +28,7 @@ THREADS = 64
 """Threads of a block: few, since one thread needs many registers."""
 
 SUBSTITUTIONS = (
-    (r"^from sunspin\.motion\.compiler import njit$", "from numba import cuda"),
+    (r"^from sunspin\.compute\.compiler import njit$", "from numba import cuda"),
     (r"^(jit|estimate) = njit\(.*$", r"\1 = cuda.jit(device=True)"),
     # scratch of a thread; no array is empty, and none is made while the kernel runs
     (r"np\.empty\((.+)\)$", r"cuda.local.array(\1, np.float64)"),
