@@ -153,9 +153,8 @@ def face() -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in sorted(ss.__all__):
         value = getattr(ss, name)
-        found[f"ss.{name}"] = (
-            str(inspect.signature(value)) if callable(value) and not issubclass_of_error(value) else type(value).__name__
-        )
+        is_error = inspect.isclass(value) and issubclass(value, Exception)
+        found[f"ss.{name}"] = str(inspect.signature(value)) if callable(value) and not is_error else type(value).__name__
     for name in COMMANDS:
         command = cli.get_command(click.Context(cli), name)
         found[f"help {name}"] = command.get_help(click.Context(command, info_name=name)) if command else None
