@@ -50,8 +50,6 @@ def _look(telemetry: xr.Dataset, options: Any) -> tuple[str, bool]:
     return (
         f"{head}; smallest EMD {chain.emd_min:.4f} (as large in {chain.calibration.share_as_large(chain.emd_min):.0%}), set below "
         f"{chain.calibration.factor()[0]:.2f} times it, {chain.share:.0%} of the box; smaller angle {small[0]:.0f} to "
-        f"{small[1]:.0f} deg, "
-        f"larger {large[0]:.0f} to {large[1]:.0f}; speed at least {touchdown.lower_bound(chain):.3f} rad/s; "
-        f"{scan.lines_found} lines; "
-        f"{len(chain.recipe)} motions by the paper's recipe"
+        f"{small[1]:.0f} deg, larger {large[0]:.0f} to {large[1]:.0f}; speed at least {touchdown.lower_bound(chain):.3f} "
+        f"rad/s; {scan.lines_found} lines; {len(chain.recipe)} motions by the paper's recipe"
     ), True

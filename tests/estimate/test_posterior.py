@@ -100,7 +100,6 @@ def test_numbers_that_are_missing_are_left_out(cube, telemetry):
     assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
 
 
-@pytest.mark.evidence("posterior", "verified", "differences of another step, through the wheel's stop")
 def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
     """A converter's filler, 2e8 times full Sun, and dark panels with noise to both sides of zero, which tells how much."""
     silent = replace(cube, telemetry=replace(cube.telemetry, noise=None))
@@ -117,6 +116,7 @@ def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
     assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
 
 
+@pytest.mark.evidence("posterior", "verified", "differences of another step, through the wheel's stop")
 def test_derivatives_are_those_of_another_step(reached):
     case = ss.load_case("philae")
     data, _, _ = readings(case.vehicle, case.telemetry)

@@ -17,8 +17,8 @@ from sunspin.cli.common import on_terminal, output_options, report, run_options
 @click.option("--vehicle", type=click.Path(path_type=Path), help="Vehicle file of another body with one wheel and legs.")
 @click.option("--candidates", default="scan", show_default=True, metavar="scan|posterior|published|FILE",
               help="Motions that the conclusions follow from: the 90 % set of the scan, the posterior of the readings "
-                  "(minutes), the "
-              "paper's printed lines whatever the telemetry says, or a table with columns omega_x, omega_y, omega_z (rad/s).")
+                  "(minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, "
+              "omega_y, omega_z (rad/s).")
 @click.option("--calibrate", type=click.IntRange(0, 100_000), metavar="N", help="Calibrate the set's threshold on N synthetic "
               "flights like the data. Default: the shipped calibration where it fits them, else 60; 0: none.")
 @click.option(

@@ -205,9 +205,8 @@ def rows(r: Carries) -> list[Row]:
             "carries_rebound_order", "rebound: share of random orders whose successive directions are as near or nearer",
             "not considered", r.chance, "1", None, None,
             f"{whose}: {np.degrees(r.neighbours_rad):.0f} degrees between successive directions in the mean; two minutes "
-            "apart they "
-            "need not be nearer than chance. EMD does not use the order: rows that rest on it cannot move when samples are "
-            "exchanged", "paper, section 2.3", kind="not_comparable",
+            "apart they need not be nearer than chance. EMD does not use the order: rows that rest on it cannot move when "
+            "samples are exchanged", "paper, section 2.3", kind="not_comparable",
         )
     )  # fmt: skip
     return found

@@ -135,8 +135,7 @@ def _bound_rows(case: Case, worth: Worth, confidence: float, how: str) -> list[R
                 f"{'as a multiple of the smallest EMD' if relative else 'on EMD itself'}: 5, 50, 95 % of the twins", published,
                 [float(x) for x in region["speed"]], "rad/s", None, None,
                 f"a bound on the true speed in {region['holds']} of the twins (threshold {region['threshold']:.4g}; median "
-                f"{between} over "
-                f"the threshold's own 95 % interval); for the bound "
+                f"{between} over the threshold's own 95 % interval); for the bound "
                 f"alone to hold in {confidence:.0%}, {enough}"
                 + ("; the smaller of the two regions" if relative == best else ""), SECTION,
             )
@@ -162,6 +161,5 @@ def sentences(worth: Worth, confidence: float = CONFIDENCE) -> list[str]:
         f"within {worth.factor:g} times the smallest EMD in {lines.in_set(worth.factor)} of them, and the fitted lines turn by "
         f"{angle:.0f} degrees in the median. For {confidence:.0%} the threshold must be {factor:.2g} times the smallest EMD (or "
         f"EMD < {threshold:.3f}); the set then holds {share:.0%} of the scanned box, and the lower bound on the angular speed "
-        f"after "
-        f"the touchdown is {region['speed'][1]:.3f} rad/s, both in the median twin. Repeat with `{worth.command}`."
+        f"after the touchdown is {region['speed'][1]:.3f} rad/s, both in the median twin. Repeat with `{worth.command}`."
     ]

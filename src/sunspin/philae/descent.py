@@ -231,7 +231,7 @@ def _sample_rows(r: Descent) -> list[Row]:
             "1", None,
             agreed >= 0.95,
             f"criterion: at least 95 %; {int((dark & ~r.predicted).sum())} of {int(dark.sum())} samples without a direction "
-            "are predicted to have none, "
-            f"{int((r.told & ~r.predicted).sum())} of {int(r.told.sum())} with one likewise", "paper, Fig. 10",
+            f"are predicted to have none, {int((r.told & ~r.predicted).sum())} of {int(r.told.sum())} with one "
+            "likewise", "paper, Fig. 10",
         ),
     ]  # fmt: skip

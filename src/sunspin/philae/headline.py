@@ -68,9 +68,8 @@ def _extent(chain: Chain) -> str:
     if chain.calibration is not None:
         return (
             f"The motions that fit make up {chain.share:.0%} of those scanned: EMD below {chain.calibration.factor()[0]:.2f} "
-            "times the "
-            f"smallest, a threshold that held the truth in {CONFIDENCE:.0%} of {chain.calibration.n} synthetic flights like "
-            "this one."
+            f"times the smallest, a threshold that held the truth in {CONFIDENCE:.0%} of {chain.calibration.n} synthetic "
+            "flights like this one."
         )
     return f"Candidates: {chain.chosen.about}." + (f" {chain.verdict.rstrip('.')}." if chain.verdict else "")
 
@@ -89,8 +88,7 @@ def score(result: Reproduction) -> list[str]:
         f"Tests without telemetry (equations, printed lines): {lines['agree'] + paper['agree']} agree, "
         f"{lines['differ'] + paper['differ']} differ",
         f"No tests: {other['put_in']} figures put in, {other['arithmetic']} of the paper's own arithmetic, "
-        f"{other['not_comparable']} not "
-        "comparable",
+        f"{other['not_comparable']} not comparable",
         f"{strong} statements of the paper contradict its own figures or public facts, {weak} more are weak",
     ]
 

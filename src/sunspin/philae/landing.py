@@ -265,8 +265,8 @@ def _collision_rows(landing: Landing) -> list[Row]:
             f"mean |omega| {kernel['rate_after']} against {drawn['rate_after']} rad/s: the speeds "
             "hardly change the mean. A share "
             f"{kernel['period_agrees']} lies within 4 s of {period:g} s. After a sticking blow the "
-            "leg's end is at rest, so the "
-            f"speed after asks for at least {slowest:.3f} rad/s, a period of {2 * np.pi / slowest:.0f} s or less",
+            f"leg's end is at rest, so the speed after asks for at least {slowest:.3f} rad/s, a period of "
+            f"{2 * np.pi / slowest:.0f} s or less",
             kind="not_comparable", chain=chain.name,
         ),
     ]  # fmt: skip
@@ -328,8 +328,7 @@ def _rest_rows(landing: Landing) -> list[Row]:
         share(
             "first_contact_panel", "probability that a panel touches the ground first at the second touchdown", "touch_panel",
             f"wheel off: panel {p('touch_panel')}, bare body {p('touch_body')}, leg {p('touch_leg')} "
-            f"({spread}); held: panel "
-            f"{p('touch_panel', 'held')}, leg {p('touch_leg', 'held')}. The paper asks and gives "
+            f"({spread}); held: panel {p('touch_panel', 'held')}, leg {p('touch_leg', 'held')}. The paper asks and gives "
             "no number. The lander's top did press into the ground there (O'Rourke et al., 2020, "
             "from images and magnetometer)",
         ),
@@ -348,8 +347,7 @@ def _rest_rows(landing: Landing) -> list[Row]:
             landing, "best_switch_off_delay", "delay of the switch-off after which a leg most often touches first",
             delay.best_s / 60, "min",
             f"over {landing.chain.chosen.about}: probability {delay.value.max():.3f} against {delay.value[0]:.3f} at the "
-            "touchdown; "
-            "not worse by two errors: "
+            "touchdown; not worse by two errors: "
             f"{', '.join(f'{t / 60:g}' for t in delay.as_good_s)} min; 68 % of resamplings within "
             f"{delay.spread_s[0] / 60:g} to "
             f"{delay.spread_s[1] / 60:g} min. The price: the fastest leg tip has {tip[best]:.2f} m/s "

@@ -101,7 +101,6 @@ def rows(result: LevelSet) -> list[Row]:
             result.lines_found == count,
             f"{whose}; found: a fitted line within {FOUND_RAD_S:g} rad/s (two grid steps) on average over omega_z in "
             f"{list(rb.LINE_RANGE)}; {told}; {note}. The printed lines follow from the model and a clean distribution of "
-            "r_z: see the "
-            "section on the published lines", "paper, section 2.3, Fig. 9", chain="scan",
+            "r_z: see the section on the published lines", "paper, section 2.3, Fig. 9", chain="scan",
         ),
     ]  # fmt: skip

@@ -229,8 +229,7 @@ def _rotation_row(r: Phases, note: str) -> Row:
             "Sun?", "risky", count, "1", None,
         count > 0,
         f"{told}; criterion: at least one. A dead panel and a shadowed one read alike, so the risk was real; panel 1 worked "
-        "when the "
-        "lander woke up, so it had been in shadow" + (f"; {note}" if note else ""), "paper, section 4",
+        "when the lander woke up, so it had been in shadow" + (f"; {note}" if note else ""), "paper, section 4",
     )  # fmt: skip
 
 

@@ -57,8 +57,7 @@ def _measured(result: Reproduction, _: Any) -> Iterator[Sheet]:
         "fig03_measured", lambda: fig.sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
         "Panel powers, components of the Sun direction and Delta against time",
         "Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no "
-        "direction, by "
-        "reason." + note,
+        "direction, by reason." + note,
     )  # fmt: skip
     yield Sheet(
         "fig04_phases", lambda: fig.descent_and_rebound_figure(_phases(result.sun), result.synthetic),
@@ -142,10 +141,8 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
             f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines"),
         "Near-minimum points in rate space along four lines",
         f"No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {len(clean.points)} "
-        "points at "
-        f"{clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the "
-        "minimum "
-        f"against so clean a target being {float(clean.emd.min()):.4f}.",
+        f"points at {clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of "
+        f"points, the minimum against so clean a target being {float(clean.emd.min()):.4f}.",
     )  # fmt: skip
     yield Sheet(
         "thresholds", lambda: fig.thresholds_figure(part.thresholds, clean.factor),
@@ -163,8 +160,7 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
         "fig13_lines", lambda: figures_outcomes.sun_height_figure(part.runs),
         "Densities of the z component after the collision for motions on the printed lines, wheel off and held",
         f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated "
-        "collisions of "
-        "motions on the printed lines; each area is 1.",
+        "collisions of motions on the printed lines; each area is 1.",
     )  # fmt: skip
 
 
@@ -191,8 +187,7 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Sheet]:
         "fig12_touchdown", lambda: figures_candidates.draw(part, result.synthetic),
         "Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box",
         "What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the "
-        "heights of "
-        f"the Sun see, over {part.chosen.about}; grey: all that was possible." + _note(result),
+        f"heights of the Sun see, over {part.chosen.about}; grey: all that was possible." + _note(result),
     )  # fmt: skip
 
 

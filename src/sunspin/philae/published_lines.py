@@ -126,8 +126,7 @@ def _line_rows(r: PublishedLines) -> list[Row]:
                 f"line_L{k + 1}_distance", f"mean distance of our line from the printed L{k + 1}", f"the line L{k + 1}",
                 deviation["mean"], "rad/s", 0.03, bool(deviation["mean"] <= 0.03),
                 f"criterion: two grid steps; found at {clean.factor:g} times the smallest EMD, which is our choice, where "
-                "the paper "
-                "has 1.1", "paper, section 2.3",
+                "the paper has 1.1", "paper, section 2.3",
             )
         )  # fmt: skip
     found.append(

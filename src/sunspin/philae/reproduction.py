@@ -196,9 +196,8 @@ def _of_scan(result: Reproduction) -> list[str]:
     part = result.parts["level_set"]
     text = (
         f"Against the {part.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the "
-        "smallest "
-        f"EMD is {part.scan.smallest:.4f}; {len(part.near.points)} grid points lie within {part.near.factor} times it, and "
-        f"{part.lines_found} of the four printed lines come out of them"
+        f"smallest EMD is {part.scan.smallest:.4f}; {len(part.near.points)} grid points lie within {part.near.factor} "
+        f"times it, and {part.lines_found} of the four printed lines come out of them"
     )
     if part.truth:
         text += f". The true motion behind the synthetic telemetry reaches {part.truth['emd']:.4f}"
@@ -214,8 +213,7 @@ def _of_lines(result: Reproduction) -> list[str]:
     found = [
         f"Without telemetry: motions on the four printed lines turn at {number_text(lowest.ours)} rad/s or faster after the first "
         f"touchdown (published: {number_text(lowest.published)}; {number_text(lowest.low, 4)} to "
-        f"{number_text(lowest.high, 4)} with the "
-        "first sample's time and the wheel's speed uncertain)."
+        f"{number_text(lowest.high, 4)} with the first sample's time and the wheel's speed uncertain)."
     ]
     if distances := [deviation["mean"] for deviation in part.clean.deviation]:
         found.append(

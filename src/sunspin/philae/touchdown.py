@@ -61,8 +61,7 @@ def _speed_rows(chain: Chain) -> list[Row]:
         informative=bounded,
     )  # fmt: skip
     above = over_candidates(
-        Row("rate_at_touchdown_max", f"angular speed just after the first touchdown lies below this, {level}", "not "
-            "stated",
+        Row("rate_at_touchdown_max", f"angular speed just after the first touchdown lies below this, {level}", "not stated",
             ours[1], "rad/s", None, None, _above_note(chain), "paper, section 3.2, not considered there", kind="not_comparable"),
         chain.name, ours, possible,
     )  # fmt: skip

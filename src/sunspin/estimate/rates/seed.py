@@ -1,8 +1,8 @@
 """How :mod:`sunspin.estimate.rates` searches: starts of a pair of neighbours are tried on samples around, and grow.
 
-Starts (:mod:`sunspin.estimate.rates.start`) are coarse, and a Student law lets a start that misses most samples rest where it is. So
-they are tried, and first smoothed, with errors as wide as the starts are apart; the best are smoothed as measured, and the window
-grows by a sixth at either end while hypotheses that have become alike or improbable are dropped.
+Starts (:mod:`sunspin.estimate.rates.start`) are coarse, and a Student law lets a start that misses most samples rest where it is.
+So they are tried, and first smoothed, with errors as wide as the starts are apart; the best are smoothed as measured, and the
+window grows by a sixth at either end while hypotheses that have become alike or improbable are dropped.
 """
 
 from __future__ import annotations

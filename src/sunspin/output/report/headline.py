@@ -109,8 +109,7 @@ def _simulate(results: Results) -> list[str]:
         speed = np.linalg.norm(run["omega_B"].values, axis=1)
         told.append(
             f"A simulation, not a measurement: over {abs(s['t_s']):.6g} s the vehicle turns at {speed.min():.3g} to "
-            f"{speed.max():.3g} "
-            f"rad/s, and ends at {number_text(s['omega_B'], 3)} rad/s."
+            f"{speed.max():.3g} rad/s, and ends at {number_text(s['omega_B'], 3)} rad/s."
         )
     events = s.get("events", [])
     first = "; ".join(f"{e['wheel']} {e['what']} after {e['t_s']:.4g} s" for e in events[:3])
@@ -124,8 +123,7 @@ def _scan(results: Results) -> list[str]:
         f"Of {counted(int(s['rows']), 'simulated motion')} {worst} begins at {number_text(s['best_omega_B'], 3)} rad/s, with "
         f"{s['metric'].upper() if s['metric'] == 'emd' else 'E'} {s['minimum']:.4f} (0: its Sun stands as the panels saw it).",
         f"{counted(int(s['near_minimum_points']), 'motion')} fit nearly as well; this set alone is no confidence region, and a "
-        f"threshold "
-        "that makes it one has to be calibrated on data of known truth.",
+        f"threshold that makes it one has to be calibrated on data of known truth.",
     ]
     lines = s.get("lines")
     return [*told, f"{counted(len(lines), 'line')} through the set say which rates go together."] if lines else told

@@ -229,9 +229,8 @@ def maps(results: Results) -> Section | None:
         return None
     lead = [
         "EMD compares how often the Sun stands at each height, E where it stands at each sample; both are 0 for a perfect fit and "
-        "have no "
-        "unit. EMD changes slowly with the rate and has valleys wide enough to scan. E has many narrow ones: it cannot be fitted "
-        "directly."
+        "have no unit. EMD changes slowly with the rate and has valleys wide enough to scan. E has many narrow ones: it "
+        "cannot be fitted directly."
     ]
     return Section("maps", "Maps of the misfit", lead, items)
 
@@ -317,6 +316,5 @@ def picture(results: Results) -> Plot | None:
         "scan", data, layout, f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit "
         f"nearly as well as the best.",
         f"The smallest {metric} over ωz. Circles: all {len(points)} motions within {factor:g} times the smallest {metric}: any of "
-        f"them may be "
-        "the true one." + (" Synthetic telemetry." if results.synthetic else ""), 430, narrow={"margin.l": 56},
+        f"them may be the true one." + (" Synthetic telemetry." if results.synthetic else ""), 430, narrow={"margin.l": 56},
     )  # fmt: skip

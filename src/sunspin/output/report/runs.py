@@ -82,8 +82,7 @@ def _rates_plot(results: Results, found: xr.Dataset, id: str) -> Plot:
     return Plot(
         id, data, layout, "The three components of the body rate against time, each with a band of two standard deviations.",
         f"Body rate of the likeliest motion of each pass, body axes; bands: {SIGMAS:g} standard deviations of that motion. It "
-        f"holds at "
-        f"least 90 % of the weight in {sure} of {weight.size} passes; in the others look at the list of motions too."
+        f"holds at least 90 % of the weight in {sure} of {weight.size} passes; in the others look at the list of motions too."
         + (" Synthetic telemetry." if results.synthetic else ""), 400, narrow={"margin.l": 48},
     )  # fmt: skip
 

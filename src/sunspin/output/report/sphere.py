@@ -57,8 +57,7 @@ def sun_path(results: Results) -> Section | None:
     plot = Plot(
         "sphere", data, layout,
         "A sphere in body axes. Each dot is the direction in which the panels say that the Sun stood; a line is its path in one "
-        "motion; "
-        "labels stand where a panel looks straight at the Sun.",
+        "motion; labels stand where a panel looks straight at the Sun.",
         "Where the Sun stood as seen from the body. Drag, or use the arrow keys, to turn; + and − to zoom. Directions are unit "
         "vectors without unit." + (" Synthetic telemetry." if results.synthetic and sun is not None else ""),
         560, views, "Path of", narrow={"scene.camera.eye": {"x": 1.25, "y": -1.3, "z": 0.8}},
