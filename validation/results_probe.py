@@ -187,4 +187,4 @@ def main_probe(options: dict[str, Any]) -> dict[str, Any]:
 if __name__ == "__main__":
     given = tomllib.loads(sys.argv[1])
     told = main_probe(given)
-    print("RESULTS " + json.dumps(told))
+    print(json.dumps(told))

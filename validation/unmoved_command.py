@@ -46,7 +46,7 @@ def _answer(probe: subprocess.Popen[str]) -> dict[str, Any]:
     printed = probe.communicate()[0]
     if probe.returncode:
         raise SystemExit("a probe failed; what it said stands above")
-    return json.loads(printed.rsplit("RESULTS ", 1)[1])
+    return json.loads(printed.splitlines()[-1])
 
 
 def _short(value: Any) -> str:

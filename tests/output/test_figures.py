@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import sunspin as ss
 from sunspin.output.figures import _connected, sun_directions_figure
 
 
@@ -32,8 +33,9 @@ def test_a_line_connects_successive_directions_of_a_phase_and_crosses_no_pause(h
     assert [piece.tolist() for piece in found] == pieces
 
 
-def test_the_figure_of_the_directions_draws_these_lines(study):
-    sun, telemetry = (xr.load_dataset(study / f"{name}.nc", engine="h5netcdf") for name in ("sun", "telemetry"))
+def test_the_figure_of_the_directions_draws_these_lines():
+    case = ss.load_case("philae")
+    sun, telemetry = ss.sun_directions(case.vehicle, case.telemetry), case.telemetry
     figure = sun_directions_figure(sun, telemetry)
     drawn = [line.get_xdata() for line in figure.axes[1].lines if line.get_linestyle() == "-" and len(line.get_xdata()) > 1]
     pieces = _connected(sun["time"].values / 3600, sun)

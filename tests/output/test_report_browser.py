@@ -142,6 +142,7 @@ def test_jump_to_an_event(page):
     assert label.split(", ")[1][:8] in text(page, "#lander-time") and "16:20:00" in label
 
 
+@pytest.mark.long
 def test_views_change_what_is_shown(page):
     page.show("#figure-lines [data-plot]")
     visible = "document.querySelector('#figure-lines [data-plot]').data.map(d => d.visible !== false)"
@@ -207,7 +208,8 @@ def test_keys_turn_a_plot_and_reach_the_controls(page):
     assert {"theme", "lander-motion", "lander-play", "lander-slider", "lander-stage"} <= reached
 
 
-@pytest.mark.parametrize(("width", "dark"), [pytest.param(390, True, marks=pytest.mark.long), (390, False)])
+@pytest.mark.long
+@pytest.mark.parametrize(("width", "dark"), [(390, True), (390, False)])
 def test_narrow_and_dark(browser, study, width, dark):
     browser.open(study / "report.html", width, 844, dark)
     browser.show("#figure-speed [data-plot]")
@@ -220,6 +222,7 @@ def test_narrow_and_dark(browser, study, width, dark):
     assert browser.complaints() == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_page_without_conclusions_shows_its_reason_first(browser, no_conclusion, width):
     browser.open(no_conclusion / "report.html", width, 844)
@@ -259,7 +262,7 @@ def test_it_prints_with_its_pictures(browser, study):
     assert browser.js("document.querySelectorAll('.print-image').length") == 0
 
 
-@pytest.mark.parametrize("name", ["simulate", "rates", pytest.param("posterior", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["simulate", *(pytest.param(name, marks=pytest.mark.long) for name in ("rates", "posterior"))])
 def test_a_users_run_with_a_hostile_name(browser, user_runs, name):
     browser.open(write_report(user_runs[name]))
     browser.js(TOP)
