@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.landing.scenario import Scenario as Scenario
     from sunspin.philae.twin import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
-    from sunspin.philae.coverage_results import worth as worth
+    from sunspin.philae.coverage_results import coverage as coverage, worth as worth
     from sunspin.vehicle import (
         Antenna as Antenna,
         Friction as Friction,
@@ -83,6 +83,7 @@ _HOME = {
     "outcomes": "sunspin.landing.outcomes",
     "Scenario": "sunspin.landing.scenario",
     "reproduce": "sunspin.philae.reproduction",
+    "coverage": "sunspin.philae.coverage_results",
     "worth": "sunspin.philae.coverage_results",
     "SunspinError": "sunspin.base.errors",
     "VehicleError": "sunspin.base.errors",

@@ -19,6 +19,7 @@ from sunspin.base.untrusted import SIZES, is_sensible
 
 COMMANDS = {
     "reproduce": "sunspin.cli.study:reproduce",
+    "coverage": "sunspin.cli.study:coverage",
     "worth": "sunspin.cli.study:worth",
     "init": "sunspin.cli.files:init",
     "check": "sunspin.cli.files:check",
@@ -38,14 +39,15 @@ COMMANDS = {
 SECTIONS = {
     "Your satellite": ("init", "check", "sun", "rates", "posterior", "report", "export"),
     "Motions": ("simulate", "scan", "outcomes"),
-    "Philae": ("reproduce", "worth"),
+    "Philae": ("reproduce", "coverage", "worth"),
     "Data of others": ("decode", "compare"),
 }
 """How --help groups the commands; one that is in no group comes last."""
 
 SUMMARIES = {
     "reproduce": "The whole Philae study: figures, tables, report.",
-    "worth": "How far the study's answer can be trusted.",
+    "coverage": "How often the paper's method finds the truth.",
+    "worth": "The earlier name of coverage.",
     "init": "Write a vehicle file and telemetry to start from.",
     "check": "What is wrong with my files, in plain words.",
     "decode": "Raw beacons of skCUBE into a table.",

@@ -222,7 +222,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
 
 def _stored(volume, points: np.ndarray, factor: float, threshold: float | None):
     """The scan with the points that were chosen from it."""
-    said = {"units": "rad/s"} | ({"factor": factor} if threshold is None else {"threshold": threshold})
+    said = {"units": "rad s-1"} | ({"factor": factor} if threshold is None else {"threshold": threshold})
     return volume.to_dataset().assign(near_minimum=(("near_point", "rate_axis"), points, said))
 
 

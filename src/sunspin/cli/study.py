@@ -1,7 +1,8 @@
-"""`sunspin reproduce`, `sunspin worth`, `sunspin report`."""
+"""`sunspin reproduce`, `sunspin coverage`, `sunspin report`."""
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 
 import click
@@ -72,8 +73,8 @@ def _short(row: dict) -> str:
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps finished twins; the same command resumes.")
 @output_options()
 @run_options
-def worth(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
-    """What the answer is worth: the paper's method repeated on synthetic rebounds of known truth.
+def coverage(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
+    """Coverage of the paper's method: it is repeated on synthetic rebounds whose truth is known.
 
     How far the lines move from one data set to the next, how often the truth lies in the near-minimum set, which threshold
     makes that set a confidence region, and what the lower bound on the angular speed at the touchdown is then. `sunspin scan`
@@ -81,10 +82,10 @@ def worth(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, 
 
     \b
     Examples:
-      sunspin worth --out worth-results
-      sunspin worth --twins 2000 --confidence 0.95 --store worth-twins --out worth-results
+      sunspin coverage --out coverage-results
+      sunspin coverage --twins 2000 --confidence 0.95 --store coverage-twins --out coverage-results
     """
-    from sunspin.philae.coverage_results import worth as run
+    from sunspin.philae.coverage_results import coverage as run
 
     summary = run(
         out, twins, confidence=confidence, factor=factor, coarser=coarser, seed=seed, store=store, workers=workers,
@@ -92,6 +93,10 @@ def worth(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, 
     )  # fmt: skip
     lines = [*summary["sentences"], *(f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in summary["figures"])]
     report(summary, lines + ([f"Results: {summary['folder']}"] if summary["folder"] else []), as_json, quiet)
+
+
+worth = copy(coverage)
+worth.name, worth.help = "worth", (coverage.help or "").replace("sunspin coverage", "sunspin worth")
 
 
 def _value(ours) -> str:

@@ -153,9 +153,9 @@ def _dataset(vehicle, batch, omega, velocity, impulse, speeds) -> xr.Dataset:
     n = len(vehicle.wheels)
     return xr.Dataset(
         {
-            "omega_B": ((*runs, "axis"), np.broadcast_to(omega, (*batch, 3)).copy(), {"units": "rad/s"}),
-            "wheel_speed_rad_s": ((*runs, "wheel"), np.broadcast_to(speeds, (*batch, n)).copy(), {"units": "rad/s"}),
-            "velocity_B": ((*runs, "axis"), np.broadcast_to(velocity, (*batch, 3)).copy(), {"units": "m/s"}),
+            "omega_B": ((*runs, "axis"), np.broadcast_to(omega, (*batch, 3)).copy(), {"units": "rad s-1"}),
+            "wheel_speed_rad_s": ((*runs, "wheel"), np.broadcast_to(speeds, (*batch, n)).copy(), {"units": "rad s-1"}),
+            "velocity_B": ((*runs, "axis"), np.broadcast_to(velocity, (*batch, 3)).copy(), {"units": "m s-1"}),
             "impulse_B": ((*runs, "axis"), np.broadcast_to(impulse, (*batch, 3)).copy(), {"units": "N s"}),
         },
         coords={"axis": ["x", "y", "z"], "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_)},

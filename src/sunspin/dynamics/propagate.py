@@ -18,6 +18,7 @@ from sunspin.base.errors import MotionError, sentence
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.taylor import integrator, parameter_values
+from sunspin.environment.frames import BODY_AT_START
 from sunspin.vehicle import Vehicle
 
 SUN_LENGTH_TOLERANCE = 1e-3
@@ -357,9 +358,9 @@ def _dataset(vehicle, t, y, omega, speeds, events, rtol) -> xr.Dataset:
     body = ("time", "axis")
     return xr.Dataset(
         {
-            "omega_B": (body, omega, {"units": "rad/s", "long_name": "body rate, body axes"}),
+            "omega_B": (body, omega, {"units": "rad s-1", "long_name": "body rate, body axes"}),
             "sun_B": (body, y[:, 3 + n : 6 + n], {"units": "1", "long_name": "direction to the Sun, body axes"}),
-            "wheel_speed_rad_s": (("time", "wheel"), speeds, {"units": "rad/s", "long_name": "relative to the body"}),
+            "wheel_speed_rad_s": (("time", "wheel"), speeds, {"units": "rad s-1", "long_name": "relative to the body"}),
             "momentum_B": (body, y[:, :3], {"units": "N m s", "long_name": "total angular momentum, body axes"}),
             "B_from_N": (
                 ("time", "quaternion"),
@@ -376,5 +377,8 @@ def _dataset(vehicle, t, y, omega, speeds, events, rtol) -> xr.Dataset:
             "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs={"vehicle": vehicle.name, "rtol": rtol, "source": "paper, eqs. 3-7; Taylor integration by heyoka"},
+        attrs={
+            "vehicle": vehicle.name, "rtol": rtol, "frame_N": BODY_AT_START,
+            "source": "paper, eqs. 3-7; Taylor integration by heyoka",
+        },
     )

@@ -118,8 +118,8 @@ class Candidates:
         body = ("candidate", "axis")
         return xr.Dataset(
             {
-                "omega_B": (body, self.states.omega_B, {"units": "rad/s"}), "sun_B": (body, self.states.sun_B, {"units": "1"}),
-                "wheel_speed_rad_s": (("candidate", "wheel"), self.states.wheel_speed_rad_s, {"units": "rad/s"}),
+                "omega_B": (body, self.states.omega_B, {"units": "rad s-1"}), "sun_B": (body, self.states.sun_B, {"units": "1"}),
+                "wheel_speed_rad_s": (("candidate", "wheel"), self.states.wheel_speed_rad_s, {"units": "rad s-1"}),
             },
             coords={"axis": ["x", "y", "z"]}, attrs={"about": self.about, "chain": self.chain},
         )  # fmt: skip

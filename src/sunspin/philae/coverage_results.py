@@ -1,4 +1,4 @@
-"""`sunspin worth`: the paper's method on twins of known truth, into a results folder."""
+"""`sunspin coverage`: the paper's method on twins of known truth, into a results folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sunspin.philae.pictures import worth_sheet
 from sunspin.telemetry.case import load_case
 
 
-def worth(
+def coverage(
     out: str | Path | None = None,
     twins: int = 400,
     *,
@@ -25,7 +25,9 @@ def worth(
     confidence: float = study.CONFIDENCE,
     **options: Any,
 ) -> dict[str, Any]:
-    """Run the study of what the answer is worth; with `out`, write `worth.json`, a figure and `report.html` there.
+    """Coverage of the paper's method: how often what it concludes holds the truth.
+
+    With `out`, `worth.json`, a figure and `report.html` are written there.
 
     Parameters
     ----------
@@ -65,3 +67,7 @@ def worth(
         write_run(folder, summary, case, None, [picture])
         write_report(folder, ours=True)
     return summary | {"folder": None if folder is None else str(folder)}
+
+
+worth = coverage
+"""The earlier name of `coverage`."""

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
+from sunspin.environment.frames import BODY_AT_START
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
 from sunspin.philae import rebound as rb
@@ -134,13 +135,14 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
     body = ("time", "axis")
     data = xr.Dataset(
         {
-            "omega_B": (body, omega, {"units": "rad/s"}),
+            "omega_B": (body, omega, {"units": "rad s-1"}),
             "sun_B": (body, descent.fit.directions(t), {"units": "1"}),
-            "wheel_speed_rad_s": (("time", "wheel"), speed, {"units": "rad/s"}),
+            "wheel_speed_rad_s": (("time", "wheel"), speed, {"units": "rad s-1"}),
             "momentum_B": (body, gyrostat.total_momentum(case.vehicle, omega, speed), {"units": "N m s"}),
             "B_from_N": (("time", "quaternion"), Rotation.from_rotvec(-angle[:, None] * axis).as_quat(), {"units": "1"}),
         },
         coords={"time": ("time", t + start, {"units": "s"}), "axis": ["x", "y", "z"]},
+        attrs={"frame_N": BODY_AT_START},
     )
     return _with_panels(case, data, "the spin about z that fits the directions of the descent, wheel held by its motor", [], [])
 
@@ -194,8 +196,8 @@ def speeds(chain: Chain, descent: Descent | None, seed: int, workers: int | None
     names = list(sets)
     data = xr.Dataset(
         {
-            "speed": (("set", "level", "time"), np.array(before), {"units": "rad/s"}),
-            "speed_after_collision": (("set", "level"), np.array(after), {"units": "rad/s"}),
+            "speed": (("set", "level", "time"), np.array(before), {"units": "rad s-1"}),
+            "speed_after_collision": (("set", "level"), np.array(after), {"units": "rad s-1"}),
             "motions": ("set", count, {"units": "1"}),
         },
         coords={"set": names, "level": ["low", "middle", "high"], "time": ("time", t + first, {"units": "s"})},
@@ -209,6 +211,6 @@ def speeds(chain: Chain, descent: Descent | None, seed: int, workers: int | None
     begin, end = descent_span(case, descent)
     when = np.linspace(0.0, end - begin, 100)
     rate = np.abs(np.polynomial.polynomial.polyval(when, descent.fit.coefficients))
-    return data.assign(descent_speed=("descent_time", rate, {"units": "rad/s"})).assign_coords(
+    return data.assign(descent_speed=("descent_time", rate, {"units": "rad s-1"})).assign_coords(
         descent_time=("descent_time", when + begin, {"units": "s"})
     )

@@ -57,11 +57,11 @@ def _scans(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
         data = family.emd.to_dataset()
         if family.lines is not None:
             data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
-        data["near_minimum"] = (("near_point", "rate_axis"), family.points, {"units": "rad/s", "factor": family.factor})
-        data["published_point"] = (("published_line", "rate_axis"), np.array([p for p, _ in lines]), {"units": "rad/s"})
+        data["near_minimum"] = (("near_point", "rate_axis"), family.points, {"units": "rad s-1", "factor": family.factor})
+        data["published_point"] = (("published_line", "rate_axis"), np.array([p for p, _ in lines]), {"units": "rad s-1"})
         data["published_direction"] = (("published_line", "rate_axis"), np.array([d for _, d in lines]), {"units": "1"})
         if name == "scan_telemetry" and scan is not None and scan.truth:
-            data["truth"] = ("rate_axis", scan.truth["omega_B"], {"units": "rad/s"})
+            data["truth"] = ("rate_axis", scan.truth["omega_B"], {"units": "rad s-1"})
         found.append((name, data.assign_attrs(about=about)))
     return found
 
@@ -74,8 +74,8 @@ def _touchdown(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
     """Rates at the touchdown of the printed lines' set; the candidates with their speeds and angles."""
     lines = result.parts["published_lines"]
     data = {
-        "omega_B": (("point", "axis"), lines.near_touchdown, {"units": "rad/s"}),
-        "published_B": (("published", "axis"), lines.on_lines_touchdown, {"units": "rad/s"}),
+        "omega_B": (("point", "axis"), lines.near_touchdown, {"units": "rad s-1"}),
+        "published_B": (("published", "axis"), lines.on_lines_touchdown, {"units": "rad s-1"}),
     }
     found = [("touchdown", xr.Dataset(data, coords={"axis": ["x", "y", "z"]}))]
     if result.chain is None:
@@ -83,7 +83,7 @@ def _touchdown(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
     chosen = result.chain.chosen
     every = -(-len(chosen) // MOST_CANDIDATES)
     table = chosen.dataset().assign(
-        speed_touchdown=("candidate", chosen.speed_touchdown, {"units": "rad/s", "long_name": "just after the first touchdown"}),
+        speed_touchdown=("candidate", chosen.speed_touchdown, {"units": "rad s-1", "long_name": "just after the first touchdown"}),
         theta=("candidate", chosen.theta, {"units": "rad", "long_name": "angle from the momentum to the z axis"}),
         alpha=("candidate", chosen.alpha, {"units": "rad", "long_name": "angle from the momentum to the Sun"}),
     )

@@ -11,6 +11,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.estimate.rates import torque
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
@@ -275,7 +276,7 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
         "attitude_used": int(np.isfinite(o.attitude[index]).any()), "earth_light": o.earth_light if is_told(o) else 0.0,
-        "sunspin_version": metadata.version("sunspin"),
+        "sunspin_version": metadata.version("sunspin"), "frame_N": SUN_Z_LOCAL,
     }  # fmt: skip
     result = xr.Dataset(
         {

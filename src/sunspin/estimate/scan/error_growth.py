@@ -151,7 +151,7 @@ def valleys(
         found.append(ensemble(rows, workers=workers, chunk=512)["E"])
     return xr.DataArray(
         np.array(found), dims=("window", "change"), name="E", attrs={"units": "1"},
-        coords={"window": ("window", windows, {"units": "s"}), "change": ("change", change, {"units": "rad/s"})},
+        coords={"window": ("window", windows, {"units": "s"}), "change": ("change", change, {"units": "rad s-1"})},
     )  # fmt: skip
 
 

@@ -120,7 +120,7 @@ def rate_map(
     start = Start.on_grid(vehicle, [np.asarray(axis, dtype=np.float64) for axis in axes], sun_B, wheel_speed_rad_s)
     out = ensemble(TrackRows(vehicle, start, measured, times), workers=workers, chunk=1024)
     dims = ("omega_x", "omega_y", "omega_z")
-    coords = {dim: (dim, axis, {"units": "rad/s"}) for dim, axis in zip(dims, axes, strict=True)}
+    coords = {dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)}
     return xr.DataArray(out["E"].reshape(start.shape), dims=dims, coords=coords, name="E", attrs={"units": "1"})
 
 

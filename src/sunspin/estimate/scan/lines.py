@@ -202,9 +202,9 @@ def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> x
     mean = [float(nearest[member == k].mean()) if counts[k] else 0.0 for k in range(len(origin))]
     return xr.Dataset(
         {
-            "point": (("line", "axis"), origin, {"units": "rad/s"}),
+            "point": (("line", "axis"), origin, {"units": "rad s-1"}),
             "direction": (("line", "axis"), direction, {"units": "1"}),
-            "mean_distance": ("line", mean, {"units": "rad/s"}),
+            "mean_distance": ("line", mean, {"units": "rad s-1"}),
             "count": ("line", counts),
             "member": ("n", member),
         },

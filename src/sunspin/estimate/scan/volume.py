@@ -134,7 +134,7 @@ def volume(
     result = xr.DataArray(
         values.reshape(start.shape),
         dims=dims,
-        coords={dim: (dim, axis, {"units": "rad/s"}) for dim, axis in zip(dims, axes, strict=True)},
+        coords={dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)},
         name=name,
         attrs={
             "units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode),
