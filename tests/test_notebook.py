@@ -54,4 +54,4 @@ def test_names_from_a_file_are_text():
 
 def test_results_render_as_xarray_does_it():
     run = ss.propagate(ss.load_vehicle("philae"), [0.1, 0, 0], [0, 0, 1], 865, [0, 10.0])
-    assert "omega_B" in run._repr_html_() and "rad/s" in run._repr_html_()
+    assert "omega_B" in run._repr_html_() and "rad s-1" in run._repr_html_()
