@@ -19,10 +19,10 @@ import numpy as np
 from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, as_completed, rpc
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.compute.rows import run_piece
+from sunspin.compute.pieces import run_piece
 
 if TYPE_CHECKING:
-    from sunspin.compute.rows import Piece, RowFunction, Values
+    from sunspin.compute.pieces import Piece, RowFunction, Values
 
 CHUNKS_PER_THREAD = 4
 """Chunks in flight for each thread of the cluster: enough that none waits for the next, few enough for memory."""

@@ -19,43 +19,13 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from sunspin.base.errors import InputError, Interrupted, sentence
+from sunspin.compute.pieces import Piece, RowFunction, Values, run_piece
 
 CHUNK = 8192
 """Rows per chunk: large against a block of lanes (little padding), small against a second of work."""
 
 MEMORY_SHARE = 0.5
 """Of the machine's memory that results may take."""
-
-Values = dict[str, np.ndarray]
-Piece = tuple[int, int]
-"""Half-open range of places in the result."""
-
-
-class RowFunction(Protocol):
-    """A pure function of row numbers.
-
-    Make it a frozen dataclass of plain data: it is sent to other processes, and what it compiles or looks up it makes there
-    when first called. Several threads call it at once.
-    """
-
-    @property
-    def n_rows(self) -> int:
-        """Rows there are; they are numbered from 0."""
-        ...
-
-    @property
-    def outputs(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
-        """Name of each result -> its dtype as text and its shape beyond the rows; numbers and truth values only."""
-        ...
-
-    def identity(self) -> dict[str, Any]:
-        """Everything the result depends on, code included, as JSON knows it (see :mod:`sunspin.compute.identity`)."""
-        ...
-
-    def __call__(self, index: np.ndarray) -> Values:
-        """Results of the rows `index` (n): each of `outputs` with shape (n, ...). The same bits in whatever company."""
-        ...
-
 
 def worker_count(workers: int | None) -> int:
     """The number of threads to use: as asked, else one per core that this process may use."""
@@ -261,11 +231,6 @@ def _backend(function: RowFunction, rows: np.ndarray | None, scheduler: Any, n_w
             sentence("a scheduler needs Dask, which is not installed", do='pip install "sunspin[cluster]"')
         ) from None
     return Cluster(function, rows, scheduler, n_workers)
-
-
-def run_piece(function: RowFunction, rows: np.ndarray | None, piece: Piece) -> Values:
-    """The results at these places: of the rows with those numbers, or of those places in `rows`."""
-    return function(np.arange(*piece) if rows is None else rows[slice(*piece)])
 
 
 class Threads:

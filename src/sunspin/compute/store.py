@@ -27,7 +27,7 @@ from sunspin.base.errors import InputError, OutputError, sentence
 from sunspin.compute.identity import bits, fingerprint, plain
 
 if TYPE_CHECKING:
-    from sunspin.compute.rows import Piece, RowFunction, Values
+    from sunspin.compute.pieces import Piece, RowFunction, Values
 
 FORMAT = 1
 KEY = "sunspin_rows"

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from sunspin import vehicle as v
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.base.untrusted import read_bytes
+from sunspin.vehicle import craft, parts
 from sunspin.vehicle.form import Form, Name, Value, scalar, take
 from sunspin.vehicle.sensors_file import (
     AttitudeForm,
@@ -136,9 +136,9 @@ GAIN_KEYS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}
 """Key of a panel's gain -> the unit of the signal it predicts (None: relative)."""
 
 
-def read_vehicle(source: object) -> v.Vehicle:
+def read_vehicle(source: object) -> craft.Vehicle:
     """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
-    if isinstance(source, v.Vehicle):
+    if isinstance(source, craft.Vehicle):
         return source
     where = f"built-in vehicle {source!r}" if isinstance(source, str) and source in builtin_names() else str(source)
     return parse_vehicle(vehicle_text(source), where)
@@ -170,7 +170,7 @@ def _read_text(path: Path) -> str:
         ) from None
 
 
-def parse_vehicle(text: str, where: str) -> v.Vehicle:
+def parse_vehicle(text: str, where: str) -> craft.Vehicle:
     """Turn the text of a vehicle file into a `Vehicle`; `where` names the file in messages."""
     if not text.strip():
         raise VehicleError(sentence("the file is empty", do="`sunspin init DIR` writes one to start from", where=where))
@@ -227,23 +227,23 @@ def _known_keys(parents: list) -> str:
     return ", ".join(form.model_fields)
 
 
-def _vehicle(form: VehicleForm) -> v.Vehicle:
-    facts: dict[str, v.Fact] = {}
+def _vehicle(form: VehicleForm) -> craft.Vehicle:
+    facts: dict[str, parts.Fact] = {}
     panels, gain_unit = _panels(form, facts)
     body = form.body
-    return v.Vehicle(
+    return craft.Vehicle(
         name=form.name,
         inertia_kg_m2=take(facts, "body.inertia_kg_m2", body.inertia_kg_m2),
         mass_kg=scalar(facts, "body.mass_kg", body.mass_kg),
         panels=panels,
         wheels=tuple(_wheel(wheel, facts) for wheel in form.wheel),
-        legs=tuple(v.Leg(leg.name, take(facts, f"leg.{leg.name}.tip_B_m", leg.tip_B_m)) for leg in form.leg),
+        legs=tuple(parts.Leg(leg.name, take(facts, f"leg.{leg.name}.tip_B_m", leg.tip_B_m)) for leg in form.leg),
         hull=tuple(
-            v.HullPart(part.name, take(facts, f"hull.{part.name}.points_B_m", part.points_B_m), part.panel)
+            parts.HullPart(part.name, take(facts, f"hull.{part.name}.points_B_m", part.points_B_m), part.panel)
             for part in form.hull
         ),
         antenna=_antenna(form.antenna, facts),
-        sun_rules=tuple(v.SunRule(tuple(rule.all_dark), rule.reason) for rule in form.sun_rule),
+        sun_rules=tuple(parts.SunRule(tuple(rule.all_dark), rule.reason) for rule in form.sun_rule),
         gain_unit=gain_unit,
         telemetry=_telemetry(form.telemetry, facts),
         sensors=read_sensor_forms(form, facts),
@@ -251,15 +251,15 @@ def _vehicle(form: VehicleForm) -> v.Vehicle:
     )
 
 
-def _antenna(form: AntennaForm | None, facts: dict[str, v.Fact]) -> v.Antenna | None:
+def _antenna(form: AntennaForm | None, facts: dict[str, parts.Fact]) -> parts.Antenna | None:
     if form is None:
         return None
-    return v.Antenna(
+    return parts.Antenna(
         take(facts, "antenna.axis_B", form.axis_B), scalar(facts, "antenna.opening_rad", form.opening_rad)
     )
 
 
-def _panels(form: VehicleForm, facts: dict[str, v.Fact]) -> tuple[tuple[v.Panel, ...], str | None]:
+def _panels(form: VehicleForm, facts: dict[str, parts.Fact]) -> tuple[tuple[parts.Panel, ...], str | None]:
     panels, units = [], set()
     for panel in form.panel:
         given = [key for key in GAIN_KEYS if getattr(panel, key) is not None]
@@ -271,19 +271,19 @@ def _panels(form: VehicleForm, facts: dict[str, v.Fact]) -> tuple[tuple[v.Panel,
             )
         units.add(GAIN_KEYS[given[0]])
         gain = scalar(facts, f"panel.{panel.name}.{given[0]}", getattr(panel, given[0]))
-        panels.append(v.Panel(panel.name, take(facts, f"panel.{panel.name}.normal_B", panel.normal_B), gain))
+        panels.append(parts.Panel(panel.name, take(facts, f"panel.{panel.name}.normal_B", panel.normal_B), gain))
     if len(units) > 1:
         raise VehicleError(sentence("the gains of the panels must all be relative, all gain_W or all gain_A"))
     return tuple(panels), next(iter(units), None)
 
 
-def _wheel(form: WheelForm, facts: dict[str, v.Fact]) -> v.Wheel:
+def _wheel(form: WheelForm, facts: dict[str, parts.Fact]) -> parts.Wheel:
     key = f"wheel.{form.name}"
     inertia = scalar(facts, f"{key}.inertia_kg_m2", form.inertia_kg_m2)
     if not inertia > 0:
         raise VehicleError(sentence(f"{key}.inertia_kg_m2 must be positive", got=inertia))
-    friction = v.Friction() if form.friction is None else _friction(form.friction, inertia, f"{key}.friction", facts)
-    return v.Wheel(
+    friction = parts.Friction() if form.friction is None else _friction(form.friction, inertia, f"{key}.friction", facts)
+    return parts.Wheel(
         name=form.name,
         axis_B=take(facts, f"{key}.axis_B", form.axis_B),
         inertia_kg_m2=inertia,
@@ -299,18 +299,18 @@ def _wheel(form: WheelForm, facts: dict[str, v.Fact]) -> v.Wheel:
     )
 
 
-def _friction(form: FrictionForm, inertia: float, key: str, facts: dict[str, v.Fact]) -> v.Friction:
+def _friction(form: FrictionForm, inertia: float, key: str, facts: dict[str, parts.Fact]) -> parts.Friction:
     if form.spin_down is not None:
         if form.coulomb_N_m is not None or form.viscous_N_m_s is not None:
             raise VehicleError(sentence(f"{key} gives both a spin_down and coefficients", do="keep one of them"))
         names = ("c1_rad_s", "c2_per_s", "c3_rad_s")
         values = [scalar(facts, f"{key}.spin_down.{name}", getattr(form.spin_down, name)) for name in names]
-        return v.Friction.from_spin_down(*values, inertia_kg_m2=inertia)
+        return parts.Friction.from_spin_down(*values, inertia_kg_m2=inertia)
     coefficients = {
         name: 0.0 if getattr(form, name) is None else scalar(facts, f"{key}.{name}", getattr(form, name))
         for name in ("coulomb_N_m", "viscous_N_m_s")
     }
-    return v.Friction(**coefficients)
+    return parts.Friction(**coefficients)
 
 
 MORE_NUMBERS = (
@@ -318,7 +318,7 @@ MORE_NUMBERS = (
 )  # fmt: skip
 
 
-def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryForm:
+def _telemetry(form: TelemetryTable, facts: dict[str, parts.Fact]) -> craft.TelemetryForm:
     scale = 1.0 if isinstance(form.scale, float) else scalar(facts, "telemetry.scale", form.scale)
     noise = scalar(facts, "telemetry.noise", form.noise)
     threshold = scalar(facts, "telemetry.lit_threshold", form.lit_threshold)
@@ -332,7 +332,7 @@ def _telemetry(form: TelemetryTable, facts: dict[str, v.Fact]) -> v.TelemetryFor
         raise VehicleError(
             sentence("telemetry.time_format is elapsed but telemetry.epoch_utc is missing", do="add the UTC of time zero")
         )
-    return v.TelemetryForm(
+    return craft.TelemetryForm(
         quantity=form.quantity,
         time_column=form.time_column,
         time_format=form.time_format,

@@ -6,9 +6,9 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from sunspin import vehicle as v
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.base.untrusted import SIZES, is_sensible
+from sunspin.vehicle import parts
 
 
 class Given(NamedTuple):
@@ -56,15 +56,15 @@ class Form(BaseModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-def take(facts: dict[str, v.Fact], key: str, given: Given | None) -> Any:
+def take(facts: dict[str, parts.Fact], key: str, given: Given | None) -> Any:
     """Note the birth certificate of a value under `key` and return the bare value."""
     if given is None:
         return None
-    facts[key] = v.Fact(_tuples(given.value), _tuples(given.sigma), given.source)
+    facts[key] = parts.Fact(_tuples(given.value), _tuples(given.sigma), given.source)
     return given.value
 
 
-def scalar(facts: dict[str, v.Fact], key: str, given: Given | None) -> Any:
+def scalar(facts: dict[str, parts.Fact], key: str, given: Given | None) -> Any:
     value = take(facts, key, given)
     if value is not None and not isinstance(value, float):
         raise VehicleError(sentence(f"{key} must be one number", got=value))

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from sunspin import vehicle as v
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle import parts
 from sunspin.vehicle import sensors as s
@@ -63,7 +62,7 @@ class ClockForm(Form):
     sensors_late_s: Value
 
 
-def read_sensor_forms(form: Any, facts: dict[str, v.Fact]) -> s.Sensors:
+def read_sensor_forms(form: Any, facts: dict[str, parts.Fact]) -> s.Sensors:
     """The sensors of a checked vehicle file; every value's birth certificate goes to `facts`."""
     return s.Sensors(
         tuple(_sun_sensor(sensor, facts) for sensor in form.sun_sensor),
@@ -75,21 +74,21 @@ def read_sensor_forms(form: Any, facts: dict[str, v.Fact]) -> s.Sensors:
     )
 
 
-def _vector(facts: dict[str, v.Fact], key: str, given: Any) -> np.ndarray:
+def _vector(facts: dict[str, parts.Fact], key: str, given: Any) -> np.ndarray:
     value = np.array(take(facts, key, given) if given is not None else np.zeros(3), dtype=np.float64)
     if value.shape != (3,):
         raise VehicleError(sentence(f"{key} must be three numbers", got=value.tolist()))
-    return v.frozen_array(value)
+    return parts.frozen_array(value)
 
 
-def _positive(facts: dict[str, v.Fact], key: str, given: Any) -> float | None:
+def _positive(facts: dict[str, parts.Fact], key: str, given: Any) -> float | None:
     value = scalar(facts, key, given)
     if value is not None and not value > 0:
         raise VehicleError(sentence(f"{key} must be positive", got=value))
     return value
 
 
-def _above_zero(facts: dict[str, v.Fact], key: str, given: Any) -> float:
+def _above_zero(facts: dict[str, parts.Fact], key: str, given: Any) -> float:
     """A positive number that the form requires."""
     value = _positive(facts, key, given)
     if value is None:
@@ -102,10 +101,10 @@ def _three(columns: list[str]) -> tuple[str, str, str]:
     return x, y, z
 
 
-def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
+def _sun_sensor(form: SunSensorForm, facts: dict[str, parts.Fact]) -> s.SunSensor:
     key = f"sun_sensor.{form.name}"
-    normal = v.direction(take(facts, f"{key}.normal_B", form.normal_B), f"normal_B of Sun sensor {form.name!r}")
-    x_axis = v.direction(take(facts, f"{key}.x_axis_B", form.x_axis_B), f"x_axis_B of Sun sensor {form.name!r}")
+    normal = parts.direction(take(facts, f"{key}.normal_B", form.normal_B), f"normal_B of Sun sensor {form.name!r}")
+    x_axis = parts.direction(take(facts, f"{key}.x_axis_B", form.x_axis_B), f"x_axis_B of Sun sensor {form.name!r}")
     if abs(normal @ x_axis) > parts.UNIT_TOLERANCE:
         raise VehicleError(sentence(f"{key}.x_axis_B must be at right angles to its normal", got=x_axis.tolist()))
     if (form.y_column is None) != (form.y_scale is None):
@@ -124,7 +123,7 @@ def _sun_sensor(form: SunSensorForm, facts: dict[str, v.Fact]) -> s.SunSensor:
     )  # fmt: skip
 
 
-def _gyro(form: GyroForm, facts: dict[str, v.Fact]) -> s.Gyro:
+def _gyro(form: GyroForm, facts: dict[str, parts.Fact]) -> s.Gyro:
     noise = _above_zero(facts, "gyro.noise_rad_s", form.noise_rad_s)
     scale = scalar(facts, "gyro.scale_rad_s", form.scale_rad_s)
     if scale == 0:
@@ -135,7 +134,7 @@ def _gyro(form: GyroForm, facts: dict[str, v.Fact]) -> s.Gyro:
     return s.Gyro(_three(form.columns), scale, _vector(facts, "gyro.zero", form.zero), noise, wraps, zero_sigma, scale_sigma)
 
 
-def _attitude(form: AttitudeForm, facts: dict[str, v.Fact]) -> s.Attitude:
+def _attitude(form: AttitudeForm, facts: dict[str, parts.Fact]) -> s.Attitude:
     sigma = _above_zero(facts, "attitude.sigma_rad", form.sigma_rad)
     a, b, c, d = form.columns
     return s.Attitude((a, b, c, d), form.scalar, form.rotates, sigma)
@@ -152,18 +151,18 @@ def _sigma(given: Any, key: str) -> np.ndarray:
     return sigma
 
 
-def _magnetometer(form: MagnetometerForm, facts: dict[str, v.Fact]) -> s.Magnetometer:
+def _magnetometer(form: MagnetometerForm, facts: dict[str, parts.Fact]) -> s.Magnetometer:
     noise = _positive(facts, "magnetometer.noise", form.noise)
     wraps = _positive(facts, "magnetometer.wraps_at", form.wraps_at)
     return s.Magnetometer(_three(form.columns), _vector(facts, "magnetometer.zero", form.zero), noise, wraps)
 
 
-def _clock(form: ClockForm, facts: dict[str, v.Fact]) -> s.Clock:
+def _clock(form: ClockForm, facts: dict[str, parts.Fact]) -> s.Clock:
     late = scalar(facts, "clock.sensors_late_s", form.sensors_late_s)
     return s.Clock(late, float(_sigma(form.sensors_late_s, "clock.sensors_late_s")))
 
 
-def _disturbance(form: DisturbanceForm, facts: dict[str, v.Fact]) -> s.Disturbance:
+def _disturbance(form: DisturbanceForm, facts: dict[str, parts.Fact]) -> s.Disturbance:
     return s.Disturbance(
         _positive(facts, "disturbance.acceleration_noise", form.acceleration_noise),
         _positive(facts, "disturbance.noise_without_field", form.noise_without_field),

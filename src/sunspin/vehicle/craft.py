@@ -1,0 +1,240 @@
+"""The vehicle: its parts together, and what makes them possible as one body. Frozen data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.vehicle.notebook import vehicle_html
+from sunspin.vehicle.parts import (
+    Antenna,
+    Fact,
+    FloatArray,
+    HullPart,
+    Leg,
+    Panel,
+    SunRule,
+    Wheel,
+    frozen_array,
+)
+from sunspin.vehicle.portable import Portable
+from sunspin.vehicle.sensors import Sensors
+
+MAX_PANELS = 32
+"""Each cuts the sphere of directions further, n of them into n (n - 1) + 2 cells; satellites have about ten sides."""
+
+MAX_WHEELS = 8
+"""The kernels keep numbers for every set of wheels that turn freely."""
+
+MAX_PARTS = 1000
+"""Legs, parts of the hull, rules."""
+
+LIMITS = {"panels": MAX_PANELS, "wheels": MAX_WHEELS, "legs": MAX_PARTS, "hull": MAX_PARTS, "sun_rules": MAX_PARTS}
+
+SYMMETRY_TOLERANCE = 1e-9
+"""Largest relative difference between mirrored elements of an inertia tensor."""
+
+
+@dataclass(frozen=True)
+class TelemetryForm(Portable):
+    """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes.
+
+    A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
+    `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
+    """
+
+    quantity: str = "power_W"
+    time_column: str = "time"
+    time_format: str = "utc"
+    epoch_utc: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    scale: float = 1.0
+    noise: float | None = None
+    lit_threshold: float | None = None
+    bad_rows: str = "refuse"
+    time_scale_s: float = 1.0
+    zero: float = 0.0
+    wraps_at: float | None = None
+    temperature_columns: Mapping[str, str] = field(default_factory=dict)
+    temperature_scale: float = 1.0
+    temperature_coefficient_per_K: float = 0.0
+    reference_temperature_C: float = 25.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
+        object.__setattr__(self, "temperature_columns", MappingProxyType(dict(self.temperature_columns)))
+
+
+@dataclass(frozen=True)
+class Vehicle(Portable):
+    """A rigid spacecraft with any number of panels, wheels and legs.
+
+    `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the joint centre of mass, off-diagonal
+    entries being tensor elements (minus the products of inertia). Mass and inertia may be unknown (None): then what needs
+    them says so.
+    """
+
+    name: str
+    inertia_kg_m2: FloatArray | None = None
+    mass_kg: float | None = None
+    panels: tuple[Panel, ...] = ()
+    wheels: tuple[Wheel, ...] = ()
+    legs: tuple[Leg, ...] = ()
+    hull: tuple[HullPart, ...] = ()
+    antenna: Antenna | None = None
+    sun_rules: tuple[SunRule, ...] = ()
+    gain_unit: str | None = None
+    telemetry: TelemetryForm = TelemetryForm()
+    sensors: Sensors = Sensors()
+    facts: Mapping[str, Fact] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for key in ("panels", "wheels", "legs", "hull", "sun_rules"):
+            object.__setattr__(self, key, tuple(getattr(self, key)))
+        object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
+        for key, most in LIMITS.items():
+            if len(getattr(self, key)) > most:
+                raise VehicleError(sentence(f"a vehicle has at most {most} {key}", got=len(getattr(self, key))))
+        for key in ("panels", "wheels", "legs", "hull"):
+            _require_distinct([part.name for part in getattr(self, key)], key)
+        if self.mass_kg is not None and not (np.isfinite(self.mass_kg) and self.mass_kg > 0):
+            raise VehicleError(sentence("mass_kg must be positive", got=self.mass_kg))
+        if self.inertia_kg_m2 is not None:
+            object.__setattr__(self, "inertia_kg_m2", _physical_inertia(self.inertia_kg_m2))
+            _require_wheels_fit(self)
+        _require_known_panels(self)
+
+    _repr_html_ = vehicle_html
+
+    @property
+    def panel_names(self) -> tuple[str, ...]:
+        return tuple(panel.name for panel in self.panels)
+
+    @property
+    def panel_normals_B(self) -> FloatArray:
+        """Unit normals (n_panel, 3)."""
+        return np.array([panel.normal_B for panel in self.panels], dtype=np.float64).reshape(-1, 3)
+
+    @property
+    def panel_gains(self) -> FloatArray:
+        """Gains (n_panel)."""
+        return np.array([panel.gain for panel in self.panels], dtype=np.float64)
+
+    def require_inertia(self) -> FloatArray:
+        """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
+        if self.inertia_kg_m2 is None:
+            raise VehicleError(
+                sentence(
+                    f"vehicle {self.name!r} has no inertia and its motion cannot be computed",
+                    do="add inertia_kg_m2 under [body] of its file",
+                )
+            )
+        return self.inertia_kg_m2
+
+    def require_mass(self) -> float:
+        """The mass in kg, or a `VehicleError` that says where to add it."""
+        if self.mass_kg is None:
+            raise VehicleError(
+                sentence(
+                    f"vehicle {self.name!r} has no mass and an impact cannot be computed",
+                    do="add mass_kg under [body] of its file",
+                )
+            )
+        return self.mass_kg
+
+    def require_noise(self) -> float:
+        """One sigma of a panel reading, in the unit of the readings, or a `VehicleError` that says where to add it."""
+        if self.telemetry.noise is None:
+            what = f"vehicle {self.name!r} does not say how noisy its panel readings are"
+            raise VehicleError(sentence(what, do="add noise under [telemetry] of its file"))
+        return self.telemetry.noise
+
+    def require_panels(self) -> tuple[Panel, ...]:
+        """The panels, or a `VehicleError` that says where to add them."""
+        if not self.panels:
+            what = f"vehicle {self.name!r} has no solar panel"
+            raise VehicleError(sentence(what, do="add a [[panel]] table for each to its file"))
+        return self.panels
+
+    def with_friction(self, name: str) -> Vehicle:
+        """A copy in which each wheel uses its alternative friction called `name`."""
+        wheels = []
+        for wheel in self.wheels:
+            if name not in wheel.alternative_frictions:
+                known = ", ".join(sorted(wheel.alternative_frictions)) or "none"
+                raise VehicleError(
+                    sentence(f"wheel {wheel.name!r} has no friction called {name!r}", do=f"known alternatives: {known}")
+                )
+            wheels.append(replace(wheel, friction=wheel.alternative_frictions[name]))
+        return replace(self, wheels=tuple(wheels))
+
+
+def _require_distinct(names: list[str], key: str) -> None:
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise VehicleError(sentence(f"two {key} share the name {repeated[0]!r}", do="give each its own name"))
+
+
+def _physical_inertia(value: npt.ArrayLike) -> FloatArray:
+    """Check that ``value`` is the inertia tensor of some distribution of mass."""
+    key = "inertia_kg_m2"
+    tensor = np.array(value, dtype=np.float64)
+    if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
+        raise VehicleError(sentence(f"{key} must be three rows of three finite numbers", got=np.asarray(value).tolist()))
+    size = float(np.abs(tensor).max())
+    if np.abs(tensor - tensor.T).max() > SYMMETRY_TOLERANCE * size:
+        i, j = np.unravel_index(np.argmax(np.abs(tensor - tensor.T)), (3, 3))
+        raise VehicleError(
+            sentence(
+                f"{key} must be symmetric, but element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}",
+                do="make them equal",
+            )
+        )
+    tensor = (tensor + tensor.T) / 2
+    moments = np.linalg.eigvalsh(tensor)
+    shown = ", ".join(f"{moment:.6g}" for moment in moments)
+    if moments[0] <= 0:
+        raise VehicleError(
+            sentence(f"{key} must be positive definite, its principal moments are {shown}", do="check signs and units")
+        )
+    if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRY_TOLERANCE):
+        raise VehicleError(
+            sentence(
+                f"{key} is not that of any body: principal moments {shown} break the rule that the largest is at most the "
+                "sum of the other two",
+                do="check the tensor (a products-of-inertia sign or a unit may be wrong)",
+            )
+        )
+    return frozen_array(tensor)
+
+
+def _require_wheels_fit(vehicle: Vehicle) -> None:
+    """The body that is left when every wheel turns freely must still have inertia about every axis."""
+    tensor = np.array(vehicle.inertia_kg_m2)
+    for wheel in vehicle.wheels:
+        tensor = tensor - wheel.inertia_kg_m2 * np.outer(wheel.axis_B, wheel.axis_B)
+    if vehicle.wheels and np.linalg.eigvalsh(tensor)[0] <= 0:
+        raise VehicleError(
+            sentence(
+                "the wheels' axial inertia exceeds that of the whole vehicle, wheels included",
+                got=", ".join(f"{wheel.name}: {wheel.inertia_kg_m2:g} kg m2" for wheel in vehicle.wheels),
+                do="give inertia_kg_m2 of the whole vehicle with its wheels",
+            )
+        )
+
+
+def _require_known_panels(vehicle: Vehicle) -> None:
+    known = set(vehicle.panel_names)
+    named = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
+    named += [("telemetry.columns", name) for name in vehicle.telemetry.columns]
+    named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]
+    for key, name in named:
+        if name not in known:
+            raise VehicleError(
+                sentence(f"{key} names a panel that the vehicle does not have", got=name, do=f"panels: {sorted(known)}")
+            )
