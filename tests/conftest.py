@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from sunspin.base.cache import is_writable
+
 pytest_plugins = ["evidence"]
 
 
@@ -27,13 +29,7 @@ def kernel_cache() -> Path:
     """
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(base) / "sunspin" / "tests"
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if os.access(folder, os.W_OK):
-            return folder
-    except OSError:
-        pass
-    return Path(__file__).parents[1] / "build" / "test-kernels"
+    return folder if is_writable(folder) else Path(__file__).parents[1] / "build" / "test-kernels"
 
 
 # before any test is imported; workers of pytest-xdist and the programs that tests start take it over

@@ -14,7 +14,6 @@ import os
 import re
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +51,7 @@ REFUSED = (
 
 
 def digest(*arrays: Any) -> str:
-    """SHA-256 over kinds, shapes and bytes of arrays."""
+    """The beginning of the SHA-256 over kinds, shapes and bytes of arrays."""
     found = hashlib.sha256()
     for array in map(np.asarray, arrays):
         found.update(f"{array.dtype} {array.shape} ".encode())
@@ -62,15 +61,16 @@ def digest(*arrays: Any) -> str:
 
 def of_dataset(data: xr.Dataset | xr.DataArray) -> str:
     data = data.to_dataset(name="value") if isinstance(data, xr.DataArray) else data
-    return digest(*(data[name].values for name in sorted(map(str, data.variables))))
+    names = sorted(map(str, data.variables))
+    return digest(names, *(data[name].values for name in names))
 
 
 def of_tree(tree: xr.DataTree) -> str:
-    return digest(*(of_dataset(node.to_dataset()) for node in tree.subtree))
+    return digest([f"{node.path} {of_dataset(node.to_dataset())}" for node in tree.subtree])
 
 
 def body(n_wheels: int) -> ss.Vehicle:
-    """A cube with five panels and wheels on random axes that come to rest."""
+    """A box with six panels and wheels on random axes that come to rest."""
     rng = np.random.default_rng(n_wheels)
     axes = rng.normal(size=(n_wheels, 3))
     wheels = [
@@ -117,7 +117,7 @@ def telemetry(seed: int, n: int = 12) -> tuple[ss.Vehicle, xr.Dataset]:
 
 
 def estimates(n: int) -> dict[str, Any]:
-    """Directions, quality, rates and posteriors of simulated passes."""
+    """Directions, rates and posteriors of simulated passes."""
     found: dict[str, Any] = {}
     for seed in range(n):
         vehicle, data = telemetry(seed)
@@ -177,14 +177,14 @@ def without_places(value: Any) -> Any:
     return json.loads(re.sub(r"sunspin(\.[a-z_]+)+", "sunspin", text))
 
 
-def main_probe(options: dict[str, Any]) -> dict[str, Any]:
+def probe(passes: int, coarser: int) -> dict[str, Any]:
+    """All of it, computed in a folder of its own."""
     with tempfile.TemporaryDirectory() as home:
         os.chdir(home)  # nothing lies about that a call might find
-        found = kernels() | golden() | face() | estimates(options["passes"]) | study(options["coarser"])
+        found = kernels() | golden() | face() | estimates(passes) | study(coarser)
     return without_places(found)
 
 
 if __name__ == "__main__":
-    given = tomllib.loads(sys.argv[1])
-    told = main_probe(given)
-    print(json.dumps(told))
+    results = probe(*map(int, sys.argv[1:]))
+    print(json.dumps(results))

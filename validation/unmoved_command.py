@@ -36,10 +36,10 @@ def run(options: Any) -> int:
 
 def _started(place: Path, options: Any) -> subprocess.Popen[str]:
     """The probe with the package at a place, with this environment's other packages; both states run at the same time."""
-    told = f"passes = {options.passes}\ncoarser = {options.coarser}\n"
     environment = os.environ | {"PYTHONPATH": str(place / "src"), "COLUMNS": "120"}
     probe = Path(__file__).with_name("results_probe.py")
-    return subprocess.Popen([sys.executable, str(probe), told], env=environment, stdout=subprocess.PIPE, text=True)
+    command = [sys.executable, str(probe), str(options.passes), str(options.coarser)]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
 
 
 def _answer(probe: subprocess.Popen[str]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Rows on a Dask cluster: the same bits, also when a worker is killed; nothing listens to the outside; plain refusals."""
 
+import logging
 import os
 import signal
 import socket
@@ -151,6 +152,13 @@ def test_without_dask_one_sentence_says_how_to_get_it(monkeypatch):
     monkeypatch.delattr("sunspin.compute.cluster")
     with pytest.raises(ss.InputError, match=r'pip install "sunspin\[cluster\]"'):
         ensemble(ROWS, scheduler="local")
+
+
+def test_workers_print_nothing_of_their_own(capfd):
+    """As the heartbeat of a worker whose scheduler has just closed: it would stand beside the sentence of an interruption."""
+    with dask.local_cluster(1) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+        client.run(lambda: logging.getLogger("distributed.worker").error("no scheduler answers"))
+    assert capfd.readouterr().err == ""
 
 
 SCRIPT = """

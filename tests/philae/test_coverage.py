@@ -19,9 +19,8 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.estimate.scan.volume import scan
 from sunspin.philae import coverage as wo
-from sunspin.philae import coverage_told as worth_told
+from sunspin.philae import coverage_told, threshold
 from sunspin.philae import rebound as rb
-from sunspin.philae import threshold
 from sunspin.philae.coverage_rows import LEAST_TOLD, TwinRows, draw_twin, samples_z, truth_distance
 from sunspin.telemetry.case import load_case
 
@@ -165,7 +164,7 @@ def test_the_bound_is_looked_up_from_where_it_holds_for_good():
 def test_the_shipped_study_says_what_its_rows_say(reached):
     worth = wo.shipped(CASE)
     assert worth.command == "sunspin worth --twins 400 --seed 0" and set(worth.twins) == {"lines", "grid"}
-    rows = {row.id: row for row in worth_told.rows(CASE, worth)}
+    rows = {row.id: row for row in coverage_told.rows(CASE, worth)}
     lines = worth.twins["lines"]
     assert rows["worth_truth_in_set"].ours == pytest.approx(np.mean(lines.ratio < 1.1))
     assert 0.01 < rows["worth_truth_in_set"].ours < 0.1 and 2.3 < rows["worth_factor_90"].ours < 3.0

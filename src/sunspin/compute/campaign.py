@@ -9,7 +9,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, Protocol
 
-from sunspin.base import atomic_write as whole
+from sunspin.base import atomic_write
 from sunspin.base.errors import OutputError, SunspinError, sentence
 
 
@@ -39,7 +39,7 @@ def rows_folder(folder: Path) -> Path:
     """Make a folder of rows, without what killed runs had begun to write there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        whole.sweep(folder)
+        atomic_write.sweep(folder)
     except OSError as error:
         raise OutputError(
             sentence(f"results cannot be written here ({error.strerror or error})", do="choose another folder", where=str(folder))
@@ -52,7 +52,7 @@ def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     made = None if path.is_file() else json.dumps(make())
     try:
         if made is not None:
-            whole.write_whole(path, lambda part: part.write_text(made, "utf-8"))
+            atomic_write.write_whole(path, lambda part: part.write_text(made, "utf-8"))
         row = json.loads(path.read_text("utf-8"))
     except SunspinError:
         raise

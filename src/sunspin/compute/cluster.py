@@ -136,13 +136,17 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
 
 
 def local_cluster(n_workers: int) -> LocalCluster:
-    """Worker processes of one thread each on this machine, to be reached from this machine only."""
+    """Worker processes of one thread each on this machine, to be reached from this machine only.
+
+    Their logs are silent: what goes wrong in a row comes back with its result, and a worker whose heartbeat meets a cluster
+    that is being closed would print a traceback over the sentence of an interruption.
+    """
     # the ports of what would be the dashboards serve none, and are chosen by the system: the usual one may be taken
     quiet = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
     options: dict[str, Any] = {"dashboard_address": None}  # none is what Dask documents, though it declares text
     return LocalCluster(
         n_workers=n_workers, threads_per_worker=1, processes=True, host="127.0.0.1", **options,
-        scheduler_kwargs=quiet, silence_logs=logging.ERROR,
+        scheduler_kwargs=quiet, silence_logs=logging.CRITICAL,
     )  # fmt: skip
 
 

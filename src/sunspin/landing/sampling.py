@@ -5,8 +5,8 @@
 Philae's body and wheel, 45 min of free motion, inertia, friction, wheel speed and brightness uncertain as the posterior assumes.
 Widths come from Laplace's method (:mod:`sunspin.estimate.information`), over motions drawn from a ball of rates. Whether aliases
 are left is found on twins: the posterior's search is begun from all motions about a turn a period around the truth, and what fits
-all samples is counted; a lower bound, as motions further off are not looked for. A file in OUT for each
-twin: the same command goes on.
+all samples is counted; a lower bound, as motions further off are not looked for. A file in OUT for
+each twin: the same command goes on.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.base import atomic_write as whole
+from sunspin.base import atomic_write
 from sunspin.base.errors import OutputError, sentence
 from sunspin.vehicle.file import vehicle_text
 
@@ -46,11 +46,11 @@ def results_folder(path: Any, command: str) -> Path:
                 raise OutputError(
                     sentence(f"the folder holds results of `sunspin {maker}`", do="choose another --out", where=str(folder))
                 )
-        elif any(not whole.is_left(entry) for entry in folder.iterdir()):
+        elif any(not atomic_write.is_left(entry) for entry in folder.iterdir()):
             raise OutputError(
                 sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
             )
-        whole.sweep(folder)
+        atomic_write.sweep(folder)
         write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
     except OSError as error:
         raise OutputError(
@@ -62,7 +62,7 @@ def results_folder(path: Any, command: str) -> Path:
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """As :func:`sunspin.base.atomic_write.write_whole`; where the file cannot be written, one sentence."""
     try:
-        return whole.write_whole(target, write)
+        return atomic_write.write_whole(target, write)
     except OSError as error:
         raise OutputError(
             sentence(f"the file cannot be written ({error.strerror or error})", do="free space or choose another --out",

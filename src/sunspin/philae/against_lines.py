@@ -15,7 +15,7 @@ import numpy as np
 from sunspin.estimate.information import rate_volume
 from sunspin.estimate.scan.lines import distances, point_at
 from sunspin.estimate.scan.volume import near_minimum
-from sunspin.philae import coverage as worth
+from sunspin.philae import coverage
 from sunspin.philae import rebound as rb
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
@@ -68,9 +68,9 @@ def against(case: Case, tree: Any, coarser: int = 1, workers: int | None = None,
     emd = rb.scan_against(case, measured_z, coarser, workers, progress)
     step = coarser * float(case.published["scan_step"].value)
     factors = {f"EMD < {case.published['near_minimum_factor'].value:g} EMD_min": case.published["near_minimum_factor"].value}
-    known = worth.shipped(case)
+    known = coverage.shipped(case)
     for prior, twins in () if known is None else known.twins.items():
-        factor = twins.threshold(worth.CONFIDENCE, relative=True)[0]
+        factor = twins.threshold(coverage.CONFIDENCE, relative=True)[0]
         factors[f"EMD < {factor:.2f} EMD_min (90 %, {prior})"] = factor
     sets: dict[str, tuple[np.ndarray | None, float]] = {}
     for name, factor in factors.items():

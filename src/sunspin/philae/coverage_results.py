@@ -12,7 +12,7 @@ from sunspin.output import figures as fig
 from sunspin.output.folder import Picture, results_folder, write_json, write_run
 from sunspin.output.report import write_report
 from sunspin.philae import coverage as study
-from sunspin.philae import coverage_told as worth_told
+from sunspin.philae import coverage_told
 from sunspin.philae.pictures import worth_sheet
 from sunspin.telemetry.case import load_case
 
@@ -53,7 +53,7 @@ def coverage(
     folder = None if out is None else results_folder(out, "worth")  # refused before the work, not after it
     study.check_confidence(twins, confidence)
     found = study.compute(known, twins, **options)
-    rows, told = worth_told.rows(known, found, confidence), worth_told.sentences(found, confidence)
+    rows, told = coverage_told.rows(known, found, confidence), coverage_told.sentences(found, confidence)
     summary = {
         "version": metadata.version("sunspin"), "synthetic_telemetry": True, "title": "What the answer is worth",
         "command": found.command, "seed": found.seed,

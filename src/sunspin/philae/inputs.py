@@ -159,7 +159,7 @@ def _table_rows(case: Case) -> list[Row]:
             "table_3", "Table 3: ends of the legs", legs.tolist(), "m",
             "the origin is not named; their middle is "
             f"{np.hypot(middle[0], middle[1]):.3f} m from the z axis, so it is likely the centre of mass, as the equations of "
-            f"impact need it", "Table 3",
+            "impact need it", "Table 3",
         ),
         _table(
             "cells", "solar cells of the panels", np.array(vehicle.panel_gains).tolist(), "1", "relative gains", "section 2.1",

@@ -17,7 +17,7 @@ from sunspin.philae.candidates import Chain
 from sunspin.philae.coverage import CONFIDENCE, Worth
 from sunspin.philae.figures import candidates as figures_candidates
 from sunspin.philae.figures import collision as figures_collision
-from sunspin.philae.figures import coverage as figures_worth
+from sunspin.philae.figures import coverage as figures_coverage
 from sunspin.philae.figures import descent as figures_descent
 from sunspin.philae.figures import health as figures_health
 from sunspin.philae.figures import precession as figures_precession
@@ -226,10 +226,10 @@ def _worth(_: Reproduction, part: Any) -> Iterator[Sheet]:
 
 
 def worth_sheet(worth: Worth, published: Mapping[str, Any], confidence: float = CONFIDENCE) -> Sheet:
-    """The figure of `study.worth`; `published` of the case."""
+    """The figure of :mod:`sunspin.philae.coverage`; `published` of the case."""
     known = {key: published[key].value for key in ("emd_min", "rate_at_touchdown_min")}
     return Sheet(
-        "worth", lambda: figures_worth.draw(worth, known, confidence),
+        "worth", lambda: figures_coverage.draw(worth, known, confidence),
         "EMD of the truth, coverage of the level set, scatter of the lines and of the lower bound over many twins",
         "What the answer is worth: the paper's method repeated on synthetic rebounds whose truth is known. Bands: 95 % sampling "
         f"error above, 5 to 95 % of the twins below. Made with `{worth.command}`.",

@@ -192,7 +192,7 @@ def _height_rows(r: Precession) -> list[Row]:
             "sun_height_lines", "range of the Sun's height over the xy plane, motions on the printed lines", [low, high],
             typical.tolist(), "deg", (high - low) / 10,
             bool(np.all(np.abs(typical - np.array([low, high])) <= (high - low) / 10)),
-            f"published: roughly; tolerance: a tenth of the range; "
+            "published: roughly; tolerance: a tenth of the range; "
             f"mean over {height.shape[0] * height.shape[1]} points of the four lines; smallest {height.min():.1f}, largest "
             f"{height.max():.1f}", "paper, section 3.2",
         ),

@@ -15,9 +15,8 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.output.folder import CITE, Picture, results_folder, write_run, write_whole
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
-from sunspin.philae import coverage_told as worth_told
+from sunspin.philae import coverage_told, touchdown
 from sunspin.philae import rebound as rb
-from sunspin.philae import touchdown
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import draw
 from sunspin.philae.row import Row
@@ -182,7 +181,7 @@ def conclusions(result: Reproduction) -> list[str]:
         found += touchdown.sentences(result.chain)
     found += _of_lines(result)
     if "worth" in result.parts:
-        found += worth_told.sentences(result.parts["worth"][1])
+        found += coverage_told.sentences(result.parts["worth"][1])
     apart = [row for row in result.rows if row.agrees is False]
     if apart:
         found.append("Not as published: " + "; ".join(f"{row.what} ({row.source.removeprefix('paper, ')})" for row in apart) + ".")

@@ -172,7 +172,7 @@ def _change_rows(r: Sensitivity) -> list[Row]:
         Row(
             "one_percent_E", "E under a change of 1 % of one input (published: extremely sensitive): at least, over the motions",
             "extremely sensitive", in_E, "1", None, in_E > 0.1,
-            f"more than 0.1 counts as sensitive; "
+            "more than 0.1 counts as sensitive; "
             f"largest E and EMD of each motion: {of_each}; 0.5 is the mean E of unrelated directions", "paper, section 2.3",
         ),
         Row(

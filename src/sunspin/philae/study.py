@@ -23,6 +23,8 @@ from sunspin.philae import (
     carries,
     components,
     contradictions,
+    coverage,
+    coverage_told,
     descent,
     landing,
     level_set,
@@ -33,12 +35,6 @@ from sunspin.philae import (
     published_lines,
     sensitivity,
     touchdown,
-)
-from sunspin.philae import (
-    coverage as worth,
-)
-from sunspin.philae import (
-    coverage_told as worth_told,
 )
 from sunspin.philae import inputs as taken
 from sunspin.philae import rebound as rb
@@ -135,8 +131,8 @@ def _published_lines(i: Inputs) -> published_lines.PublishedLines:
     return published_lines.compute(i.case, table, i.options.seed, i.options.coarser, i.runs, i.options.workers)
 
 
-def _worth(i: Inputs) -> tuple[Case, worth.Worth]:
-    found = worth.shipped(i.case)
+def _worth(i: Inputs) -> tuple[Case, coverage.Worth]:
+    found = coverage.shipped(i.case)
     if found is None:
         raise InputError(sentence("the case comes without a study of twins", do="sunspin worth"))
     return i.case, found
@@ -172,7 +168,7 @@ PARTS = (
          needed=True),
     Part("precession", "Section 3.2: precession on the published lines", "no_telemetry",
          lambda i: precession.compute(i.case, i.options.workers), precession.rows),
-    Part("worth", "What the paper's method is worth", "no_telemetry", _worth, lambda r: worth_told.rows(*r)),
+    Part("worth", "What the paper's method is worth", "no_telemetry", _worth, lambda r: coverage_told.rows(*r)),
     Part("inputs", "Taken over from the paper", "paper", lambda i: taken.Taken(i.case, i.sun), taken.rows, needed=True),
     Part("contradictions", "Where the paper is ambiguous or contradicts itself", "paper",
          lambda i: contradictions.compute(i.case), contradictions.rows, needed=True),

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom
 
-from sunspin.base import atomic_write as whole
+from sunspin.base import atomic_write
 from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
@@ -265,6 +265,6 @@ def calibration(
 def ship(case: Case, rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None) -> Calibration:
     """Make the calibration that ships with a case, and write it beside its telemetry."""
     found = calibrate(rebound, table, SHIPPED_TWINS, 0, workers, progress=True)
-    whole.write_whole(folder / SHIPPED, lambda part: part.write_text(to_json(found), "utf-8"))
+    atomic_write.write_whole(folder / SHIPPED, lambda part: part.write_text(to_json(found), "utf-8"))
     return found
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import ModuleType
 
 from sunspin.base.atomic_write import write_whole
+from sunspin.base.cache import is_writable
 from sunspin.compute.compiler import target
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.deposit import deposit_body, signed_body
@@ -140,13 +141,7 @@ def cache_folder() -> Path:
     """Where generated modules and their machine code are kept: the user's cache, or a private temporary folder."""
     base = os.environ.get("SUNSPIN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     folder = Path(base) / "sunspin" / "kernels"
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if os.access(folder, os.W_OK):
-            return folder
-    except OSError:
-        pass
-    return _private_folder()
+    return folder if is_writable(folder) else _private_folder()
 
 
 @lru_cache(maxsize=1)

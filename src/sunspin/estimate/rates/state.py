@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sunspin.environment import unknown
 from sunspin.estimate.rates.motion import Body, Ends
 
-SUN_N = np.array([0.0, 0.0, 1.0])
+SUN_N = unknown().at(0.0).sun_N[0]
 """The Sun in the local frame N."""
 
 FIELD_TURN_RATE = 2.2e-3

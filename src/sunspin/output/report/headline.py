@@ -123,7 +123,7 @@ def _scan(results: Results) -> list[str]:
         f"Of {counted(int(s['rows']), 'simulated motion')} {worst} begins at {number_text(s['best_omega_B'], 3)} rad/s, with "
         f"{s['metric'].upper() if s['metric'] == 'emd' else 'E'} {s['minimum']:.4f} (0: its Sun stands as the panels saw it).",
         f"{counted(int(s['near_minimum_points']), 'motion')} fit nearly as well; this set alone is no confidence region, and a "
-        f"threshold that makes it one has to be calibrated on data of known truth.",
+        "threshold that makes it one has to be calibrated on data of known truth.",
     ]
     lines = s.get("lines")
     return [*told, f"{counted(len(lines), 'line')} through the set say which rates go together."] if lines else told
@@ -132,7 +132,7 @@ def _scan(results: Results) -> list[str]:
 def _outcomes(results: Results) -> list[str]:
     told = [
         f"{counted(int(results.summary['runs']), 'simulated run')} per strategy, from {results.summary['candidates']} candidate "
-        f"motions."
+        "motions."
     ]
     parts = []
     for name, found in results.summary.get("strategies", {}).items():

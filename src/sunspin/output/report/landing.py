@@ -57,7 +57,7 @@ def outcomes(results: Results) -> Section | None:
     runs = found[0][1].sizes["run"]
     lead = [
         f"{runs} simulated runs for each command to the wheel. Which leg hit the ground at the collision, from where the blow "
-        f"came, and how the ground lay at the landing is not known, so it is drawn anew for every run: the spread is what "
+        "came, and how the ground lay at the landing is not known, so it is drawn anew for every run: the spread is what "
         "that ignorance does."
     ]
     begun = results.data.get("candidates")

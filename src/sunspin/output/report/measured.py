@@ -103,7 +103,7 @@ def powers(results: Results) -> Section | None:
     plot = Plot(
         "powers", data, layout,
         f"Signals of {len(names)} panels against time, measured as dots and modelled as lines; each panel rises and falls as it "
-        f"turns to the Sun and away.",
+        "turns to the Sun and away.",
         caption, 90 * len(names) + 110, views, "Modelled motion", numbers=_power_numbers(names, values, unit),
         narrow={"margin": {"l": 48, "r": 12, "t": 30, "b": 50}, "font.size": 11},
     )  # fmt: skip

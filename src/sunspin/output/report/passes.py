@@ -56,6 +56,6 @@ def _dense(part: xr.Dataset, rates: xr.Dataset) -> xr.Dataset:
         attrs={
             "epoch_utc": str(rates.attrs.get("epoch_utc", "")),
             "about": f"the likeliest motion of {t.size} samples; between samples carried on at the rates found there, and the "
-            f"turn about the line to the Sun at its start is arbitrary",
+            "turn about the line to the Sun at its start is arbitrary",
         },
     )

@@ -77,7 +77,7 @@ def _plot(results: Results, sun: xr.Dataset) -> Plot:
         "delta", data, layout, "Misfit Delta of every sample against time, marked by the verdict on the sample; the table lists "
         "them.",
         f"How badly the best direction explains a sample (Delta, no unit; {LEAST_DELTA:g} stands for smaller values and for "
-        f"samples in which exactly three lit panels leave nothing to "
+        "samples in which exactly three lit panels leave nothing to "
         "check).", 460, narrow={"legend.y": -0.2, "legend.font.size": 10, "margin.l": 52},
     )  # fmt: skip
 

@@ -314,7 +314,7 @@ def picture(results: Results) -> Plot | None:
     }  # fmt: skip
     return Plot(
         "scan", data, layout, f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit "
-        f"nearly as well as the best.",
+        "nearly as well as the best.",
         f"The smallest {metric} over ωz. Circles: all {len(points)} motions within {factor:g} times the smallest {metric}: any of "
-        f"them may be the true one." + (" Synthetic telemetry." if results.synthetic else ""), 430, narrow={"margin.l": 56},
+        "them may be the true one." + (" Synthetic telemetry." if results.synthetic else ""), 430, narrow={"margin.l": 56},
     )  # fmt: skip
