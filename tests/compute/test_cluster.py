@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -17,7 +19,9 @@ from rowsets import ELSEWHERE, Waves, heed_interrupts
 from sunspin.compute.rows import ensemble
 
 distributed = pytest.importorskip("distributed", reason='needs Dask: pip install "sunspin[cluster]"')
-from sunspin.compute import cluster as dask  # noqa: E402 (only where Dask is installed)
+from distributed.cfexecutor import ClientExecutor  # noqa: E402 (only where Dask is installed)
+
+from sunspin.compute import cluster as dask  # noqa: E402
 
 ROWS = Waves()
 WHOLE = ROWS(np.arange(1000))
@@ -94,16 +98,26 @@ def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
 
 
 def test_few_chunks_are_in_flight(client, monkeypatch):
-    most = []
-    submit = dask.Cluster.submit
+    given, most = [], []
+    submit = ClientExecutor.submit
 
-    def watched(self, piece):
-        submit(self, piece)
-        most.append(self.in_flight())
+    def watched(self, *arguments):
+        given.append(submit(self, *arguments))
+        most.append(sum(not future.done() for future in given))
+        return given[-1]
 
-    monkeypatch.setattr(dask.Cluster, "submit", watched)
+    monkeypatch.setattr(ClientExecutor, "submit", watched)
     assert same(ensemble(ROWS, scheduler=client, chunk=10))
     assert len(most) == 100 and max(most) <= 4 * 2
+
+
+@pytest.mark.evidence("ensemble", "verified", "the same rows by an executor of processes, bit by bit")
+def test_any_executor_changes_no_bit_and_stays_open():
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        assert same(ensemble(ROWS, scheduler=pool, chunk=33))
+        with pytest.raises(ArithmeticError, match="row 500 is bad"):
+            ensemble(Waves(bad_row=500), scheduler=pool, chunk=10)
+        assert pool.submit(int, "3").result() == 3
 
 
 def test_what_the_function_raises_comes_through(client):

@@ -1,4 +1,4 @@
-"""Chunks of rows on a Dask cluster: tasks out, results in; whatever a dead worker had is computed again by Dask.
+"""A Dask cluster as an executor of pieces of rows; whatever a dead worker had is computed again by Dask.
 
 A local cluster listens on 127.0.0.1 alone and without a dashboard. Dask does not ask who connects: other users of the same
 machine could reach its port while it runs.
@@ -9,20 +9,19 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
-import time
-import uuid
-from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from collections.abc import Iterable, Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, as_completed, rpc
+import dask
+from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, rpc
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.compute.pieces import run_piece
+from sunspin.compute.pieces import Place
 
 if TYPE_CHECKING:
-    from sunspin.compute.pieces import Piece, RowFunction, Values
+    from sunspin.compute.pieces import RowFunction
 
 CHUNKS_PER_THREAD = 4
 """Chunks in flight for each thread of the cluster: enough that none waits for the next, few enough for memory."""
@@ -33,71 +32,44 @@ CONNECT_S = 5
 FIRST_WORKER_S = 60
 """How long a cluster without workers is given to get one."""
 
+RESTART_S = 300
+"""How long a worker process that died is given to be there again. Dask looks once, 15 s after each death: a second death at that
+moment would end the worker for good."""
+
 SETTLE_S = 2
 """How long what was abandoned is given to be so."""
 
 
-class Cluster:
-    """Chunks as tasks of a Dask cluster."""
+@contextmanager
+def on_cluster(function: RowFunction, scheduler: Any, n_workers: int) -> Iterator[Place]:
+    """A Dask cluster as a place for pieces; what is opened for it is closed with it."""
+    with ExitStack() as stack:
+        client = _connect(scheduler, n_workers, stack)
+        # sent once, as the result of a task: Dask knows how to get it again when the worker that has it dies
+        shared = client.submit(_same, function, pure=False)
+        executor = client.get_executor(pure=False)
+        threads: Any = client.nthreads()  # a coroutine only where the client is asynchronous, which this is not
 
-    def __init__(self, function: RowFunction, rows: np.ndarray | None, scheduler: Any, n_workers: int) -> None:
-        self._function, self._rows = function, rows
-        self._scheduler, self._n_workers = scheduler, n_workers
-        self._pending: dict[Any, Piece] = {}
-        self._stack = ExitStack()
-        self.slots: int = 0
+        def abandon(futures: Iterable[Future]) -> list[Future]:
+            with suppress(Exception):  # they may already be out of reach
+                executor.shutdown(wait=False)
+                wait(futures, SETTLE_S)  # results on their way would complain if the connection closed under them
+            return []  # nothing may be expected of a cluster that the same Ctrl-C has reached
 
-    def __enter__(self) -> Cluster:
-        with ExitStack() as stack:
-            self._client = _connect(self._scheduler, self._n_workers, stack)
-            self._completed = as_completed(loop=self._client.loop, with_results=True, raise_errors=False)
-            self._key = f"sunspin-{uuid.uuid4().hex}"
-            # sent once, as the result of a task: Dask knows how to get it again when the worker that has it dies
-            self._shared = self._client.submit(_same, self._function, key=f"{self._key}-function")
-            threads: Any = self._client.nthreads()  # a coroutine only where the client is asynchronous, which this is not
-            self.slots = CHUNKS_PER_THREAD * max(sum(threads.values()), 1)
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        with self._stack, suppress(Exception):  # what is abandoned may already be out of reach
-            self._client.cancel([*self._pending, self._shared], force=True)
-            deadline = time.monotonic() + SETTLE_S
-            while not self._completed.is_empty() and time.monotonic() < deadline:
-                if self._completed.has_ready():  # results on their way would complain if the connection closed under them
-                    next(self._completed)
-                else:
-                    time.sleep(0.01)
-
-    def in_flight(self) -> int:
-        return len(self._pending)
-
-    def submit(self, piece: Piece) -> None:
-        rows, place = (None, piece) if self._rows is None else (self._rows[slice(*piece)], (0, piece[1] - piece[0]))
-        future = self._client.submit(run_piece, self._shared, rows, place, key=f"{self._key}-{piece[0]}")
-        self._pending[future] = piece
-        self._completed.add(future)
-
-    def finished(self) -> list[tuple[Piece, Values]]:
-        future, values = next(self._completed)
-        if future.status == "error":
-            _, error, trace = values
-            if isinstance(error, KilledWorker):
-                raise InputError(
-                    sentence(
-                        f"a chunk of rows ended {error.allowed_failures + 1} worker processes, perhaps for want of memory",
-                        do="use a smaller chunk",
-                    )
+        try:
+            yield Place(executor, CHUNKS_PER_THREAD * max(sum(threads.values()), 1), shared, abandon)
+        except KilledWorker as error:
+            raise InputError(
+                sentence(
+                    f"a chunk of rows ended {error.allowed_failures + 1} worker processes, perhaps for want of memory",
+                    do="use a smaller chunk",
                 )
-            raise error.with_traceback(trace)
-        if isinstance(values, CancelledError):
-            raise InputError(sentence("the Dask scheduler has dropped the work", got=str(self._scheduler), do="run it again"))
-        piece = self._pending.pop(future)
-        future.release()
-        return [(piece, values)]
-
-    def drain(self) -> list[tuple[Piece, Values]]:
-        return []  # nothing may be expected of a cluster that the same Ctrl-C has reached
+            ) from None
+        except CancelledError:
+            raise InputError(sentence("the Dask scheduler has dropped the work", got=str(scheduler), do="run it again")) from None
+        finally:
+            with suppress(Exception):
+                shared.cancel()
 
 
 def _same(function: RowFunction) -> RowFunction:
@@ -124,7 +96,7 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
         client = stack.enter_context(_client_at(scheduler))
     else:
         raise InputError(
-            sentence('scheduler must be "local", an address like tcp://host:8786 or a Dask client', got=str(scheduler))
+            sentence('scheduler must be "local", an address like tcp://host:8786, a Dask client or an executor', got=str(scheduler))
         )
     try:
         client.wait_for_workers(1, timeout=FIRST_WORKER_S)
@@ -135,7 +107,8 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
     return client
 
 
-def local_cluster(n_workers: int) -> LocalCluster:
+@contextmanager
+def local_cluster(n_workers: int) -> Iterator[LocalCluster]:
     """Worker processes of one thread each on this machine, to be reached from this machine only.
 
     Their logs are silent: what goes wrong in a row comes back with its result, and a worker whose heartbeat meets a cluster
@@ -144,10 +117,15 @@ def local_cluster(n_workers: int) -> LocalCluster:
     # the ports of what would be the dashboards serve none, and are chosen by the system: the usual one may be taken
     quiet = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
     options: dict[str, Any] = {"dashboard_address": None}  # none is what Dask documents, though it declares text
-    return LocalCluster(
-        n_workers=n_workers, threads_per_worker=1, processes=True, host="127.0.0.1", **options,
-        scheduler_kwargs=quiet, silence_logs=logging.CRITICAL,
-    )  # fmt: skip
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": f"{RESTART_S} s"}):
+        cluster = LocalCluster(
+            n_workers=n_workers, threads_per_worker=1, processes=True, host="127.0.0.1", **options,
+            scheduler_kwargs=quiet, silence_logs=logging.CRITICAL,
+        )  # fmt: skip
+        try:
+            yield cluster
+        finally:
+            cluster.close()
 
 
 def _client_at(address: str) -> Client:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -41,3 +43,21 @@ class RowFunction(Protocol):
 def run_piece(function: RowFunction, rows: np.ndarray | None, piece: Piece) -> Values:
     """The results at these places: of the rows with those numbers, or of those places in `rows`."""
     return function(np.arange(*piece) if rows is None else rows[slice(*piece)])
+
+
+def cancel_waiting(futures: Iterable[Future]) -> list[Future]:
+    """Cancel what has not begun and return what is running."""
+    return [future for future in futures if not future.cancel()]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where pieces run."""
+
+    executor: Executor
+    slots: int
+    """Pieces in flight at most."""
+    function: Any
+    """What the executor is given for the row function: itself, or what stands for it where the rows run."""
+    abandon: Callable[[Iterable[Future]], list[Future]] = cancel_waiting
+    """Give up futures; returns those that still finish."""

@@ -1,31 +1,36 @@
-"""Many rows: a pure function of row numbers, run in chunks on threads or on a Dask cluster, kept on disk if wanted.
+"""Many rows: a pure function of row numbers, run in chunks by any executor of concurrent.futures, kept on disk if wanted.
 
-The kernels release the GIL, so threads are enough on one machine. Only the calling thread writes the result: memory is the
-result plus the chunks in flight. What a row gives does not depend on how rows are cut into chunks, on the number of
-workers, on where they run (as long as the machines compute alike) or on how often the run was killed and resumed.
+The kernels release the GIL, so threads are enough on one machine; a Dask cluster is reached through Dask's own executor. Only
+the calling thread writes the result: memory is the result plus the chunks in flight. What a row gives does not depend on how
+rows are cut into chunks, on the number of workers, on where they run (as long as the machines compute alike) or on how often
+the run was killed and resumed.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
 from sunspin.base.errors import InputError, Interrupted, sentence
-from sunspin.compute.pieces import Piece, RowFunction, Values, run_piece
+from sunspin.compute.pieces import Piece, Place, RowFunction, Values, run_piece
 
 CHUNK = 8192
 """Rows per chunk: large against a block of lanes (little padding), small against a second of work."""
 
+SLOTS = 2
+"""Pieces in flight for each worker: the next one is there when one ends."""
+
 MEMORY_SHARE = 0.5
 """Of the machine's memory that results may take."""
+
 
 def worker_count(workers: int | None) -> int:
     """The number of threads to use: as asked, else one per core that this process may use."""
@@ -57,7 +62,7 @@ def ensemble(
     ----------
     function : RowFunction
     workers : int, optional
-        Threads on this machine, or worker processes of a "local" cluster; default one per core.
+        Threads on this machine, worker processes of a "local" cluster, or workers that an executor has; default one per core.
     chunk : int
         Rows per call of the function. A new store is cut into pieces of this size too, and keeps that size: it is what an
         interruption can cost, per worker.
@@ -65,9 +70,10 @@ def ensemble(
         A folder (a Zarr group) in which finished chunks are kept. The same call resumes there after any interruption, be it
         kill -9 or a power failure; once complete it is simply read. The folder must be new, empty or of the same
         inputs.
-    scheduler : "local", address or dask.distributed.Client, optional
+    scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
         Run on a Dask cluster: "local" starts worker processes on this machine (the script that asks for it needs
-        `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have sunspin installed.
+        `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have sunspin installed. An
+        executor runs the rows as it runs anything else and is not shut down.
     progress : bool
         Show a progress bar on a terminal, called `label`.
     index : list of row numbers, optional
@@ -105,10 +111,10 @@ def ensemble(
                 tqdm(total=n, initial=taker.rows, unit="row", unit_scale=True, desc=label, disable=hidden, leave=False)
             )
             if missing:
-                backend = stack.enter_context(_backend(function, rows, scheduler, n_workers))
-                _run(backend, _pieces(missing, chunk), taker)
+                place = stack.enter_context(_place(function, scheduler, n_workers))
+                _run(place, rows, _pieces(missing, chunk), taker)
     except KeyboardInterrupt:
-        raise Interrupted(taker.farewell()) from None
+        raise Interrupted(taker.interrupt_message()) from None
     return out
 
 
@@ -168,7 +174,7 @@ class _Taker:
         self.rows += stop - start
         self.bar.update(stop - start)
 
-    def farewell(self) -> str:
+    def interrupt_message(self) -> str:
         """What an interrupted run leaves behind, and how to go on."""
         if self.store is None:
             done = f"interrupted after {self.rows} of {self.n_rows} rows, of which nothing is kept without a store"
@@ -178,88 +184,48 @@ class _Taker:
         return sentence(done, do="run the same command again to resume")
 
 
-class Backend(Protocol):
-    """Where chunks run. A context: leaving it abandons what is still in flight."""
-
-    slots: int
-    """Chunks in flight at most."""
-
-    def __enter__(self) -> Backend: ...
-
-    def __exit__(self, *exception: object) -> None: ...
-
-    def in_flight(self) -> int:
-        """Chunks handed in and not yet given back."""
-        ...
-
-    def submit(self, piece: Piece) -> None:
-        """Begin with the rows at these places."""
-
-    def finished(self) -> list[tuple[Piece, Values]]:
-        """Wait until something is finished and give it back; raises what the function raised."""
-        ...
-
-    def drain(self) -> list[tuple[Piece, Values]]:
-        """Begin nothing more and give back what finishes soon."""
-        ...
-
-
-def _run(backend: Backend, pieces: Iterator[Piece], take: _Taker) -> None:
+def _run(place: Place, rows: np.ndarray | None, pieces: Iterator[Piece], take: _Taker) -> None:
+    """Keep `place.slots` pieces in flight until all are taken. Ctrl-C keeps what this machine finishes soon."""
+    pending: dict[Future, Piece] = {}
     try:
         while True:
-            while backend.in_flight() < backend.slots and (piece := next(pieces, None)) is not None:
-                backend.submit(piece)
-            if not backend.in_flight():
+            while len(pending) < place.slots and (piece := next(pieces, None)) is not None:
+                some, span = (None, piece) if rows is None else (rows[slice(*piece)], (0, piece[1] - piece[0]))
+                pending[place.executor.submit(run_piece, place.function, some, span)] = piece
+            if not pending:
                 return
-            for piece, values in backend.finished():
-                take(piece, values)
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                take(pending.pop(future), future.result())
     except KeyboardInterrupt:
-        for piece, values in backend.drain():
-            take(piece, values)
+        running = place.abandon(pending)
+        for future in wait(running).done:
+            if future.exception() is None:
+                take(pending[future], future.result())
+        raise
+    except BaseException:
+        place.abandon(pending)  # what is running ends unheard: waiting for it would hold back the error
         raise
 
 
-def _backend(function: RowFunction, rows: np.ndarray | None, scheduler: Any, n_workers: int) -> Backend:
-    if scheduler is None:
-        return Threads(function, rows, n_workers)
-    try:
-        from sunspin.compute.cluster import Cluster
-    except ModuleNotFoundError as error:
-        if error.name not in ("dask", "distributed"):
-            raise
-        raise InputError(
-            sentence("a scheduler needs Dask, which is not installed", do='pip install "sunspin[cluster]"')
-        ) from None
-    return Cluster(function, rows, scheduler, n_workers)
-
-
-class Threads:
-    """Chunks on threads of this process."""
-
-    def __init__(self, function: RowFunction, rows: np.ndarray | None, n_workers: int) -> None:
-        self._function, self._rows = function, rows
-        self._pool = ThreadPoolExecutor(n_workers, thread_name_prefix="sunspin")
-        self._pending: dict[Future, Piece] = {}
-        self.slots: int = 2 * n_workers
-
-    def __enter__(self) -> Threads:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        # chunks that are running end unheard: waiting for them would hold back the error
-        self._pool.shutdown(wait=False, cancel_futures=True)
-
-    def in_flight(self) -> int:
-        return len(self._pending)
-
-    def submit(self, piece: Piece) -> None:
-        self._pending[self._pool.submit(run_piece, self._function, self._rows, piece)] = piece
-
-    def finished(self) -> list[tuple[Piece, Values]]:
-        done = wait(self._pending, return_when=FIRST_COMPLETED).done
-        return [(self._pending.pop(future), future.result()) for future in done]
-
-    def drain(self) -> list[tuple[Piece, Values]]:
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        good = [future for future in self._pending if not future.cancelled() and future.exception() is None]
-        return [(self._pending.pop(future), future.result()) for future in good]
+@contextmanager
+def _place(function: RowFunction, scheduler: Any, n_workers: int) -> Iterator[Place]:
+    """Where the pieces run; what is opened for it here is closed with it."""
+    if isinstance(scheduler, Executor):
+        yield Place(scheduler, SLOTS * n_workers, function)
+    elif scheduler is None:
+        pool = ThreadPoolExecutor(n_workers, thread_name_prefix="sunspin")
+        try:
+            yield Place(pool, SLOTS * n_workers, function)
+        finally:
+            pool.shutdown(wait=False)
+    else:
+        try:
+            from sunspin.compute.cluster import on_cluster
+        except ModuleNotFoundError as error:
+            if error.name not in ("dask", "distributed"):
+                raise
+            raise InputError(
+                sentence("a scheduler needs Dask, which is not installed", do='pip install "sunspin[cluster]"')
+            ) from None
+        with on_cluster(function, scheduler, n_workers) as place:
+            yield place
