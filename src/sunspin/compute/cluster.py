@@ -14,7 +14,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-import dask
+import dask.config
 from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, rpc
 
 from sunspin.base.errors import InputError, sentence
