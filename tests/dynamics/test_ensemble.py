@@ -133,7 +133,7 @@ def test_bits_of_a_distribution_do_not_depend_on_neighbours_that_change_the_meth
         assert np.array_equal(together.hist[i], k.run_rows(vehicle, rows.take(np.array([i])), 2700.0, **options).hist[0])
 
 
-@pytest.mark.parametrize("n_wheels", [0, 1, 2])
+@pytest.mark.parametrize("n_wheels", [0, 1, pytest.param(2, marks=pytest.mark.long)])
 def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
     """Strongly unequal moments, oblique wheels that stop or not, slow and fast rows: EMD by SciPy, no mask."""
     rng = np.random.default_rng(200 + n_wheels)

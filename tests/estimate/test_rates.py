@@ -45,8 +45,8 @@ def irregular(rng, n, usual):
     return np.concatenate([[0.0], np.cumsum(usual * rng.uniform(0.7, 1.3, n - 1))])
 
 
-@pytest.mark.evidence("rates", "modelled", "four tumbling twins with albedo, and twelve")
-@pytest.mark.parametrize("twins", [4, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.evidence("rates", "modelled", "two tumbling twins with albedo, and twelve")
+@pytest.mark.parametrize("twins", [2, pytest.param(12, marks=pytest.mark.long)])
 def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
     """Tumbling cubes seen every 20 s with Earth's light on dark faces: the truth lies where the sigmas say."""
     rng = np.random.default_rng(8)
@@ -95,9 +95,9 @@ def test_a_gyro_decides_between_aliases_and_narrows_the_rate():
     from sunspin.vehicle.sensors import Gyro, Sensors
 
     rng = np.random.default_rng(2)
-    data, run = twin(CUBE, [0.01, -0.02, 0.012], np.arange(7) * 40.0, rng)
+    data, run = twin(CUBE, [0.01, -0.02, 0.012], np.arange(6) * 40.0, rng)
     craft = replace(CUBE, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
-    gyro = run["omega_B"].values + 5e-4 * rng.normal(size=(7, 3))
+    gyro = run["omega_B"].values + 5e-4 * rng.normal(size=(6, 3))
     both = ss.rates(craft, data.assign(gyro_B=(("time", "axis"), gyro)), acceleration_noise=2e-5, max_rate_rad_s=0.2)
     alone = ss.rates(craft, data, acceleration_noise=2e-5, max_rate_rad_s=0.2)
     assert both["weight"].values[0, 0] > 0.9

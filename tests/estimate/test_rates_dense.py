@@ -109,7 +109,7 @@ def test_the_bridge_is_what_both_ends_leave_open(share):
 @pytest.mark.evidence("rates", "modelled", "the mean rate of a dense pass, of which the smoother keeps a part")
 def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
     telemetry, run, _, _ = pass_
-    found = ss.rates(CRAFT, telemetry, max_rate_rad_s=0.15, acceleration_noise=NOISE)
+    found = ss.rates(CRAFT, telemetry, max_rate_rad_s=0.09, acceleration_noise=NOISE)
     assert found.sizes["time"] == telemetry.sizes["time"]
     off = found["omega_B"].values - run["omega_B"].values
     sigma = np.sqrt(np.einsum("nii->ni", found["omega_cov_B"].values))

@@ -9,7 +9,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.output.folder import Picture
-from sunspin.philae import carries, inputs, pictures
+from sunspin.philae import carries, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import headline
@@ -35,7 +35,8 @@ def quick():
         patch.setattr(rp, "PARTS", tuple(part for part in rp.PARTS if part.name in QUICK))
         patch.setattr(rp, "LEAST_RUNS", 60)
         patch.setattr(rp, "LANDING_RUNS", 1)
-        patch.setattr(carries, "SHUFFLES", 4)
+        patch.setattr(carries, "SHUFFLES", 3)
+        patch.setattr(published_lines, "LINE_POINTS", 3)
         yield lambda case, **options: rp.compute(case, **({"coarser": 5, "twins": 30} | options))
 
 
@@ -45,6 +46,7 @@ def own(quick):
     return quick(CASE)
 
 
+@pytest.mark.long
 def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     found = quick(rb.with_telemetry(CASE, without("descent", "deployment")))
     assert list(found.missing) == ["descent"] and "no sample before the first touchdown" in found.missing["descent"]
@@ -89,6 +91,7 @@ def test_only_informative_tests_agree_or_differ(own):
     assert {row.kind for row in own.rows_by_part["contradictions"]} == {"arithmetic"}
 
 
+@pytest.mark.long
 def test_what_needs_no_telemetry_does_not_change_with_it(quick, own):
     """A lander that never tumbled: the section on the printed lines stays to the digit, what follows from the telemetry moves."""
     still = quick(rb.with_telemetry(CASE, controls.CONTROLS["never tumbled"](CASE)))

@@ -39,9 +39,9 @@ def refused(*arguments, words=()):
 @pytest.mark.parametrize("suite", [Fuzz, pytest.param(Corrupt, marks=pytest.mark.long)])
 def test_hostile_input_is_a_result_or_a_sentence(suite):
     with suite(seed=20, memory=None) as case:
-        verdicts = [case(index) for index in range(40)]
+        verdicts = [case(index) for index in range(30)]
     assert [v for v in verdicts if v.bad] == []
-    assert sum(v.what == "refused" for v in verdicts) > 15  # the campaign does attack
+    assert sum(v.what == "refused" for v in verdicts) > 11  # the campaign does attack
     assert sum(v.what == "fine" for v in verdicts) > 2  # and does not only send nonsense
 
 
@@ -89,6 +89,7 @@ class Broken:
         return pool.Verdict("fine")
 
 
+@pytest.mark.long
 def test_the_watch_notices_crashes_and_hangs_and_goes_on():
     report = pool.run(Broken, 5, workers=1, cpu_s=0.3)
     assert report.counts == {"fine": 3, "crash": 1, "hang": 1}

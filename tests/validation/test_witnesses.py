@@ -21,12 +21,19 @@ def said(witness) -> list[Row]:
     return list(witness())
 
 
-@pytest.mark.parametrize("witness", WITNESSES, ids=lambda witness: witness.__name__)
+LONG = ("paper_equations",)
+
+
+@pytest.mark.parametrize(
+    "witness",
+    [pytest.param(w, id=w.__name__, marks=pytest.mark.long if w.__name__ in LONG else ()) for w in WITNESSES],
+)
 def test_the_witness_agrees(witness):
     rows = said(witness)
     assert rows and [row for row in rows if not row.holds] == []
 
 
+@pytest.mark.long
 def test_the_page_says_what_the_witnesses_say():
     """Its table is what ``python -m validation witnesses`` prints; POT's row is there whether or not POT is installed here."""
     rows = [row for witness in WITNESSES for row in said(witness)]
