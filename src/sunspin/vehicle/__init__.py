@@ -8,23 +8,12 @@ ways pass the same physical checks.
 from __future__ import annotations
 
 from sunspin.vehicle.craft import LIMITS, TelemetryForm, Vehicle
-from sunspin.vehicle.parts import (
-    Antenna,
-    Fact,
-    FloatArray,
-    Friction,
-    HullPart,
-    Leg,
-    Panel,
-    SunRule,
-    Wheel,
-    direction,
-    frozen_array,
-)
+from sunspin.vehicle.part import FloatArray, direction, frozen_array
+from sunspin.vehicle.parts import Antenna, Fact, Friction, HullPart, Leg, Panel, SpinDown, SunRule, Wheel
 
 __all__ = [
-    "LIMITS", "Antenna", "Fact", "FloatArray", "Friction", "HullPart", "Leg", "Panel", "SunRule", "TelemetryForm", "Vehicle",
-    "Wheel", "direction", "frozen_array", "load_vehicle",
+    "LIMITS", "Antenna", "Fact", "FloatArray", "Friction", "HullPart", "Leg", "Panel", "SpinDown", "SunRule", "TelemetryForm",
+    "Vehicle", "Wheel", "direction", "frozen_array", "load_vehicle",
 ]  # fmt: skip
 
 

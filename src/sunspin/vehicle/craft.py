@@ -1,28 +1,33 @@
-"""The vehicle: its parts together, and what makes them possible as one body. Frozen data."""
+"""The vehicle: its parts together, and what makes them possible as one body."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from types import MappingProxyType
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
+from pydantic import AfterValidator, PlainValidator, ValidationInfo
 
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle.notebook import vehicle_html
-from sunspin.vehicle.parts import (
-    Antenna,
-    Fact,
+from sunspin.vehicle.part import (
     FloatArray,
-    HullPart,
-    Leg,
-    Panel,
-    SunRule,
-    Wheel,
+    Name,
+    Number,
+    Part,
+    Positive,
+    Text,
+    above_zero,
+    as_array,
+    bare,
     frozen_array,
+    must,
+    no_entries,
+    part,
 )
-from sunspin.vehicle.portable import Portable
+from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Panel, SunRule, Wheel
 from sunspin.vehicle.sensors import Sensors
 
 MAX_PANELS = 32
@@ -40,38 +45,78 @@ SYMMETRY_TOLERANCE = 1e-9
 """Largest relative difference between mirrored elements of an inertia tensor."""
 
 
-@dataclass(frozen=True)
-class TelemetryForm(Portable):
+@part
+class TelemetryForm(Part):
     """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes.
 
     A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
     `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
     """
 
-    quantity: str = "power_W"
-    time_column: str = "time"
-    time_format: str = "utc"
+    quantity: Literal["power_W", "current_A"] = "power_W"
+    time_column: Name = "time"
+    time_format: Literal["utc", "unix", "elapsed"] = "utc"
     epoch_utc: str | None = None
-    columns: Mapping[str, str] = field(default_factory=dict)
-    scale: float = 1.0
-    noise: float | None = None
-    lit_threshold: float | None = None
-    bad_rows: str = "refuse"
-    time_scale_s: float = 1.0
-    zero: float = 0.0
-    wraps_at: float | None = None
-    temperature_columns: Mapping[str, str] = field(default_factory=dict)
-    temperature_scale: float = 1.0
-    temperature_coefficient_per_K: float = 0.0
-    reference_temperature_C: float = 25.0
+    columns: Text = field(default_factory=no_entries)
+    scale: Positive = 1.0
+    noise: Positive | None = None
+    lit_threshold: Positive | None = None
+    bad_rows: Literal["refuse", "flag"] = "refuse"
+    time_scale_s: Positive = 1.0
+    zero: Number = 0.0
+    wraps_at: Positive | None = None
+    temperature_columns: Text = field(default_factory=no_entries)
+    temperature_scale: Positive = 1.0
+    temperature_coefficient_per_K: Number = 0.0
+    reference_temperature_C: Number = 25.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
-        object.__setattr__(self, "temperature_columns", MappingProxyType(dict(self.temperature_columns)))
+        if self.time_format == "elapsed" and self.epoch_utc is None:
+            what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
+            raise VehicleError(sentence(what, do="add the UTC of time zero"))
 
 
-@dataclass(frozen=True)
-class Vehicle(Portable):
+def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
+    """Check that a value is the inertia tensor of some distribution of mass."""
+    key = "inertia_kg_m2"
+    given = bare(raw, info)
+    tensor = as_array(given)
+    if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
+        shown = given.tolist() if isinstance(given, np.ndarray) else given
+        raise VehicleError(sentence(f"{key} must be three rows of three finite numbers", got=shown))
+    size = float(np.abs(tensor).max())
+    if np.abs(tensor - tensor.T).max() > SYMMETRY_TOLERANCE * size:
+        i, j = np.unravel_index(np.argmax(np.abs(tensor - tensor.T)), (3, 3))
+        raise VehicleError(
+            sentence(
+                f"{key} must be symmetric, but element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}",
+                do="make them equal",
+            )
+        )
+    tensor = (tensor + tensor.T) / 2
+    moments = np.linalg.eigvalsh(tensor)
+    shown = ", ".join(f"{moment:.6g}" for moment in moments)
+    if moments[0] <= 0:
+        raise VehicleError(
+            sentence(f"{key} must be positive definite, its principal moments are {shown}", do="check signs and units")
+        )
+    if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRY_TOLERANCE):
+        raise VehicleError(
+            sentence(
+                f"{key} is not that of any body: principal moments {shown} break the rule that the largest is at most the "
+                "sum of the other two",
+                do="check the tensor (a products-of-inertia sign or a unit may be wrong)",
+            )
+        )
+    return frozen_array(tensor)
+
+
+Mass = Annotated[Number, must(above_zero, "mass_kg must be positive")]
+Inertia = Annotated[FloatArray, PlainValidator(_physical_inertia)]
+
+
+@part
+class Vehicle(Part):
     """A rigid spacecraft with any number of panels, wheels and legs.
 
     `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the joint centre of mass, off-diagonal
@@ -79,9 +124,9 @@ class Vehicle(Portable):
     them says so.
     """
 
-    name: str
-    inertia_kg_m2: FloatArray | None = None
-    mass_kg: float | None = None
+    name: Name
+    inertia_kg_m2: Inertia | None = None
+    mass_kg: Mass | None = None
     panels: tuple[Panel, ...] = ()
     wheels: tuple[Wheel, ...] = ()
     legs: tuple[Leg, ...] = ()
@@ -91,21 +136,17 @@ class Vehicle(Portable):
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()
     sensors: Sensors = Sensors()
-    facts: Mapping[str, Fact] = field(default_factory=dict)
+    facts: Annotated[Mapping[str, Fact], AfterValidator(lambda facts: MappingProxyType(dict(facts)))] = field(
+        default_factory=no_entries
+    )
 
     def __post_init__(self) -> None:
-        for key in ("panels", "wheels", "legs", "hull", "sun_rules"):
-            object.__setattr__(self, key, tuple(getattr(self, key)))
-        object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
         for key, most in LIMITS.items():
             if len(getattr(self, key)) > most:
                 raise VehicleError(sentence(f"a vehicle has at most {most} {key}", got=len(getattr(self, key))))
         for key in ("panels", "wheels", "legs", "hull"):
             _require_distinct([part.name for part in getattr(self, key)], key)
-        if self.mass_kg is not None and not (np.isfinite(self.mass_kg) and self.mass_kg > 0):
-            raise VehicleError(sentence("mass_kg must be positive", got=self.mass_kg))
         if self.inertia_kg_m2 is not None:
-            object.__setattr__(self, "inertia_kg_m2", _physical_inertia(self.inertia_kg_m2))
             _require_wheels_fit(self)
         _require_known_panels(self)
 
@@ -178,39 +219,6 @@ def _require_distinct(names: list[str], key: str) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise VehicleError(sentence(f"two {key} share the name {repeated[0]!r}", do="give each its own name"))
-
-
-def _physical_inertia(value: npt.ArrayLike) -> FloatArray:
-    """Check that ``value`` is the inertia tensor of some distribution of mass."""
-    key = "inertia_kg_m2"
-    tensor = np.array(value, dtype=np.float64)
-    if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
-        raise VehicleError(sentence(f"{key} must be three rows of three finite numbers", got=np.asarray(value).tolist()))
-    size = float(np.abs(tensor).max())
-    if np.abs(tensor - tensor.T).max() > SYMMETRY_TOLERANCE * size:
-        i, j = np.unravel_index(np.argmax(np.abs(tensor - tensor.T)), (3, 3))
-        raise VehicleError(
-            sentence(
-                f"{key} must be symmetric, but element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}",
-                do="make them equal",
-            )
-        )
-    tensor = (tensor + tensor.T) / 2
-    moments = np.linalg.eigvalsh(tensor)
-    shown = ", ".join(f"{moment:.6g}" for moment in moments)
-    if moments[0] <= 0:
-        raise VehicleError(
-            sentence(f"{key} must be positive definite, its principal moments are {shown}", do="check signs and units")
-        )
-    if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRY_TOLERANCE):
-        raise VehicleError(
-            sentence(
-                f"{key} is not that of any body: principal moments {shown} break the rule that the largest is at most the "
-                "sum of the other two",
-                do="check the tensor (a products-of-inertia sign or a unit may be wrong)",
-            )
-        )
-    return frozen_array(tensor)
 
 
 def _require_wheels_fit(vehicle: Vehicle) -> None:

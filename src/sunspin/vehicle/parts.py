@@ -1,89 +1,98 @@
-"""The parts of a vehicle: panels, wheels with their friction, legs, hull, antenna, rules. Frozen data.
+"""The parts of a vehicle: panels, wheels with their friction, legs, hull, antenna, rules.
 
 Vectors are in the vehicle's body axes B, in SI units. What the parts make together is :class:`sunspin.vehicle.Vehicle`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import InitVar, field
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
+from pydantic import AfterValidator, AliasChoices, Field, PlainValidator, ValidationInfo, model_validator
 
 from sunspin.base.errors import VehicleError, sentence
-from sunspin.vehicle.portable import Portable
+from sunspin.vehicle.part import FloatArray, Name, Number, Part, Positive, above_zero, array, must, no_entries, part, tuples, unit
 
-FloatArray = npt.NDArray[np.float64]
-
-UNIT_TOLERANCE = 1e-3
-"""Vectors within this of length one count as directions written with few digits and are normalised."""
+GAIN_UNITS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}
+"""Key of a panel's gain in a file -> the unit of the signal it predicts (None: relative)."""
 
 
-def frozen_array(value: npt.ArrayLike) -> FloatArray:
-    """Return a read-only float64 copy of ``value``."""
-    array = np.array(value, dtype=np.float64)
-    array.setflags(write=False)
-    return array
-
-
-def direction(value: npt.ArrayLike, key: str) -> FloatArray:
-    """Return ``value`` (3) as a read-only unit vector, or raise `VehicleError` if it is not one to three digits."""
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise VehicleError(sentence(f"{key} must be three finite numbers", got=value))
-    length = float(np.linalg.norm(vector))
-    if abs(length - 1.0) > UNIT_TOLERANCE:
-        raise VehicleError(
-            sentence(
-                f"{key} must be a unit vector, its length is {length:.6g}",
-                got=np.array2string(vector, separator=", "),
-                do="divide it by its length or correct its components",
-            )
-        )
-    return frozen_array(vector / length)
-
-
-@dataclass(frozen=True)
-class Fact:
+@part
+class Fact(Part):
     """A number's birth certificate: its value, one-sigma uncertainty (same unit as the value) and source."""
 
-    value: float | tuple[Any, ...]
-    sigma: float | tuple[Any, ...] | None = None
+    value: Annotated[float | tuple[Any, ...], PlainValidator(tuples)]
+    sigma: Annotated[float | tuple[Any, ...] | None, PlainValidator(tuples)] = None
     source: str | None = None
 
 
-@dataclass(frozen=True)
-class Panel(Portable):
+@part
+class Panel(Part):
     """A flat solar panel: outward unit normal in B and its gain, the signal at normal incidence of the Sun.
 
     The gain is relative (a cell count will do) unless the vehicle's `gain_unit` is "W" or "A".
     """
 
-    name: str
-    normal_B: FloatArray
-    gain: float
+    name: Name
+    normal_B: Annotated[FloatArray, unit("normal_B of panel {name!r}")]
+    gain: Annotated[Number, must(above_zero, "the gain of panel {name!r} must be positive")] = Field(
+        validation_alias=AliasChoices(*GAIN_UNITS)
+    )
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "normal_B", direction(self.normal_B, f"normal_B of panel {self.name!r}"))
-        if not (np.isfinite(self.gain) and self.gain > 0):
-            raise VehicleError(sentence(f"the gain of panel {self.name!r} must be positive", got=self.gain))
+    @model_validator(mode="wrap")
+    @classmethod
+    def _one_gain(cls, given: Any, check: Callable[[Any], Panel], info: ValidationInfo) -> Panel:
+        if not (info.context and isinstance(given, dict)):
+            return check(given)
+        found = [key for key in GAIN_UNITS if key in given]
+        panel = check({key: given[key] for key in given if key not in found[1:]} | ({} if found else {"cells": 1.0}))
+        if len(found) != 1:
+            what = f"panel {panel.name!r} must give exactly one of {', '.join(GAIN_UNITS)}"
+            raise VehicleError(sentence(what, got=", ".join(found) or "none"))
+        return panel
 
 
-@dataclass(frozen=True)
-class Friction:
-    """Bearing friction, torque on the wheel ``-sign(W) (coulomb + viscous |W|)`` (paper, eq. 5)."""
+@part
+class SpinDown(Part):
+    """The measured spin-down ``c1 exp(c2 t) + c3`` of a wheel (paper, section 2.2)."""
 
-    coulomb_N_m: float = 0.0
-    viscous_N_m_s: float = 0.0
+    c1_rad_s: Number
+    c2_per_s: Number
+    c3_rad_s: Number
 
-    def __post_init__(self) -> None:
-        for key in ("coulomb_N_m", "viscous_N_m_s"):
-            value = getattr(self, key)
-            if not (np.isfinite(value) and value >= 0):
-                raise VehicleError(sentence(f"friction {key} must be zero or positive", got=value))
+
+FrictionTorque = Annotated[Number, must(lambda value: value >= 0, "friction {key} must be zero or positive")]
+
+
+@part
+class Friction(Part):
+    """Bearing friction, torque on the wheel ``-sign(W) (coulomb + viscous |W|)`` (paper, eq. 5).
+
+    `spin_down` takes the place of both coefficients; the wheel that it is given to, whose inertia it needs, makes them of it.
+    """
+
+    coulomb_N_m: FrictionTorque = 0.0
+    viscous_N_m_s: FrictionTorque = 0.0
+    spin_down: InitVar[SpinDown | None] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_law(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "spin_down" in given and given.keys() & {"coulomb_N_m", "viscous_N_m_s"}:
+            raise VehicleError(sentence("{path} gives both a spin_down and coefficients", do="keep one of them"))
+        return given
+
+    def __post_init__(self, spin_down: SpinDown | None) -> None:
+        if spin_down is not None:
+            vars(self)["measured"] = spin_down
+
+    def of_wheel(self, inertia_kg_m2: float) -> Friction:
+        """This friction, with coefficients where it was given as a spin-down."""
+        measured = vars(self).get("measured")
+        return self if measured is None else self.from_spin_down(**vars(measured), inertia_kg_m2=inertia_kg_m2)
 
     @classmethod
     def from_spin_down(cls, c1_rad_s: float, c2_per_s: float, c3_rad_s: float, inertia_kg_m2: float) -> Friction:
@@ -102,87 +111,66 @@ class Friction:
         return cls(c2_per_s * c3_rad_s * inertia_kg_m2, -c2_per_s * inertia_kg_m2)
 
 
-@dataclass(frozen=True)
-class Wheel(Portable):
+@part
+class Wheel(Part):
     """A wheel: axis (unit, B), axial inertia J, nominal speed relative to the body, friction, brake; its speed's column if any."""
 
-    name: str
-    axis_B: FloatArray
-    inertia_kg_m2: float
-    speed_rad_s: float = 0.0
+    name: Name
+    axis_B: Annotated[FloatArray, unit("axis_B of wheel {name!r}")]
+    inertia_kg_m2: Positive
+    speed_rad_s: Number = 0.0
     friction: Friction = Friction()
-    alternative_frictions: Mapping[str, Friction] = field(default_factory=dict)
-    brake_torque_N_m: float | None = None
-    speed_column: str | None = None
-    speed_scale_rad_s: float = 1.0
+    alternative_frictions: Mapping[str, Friction] = field(default_factory=no_entries)
+    brake_torque_N_m: Annotated[Number, must(above_zero, "{key} of wheel {name!r} must be positive")] | None = None
+    speed_column: Name | None = None
+    speed_scale_rad_s: Annotated[Number, AfterValidator(lambda scale: scale or 1.0)] = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axis_B", direction(self.axis_B, f"axis_B of wheel {self.name!r}"))
-        object.__setattr__(self, "alternative_frictions", MappingProxyType(dict(self.alternative_frictions)))
-        if not (np.isfinite(self.inertia_kg_m2) and self.inertia_kg_m2 > 0):
-            raise VehicleError(
-                sentence(f"inertia_kg_m2 of wheel {self.name!r} must be positive", got=self.inertia_kg_m2)
-            )
-        if self.brake_torque_N_m is not None and not (
-            np.isfinite(self.brake_torque_N_m) and self.brake_torque_N_m > 0
-        ):
-            raise VehicleError(
-                sentence(f"brake_torque_N_m of wheel {self.name!r} must be positive", got=self.brake_torque_N_m)
-            )
+        others = {name: other.of_wheel(self.inertia_kg_m2) for name, other in self.alternative_frictions.items()}
+        vars(self).update(friction=self.friction.of_wheel(self.inertia_kg_m2), alternative_frictions=MappingProxyType(others))
 
 
-@dataclass(frozen=True)
-class Leg(Portable):
+def _point(value: FloatArray) -> bool:
+    return value.shape == (3,) and bool(np.isfinite(value).all())
+
+
+@part
+class Leg(Part):
     """A leg: its end, where it can touch the ground, from the vehicle's centre of mass in B (m)."""
 
-    name: str
-    tip_B_m: FloatArray
-
-    def __post_init__(self) -> None:
-        tip = np.array(self.tip_B_m, dtype=np.float64)
-        if tip.shape != (3,) or not np.all(np.isfinite(tip)):
-            raise VehicleError(sentence(f"tip_B_m of leg {self.name!r} must be three finite numbers", got=self.tip_B_m))
-        object.__setattr__(self, "tip_B_m", frozen_array(tip))
+    name: Name
+    tip_B_m: Annotated[FloatArray, array(_point, "tip_B_m of leg {name!r} must be three finite numbers")]
 
 
-@dataclass(frozen=True)
-class HullPart(Portable):
+def _points(value: FloatArray) -> bool:
+    return value.ndim == 2 and value.shape[1] == 3 and len(value) > 0 and bool(np.isfinite(value).all())
+
+
+@part
+class HullPart(Part):
     """A part of the outer shape that can touch the ground: points (n, 3) in m from the centre of mass, B.
 
     The convex hull of all parts and of the legs' ends is the shape. `panel` names the panel whose corners the points are.
     """
 
-    name: str
-    points_B_m: FloatArray
-    panel: str | None = None
-
-    def __post_init__(self) -> None:
-        points = np.array(self.points_B_m, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.all(np.isfinite(points)):
-            raise VehicleError(
-                sentence(f"points_B_m of hull part {self.name!r} must be points of three finite numbers", got=self.points_B_m)
-            )
-        object.__setattr__(self, "points_B_m", frozen_array(points))
+    name: Name
+    points_B_m: Annotated[FloatArray, array(_points, "points_B_m of hull part {name!r} must be points of three finite numbers")]
+    panel: Name | None = None
 
 
-@dataclass(frozen=True)
-class Antenna(Portable):
+@part
+class Antenna(Part):
     """An antenna that serves directions within half of `opening_rad` of its axis (unit, B)."""
 
-    axis_B: FloatArray
-    opening_rad: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "axis_B", direction(self.axis_B, "antenna.axis_B"))
-        if not (np.isfinite(self.opening_rad) and 0 < self.opening_rad <= 2 * np.pi):
-            raise VehicleError(
-                sentence("antenna.opening_rad must be an angle above 0 and at most 2 pi", got=self.opening_rad)
-            )
+    axis_B: Annotated[FloatArray, unit("antenna.axis_B")]
+    opening_rad: Annotated[
+        Number, must(lambda angle: 0 < angle <= 2 * np.pi, "antenna.opening_rad must be an angle above 0 and at most 2 pi")
+    ]
 
 
-@dataclass(frozen=True)
-class SunRule:
+@part
+class SunRule(Part):
     """A rule that forbids a reconstruction: it applies when all named panels are dark (`reason` says why)."""
 
-    all_dark: tuple[str, ...]
-    reason: str
+    all_dark: Annotated[tuple[str, ...], Field(min_length=1)]
+    reason: Name

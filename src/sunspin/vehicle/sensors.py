@@ -1,17 +1,38 @@
 """What a vehicle carries beside its panels: Sun sensors, a gyro, a magnetometer; and what is known of its disturbances.
 
-All in body axes. Frozen data, read from the vehicle file by :mod:`sunspin.vehicle.file`.
+All in body axes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AliasPath, Field, PlainValidator, ValidationInfo
+
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.vehicle.part import UNIT_TOLERANCE, FloatArray, Name, Number, Part, Positive, Vector, frozen_array, numbers, part, unit
 
 
-@dataclass(frozen=True)
-class SunSensor:
+def _sigma_of(key: str, *shape: int) -> PlainValidator:
+    """The sigma in a value's birth certificate: one number, or one for each component."""
+
+    def check(raw: Any, info: ValidationInfo) -> Any:
+        sigma = np.array(given := numbers(raw) if info.context else raw, dtype=np.float64)
+        if sigma.shape not in ((), shape) or np.any(sigma < 0):
+            what = f"the sigma of {key} must be one number or one for each component, and not negative"
+            raise VehicleError(sentence(what, got=given))
+        return frozen_array(np.broadcast_to(sigma, shape)) if shape else float(sigma)
+
+    return PlainValidator(check)
+
+
+def _columns(n: int) -> Any:
+    return Field(min_length=n, max_length=n)
+
+
+@part
+class SunSensor(Part):
     """A two-axis Sun sensor: outward normal, its x axis (its y axis is normal cross x), columns, how it reads.
 
     It sees the Sun where its light exceeds `lit_above` (unit of the column). The Sun's angle from the normal towards x is
@@ -20,65 +41,87 @@ class SunSensor:
     `y_turned_above`: where its light exceeds that, the Sun being near its normal, y is the reading times `y_turned_scale`.
     """
 
-    name: str
-    normal_B: np.ndarray
-    x_axis_B: np.ndarray
-    x_column: str
+    left_out = {"y_column": None, "light_column": None, "lit_above": 0.0, "y_scale": None}
+
+    name: Name
+    normal_B: Annotated[FloatArray, unit("normal_B of Sun sensor {name!r}")]
+    x_axis_B: Annotated[FloatArray, unit("x_axis_B of Sun sensor {name!r}")]
+    x_column: Name
     y_column: str | None
     light_column: str | None
-    lit_above: float
-    x_scale: float
-    y_scale: float | None
-    x_sigma_rad: float
-    y_sigma_rad: float
-    y_turned_above: float | None = None
-    y_turned_scale: float | None = None
+    lit_above: Number
+    x_scale: Number
+    y_scale: Number | None
+    x_sigma_rad: Positive
+    y_sigma_rad: Positive
+    y_turned_above: Number | None = None
+    y_turned_scale: Number | None = None
+
+    def __post_init__(self) -> None:
+        if abs(self.normal_B @ self.x_axis_B) > UNIT_TOLERANCE:
+            raise VehicleError(sentence("{path}.x_axis_B must be at right angles to its normal", got=self.x_axis_B.tolist()))
+        if (self.y_column is None) != (self.y_scale is None):
+            raise VehicleError(sentence("{path} must give both y_column and y_scale, or neither"))
+        if (self.y_turned_above is None) != (self.y_turned_scale is None):
+            raise VehicleError(sentence("{path} must give both y_turned_above and y_turned_scale, or neither"))
 
 
-@dataclass(frozen=True)
-class Gyro:
+@part
+class Gyro(Part):
     """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`).
 
     `noise_rad_s` is that of one sample, `zero_sigma` (3) and `scale_sigma` are shared by all samples of a pass.
     """
 
-    columns: tuple[str, str, str]
-    scale_rad_s: float
-    zero: np.ndarray
-    noise_rad_s: float
-    wraps_at: float | None = None
-    zero_sigma: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    scale_sigma: float = 0.0
+    left_out = {"zero": [0.0, 0.0, 0.0]}
+
+    columns: Annotated[tuple[str, ...], _columns(3)]
+    scale_rad_s: Number
+    zero: Vector
+    noise_rad_s: Positive
+    wraps_at: Positive | None = None
+    zero_sigma: Annotated[FloatArray, _sigma_of("gyro.zero", 3)] = Field(
+        default_factory=lambda: frozen_array(np.zeros(3)), validation_alias=AliasPath("zero", "sigma")
+    )
+    scale_sigma: Annotated[float, _sigma_of("gyro.scale_rad_s")] = Field(
+        default=0.0, validation_alias=AliasPath("scale_rad_s", "sigma")
+    )
+
+    def __post_init__(self) -> None:
+        if self.scale_rad_s == 0:
+            raise VehicleError(sentence("{path}.scale_rad_s must not be zero"))
 
 
-@dataclass(frozen=True)
-class Magnetometer:
+@part
+class Magnetometer(Part):
     """Three columns along the body axes, in any unit: field is reading less `zero`.
 
     `noise` (same unit) is None where the reading may not be used as a direction (zero or axes not known well enough).
     """
 
-    columns: tuple[str, str, str]
-    zero: np.ndarray
-    noise: float | None
-    wraps_at: float | None = None
+    left_out = {"zero": [0.0, 0.0, 0.0], "noise": None}
+
+    columns: Annotated[tuple[str, ...], _columns(3)]
+    zero: Vector
+    noise: Positive | None
+    wraps_at: Positive | None = None
 
 
-@dataclass(frozen=True)
-class Attitude:
+@part
+class Attitude(Part):
     """Four columns with somebody's attitude as a quaternion: where its scalar stands, which way it turns, its error.
 
     `rotates`: "N_to_B" if it takes components in the reference frame to components in the body, "B_to_N" for the opposite.
     """
 
-    columns: tuple[str, str, str, str]
-    scalar: str
-    rotates: str
-    sigma_rad: float
+    columns: Annotated[tuple[str, ...], _columns(4)]
+    scalar: Literal["first", "last"]
+    rotates: Literal["N_to_B", "B_to_N"]
+    sigma_rad: Positive
 
 
-@dataclass(frozen=True)
-class Disturbance:
+@part
+class Disturbance(Part):
     """What turns the vehicle beside its own motion.
 
     `acceleration_noise` (rad/s^1.5): white angular acceleration; after t seconds a rate has wandered by this times sqrt(t).
@@ -87,23 +130,25 @@ class Disturbance:
     faster.
     """
 
-    acceleration_noise: float | None = None
-    noise_without_field: float | None = None
-    dipole: np.ndarray | None = None
-    max_rate_rad_s: float | None = None
+    acceleration_noise: Positive | None = None
+    noise_without_field: Positive | None = None
+    dipole: Vector | None = None
+    max_rate_rad_s: Positive | None = None
 
 
-@dataclass(frozen=True)
-class Clock:
+@part
+class Clock(Part):
     """How late gyro, magnetometer and attitude of a row are behind its panels and Sun sensors (s), and one sigma of that; with
     zero it is known."""
 
-    late_s: float
-    sigma_s: float
+    late_s: Number = Field(validation_alias="sensors_late_s")
+    sigma_s: Annotated[float, _sigma_of("clock.sensors_late_s")] = Field(
+        default=0.0, validation_alias=AliasPath("sensors_late_s", "sigma")
+    )
 
 
-@dataclass(frozen=True)
-class Sensors:
+@part
+class Sensors(Part):
     """All of these; what is absent is empty or None."""
 
     sun_sensors: tuple[SunSensor, ...] = ()

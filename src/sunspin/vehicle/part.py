@@ -1,0 +1,292 @@
+"""What every part of a vehicle is: one frozen model, checked however it comes about, in Python, from a file or as a changed copy.
+
+A part is a pydantic dataclass, declared by :func:`part`. Its fields are the arguments in Python and the keys in a vehicle file;
+where a key has another name, the field's `validation_alias` says so. A file is read with a context, Python's arguments without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import InitVar, field
+from functools import wraps
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, TypeVar, dataclass_transform, get_args
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    AliasPath,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
+from pydantic.dataclasses import dataclass
+
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.untrusted import SIZES, is_sensible
+
+FloatArray = npt.NDArray[np.float64]
+
+UNIT_TOLERANCE = 1e-3
+"""Vectors within this of length one count as directions written with few digits and are normalised."""
+
+CONFIG = ConfigDict(extra="forbid", validate_by_name=True, validate_by_alias=False)
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False, config=CONFIG)
+class Part:
+    """Compares and hashes by content, arrays included; pickles as plain data, bit by bit: nothing is normalised again."""
+
+    left_out: ClassVar[Mapping[str, Any]] = {}
+    """What a file means that leaves out one of these keys, where the argument in Python has no default."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _completed(cls, given: Any, info: ValidationInfo) -> Any:
+        return {**cls.left_out, **given} if info.context and isinstance(given, dict) else given
+
+    def __eq__(self, other: object) -> bool:
+        return _content(self) == _content(other) if type(other) is type(self) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(_content(self))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: dict(value) if isinstance(value, MappingProxyType) else value for key, value in vars(self).items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for key, value in state.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            vars(self)[key] = MappingProxyType(value) if isinstance(value, dict) else value
+
+
+def _content(value: Any) -> Any:
+    """What is compared and hashed."""
+    if isinstance(value, Part):
+        return type(value), _content(vars(value))
+    if isinstance(value, Mapping):
+        return frozenset((key, _content(item)) for key, item in value.items())
+    return tuples(value)
+
+
+def tuples(value: Any) -> Any:
+    """Arrays and lists as tuples, whatever is in them."""
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    return tuple(_content(item) for item in value) if isinstance(value, list | tuple) else value
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field, Field))
+def part(cls: type[T]) -> type[T]:
+    """Make a class a frozen model whose errors are sentences (`VehicleError`), for a copy by `dataclasses.replace` too."""
+    made: Any = dataclass(frozen=True, eq=False, config=CONFIG)(cls)
+    check = made.__init__
+
+    @wraps(check)
+    def checked(self: Any, *given: Any, **named: Any) -> None:
+        first = dict(zip(made.__pydantic_fields__, given, strict=False))  # by name, so that messages name them
+        try:
+            check(self, *given[len(first) :], **first, **named)
+        except ValidationError as error:
+            raise VehicleError(problem(error, made, made.__name__)) from None
+
+    made.__init__ = checked
+    return made
+
+
+# ---------------------------------------------------------------------------------------------------------------------- values
+
+
+def frozen_array(value: npt.ArrayLike) -> FloatArray:
+    """Return a read-only float64 copy of ``value``."""
+    array = np.array(value, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def direction(value: npt.ArrayLike, key: str) -> FloatArray:
+    """Return ``value`` (3) as a read-only unit vector, or raise `VehicleError` if it is not one to three digits."""
+    vector = as_array(value)
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        raise VehicleError(sentence(f"{key} must be three finite numbers", got=value))
+    length = float(np.linalg.norm(vector))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        raise VehicleError(
+            sentence(
+                f"{key} must be a unit vector, its length is {length:.6g}",
+                got=np.array2string(vector, separator=", "),
+                do="divide it by its length or correct its components",
+            )
+        )
+    return frozen_array(vector / length)
+
+
+def as_array(value: Any) -> FloatArray:
+    """Numbers as an array; what is none, or has rows of unlike length, as an empty one."""
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def bare(raw: Any, info: ValidationInfo) -> Any:
+    """A value without its birth certificate, which only a file gives, and there numbers of sensible size."""
+    if not info.context:
+        return raw
+    if isinstance(raw, dict):
+        unknown = set(raw) - {"value", "sigma", "source"}
+        if "value" not in raw or unknown:
+            raise ValueError(f"a table here has the keys value, sigma, source, not {sorted(raw)}")
+        source = raw.get("source")
+        if source is not None and not (isinstance(source, str) and source.strip()):
+            raise ValueError("source must be a text that is not empty")
+        numbers(raw.get("sigma", 0.0))
+        raw = raw["value"]
+    return numbers(raw)
+
+
+def numbers(raw: Any) -> Any:
+    """Numbers, or nested lists of them, as floats; anything else is refused (so "0.5" or true is not a number)."""
+    if isinstance(raw, list):
+        return [numbers(item) for item in raw]
+    if isinstance(raw, bool) or not isinstance(raw, int | float):
+        raise ValueError(f"a number is expected, not {str(raw)[:40]!r}")
+    if not is_sensible(raw):  # also of whole numbers too large for a float
+        raise ValueError(f"{SIZES} is expected" + (f", not {raw!r}" if isinstance(raw, float) else ""))
+    return float(raw)
+
+
+def _number(raw: Any, info: ValidationInfo) -> float:
+    value = bare(raw, info)
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
+        raise VehicleError(sentence("{path} must be one number", got=value))
+    try:
+        if not isinstance(value, bool | str | bytes):
+            return float(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"a number is expected, not {str(value)[:40]!r}")
+
+
+def must(rule: Callable[[float], bool], be: str) -> AfterValidator:
+    """A rule for a number; in its sentence `{path}` is where it stands, `{name}` the part's name, `{key}` the field's."""
+
+    def check(value: float, info: ValidationInfo) -> float:
+        if not (np.isfinite(value) and rule(value)):
+            what = be.format(path="{path}", name=info.data.get("name"), key=info.field_name)
+            raise VehicleError(sentence(what, got=value))
+        return value
+
+    return AfterValidator(check)
+
+
+def above_zero(value: float) -> bool:
+    return value > 0
+
+
+def unit(label: str) -> PlainValidator:
+    """A unit vector (3), called so in messages; `{name}` is the part's name."""
+    return PlainValidator(lambda raw, info: direction(bare(raw, info), label.format(name=info.data.get("name"))))
+
+
+def array(fits: Callable[[FloatArray], bool], be: str) -> PlainValidator:
+    """A read-only array that fits, with the sentence for others; `{path}` and `{name}` as in `must`."""
+
+    def check(raw: Any, info: ValidationInfo) -> FloatArray:
+        value = as_array(given := bare(raw, info))
+        if not fits(value):
+            raise VehicleError(sentence(be.format(path="{path}", name=info.data.get("name")), got=given))
+        return frozen_array(value)
+
+    return PlainValidator(check)
+
+
+def _shown(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError("a name is a text of printable characters")
+    return name
+
+
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
+Number = Annotated[float, PlainValidator(_number)]
+Positive = Annotated[Number, must(above_zero, "{path} must be positive")]
+Vector = Annotated[FloatArray, array(lambda value: value.shape == (3,), "{path} must be three numbers")]
+Text = Annotated[Mapping[str, str], AfterValidator(lambda value: MappingProxyType(dict(value)))]
+
+
+def no_entries() -> Mapping[str, Any]:
+    return MappingProxyType({})
+
+
+# -------------------------------------------------------------------------------------------------------------------- sentences
+
+
+def problem(error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None) -> str:
+    """The first thing that is wrong with a part of this kind, in one sentence; `table` is the file's, if it is from one.
+
+    What is misspelt, missing or of another type comes before what is physically impossible.
+    """
+    problems = error.errors(include_url=False)
+    found = next((each for each in problems if not isinstance(_reason(each), VehicleError)), problems[0])
+    reason, places = _reason(found), found["loc"]
+    if isinstance(reason, VehicleError):
+        path = _path(places, table) if table is not None else ".".join(map(str, (where, *places)))
+        return ("" if table is None else f"{where}: ") + str(reason).replace("{path}", path)
+    key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places).replace(".[", "[")
+    where = f"{where}, {key}"
+    if found["type"] == "unexpected_keyword_argument":
+        known = ", ".join(keys_at(kind, places[:-1], table is not None))
+        return sentence(f"unknown key {str(places[-1])!r}", do=f"known keys: {known}", where=where)
+    if found["type"] == "missing":
+        return sentence("this key is missing", do="add it", where=where)
+    message = found["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("valid tuple", "valid list")
+    message = message.replace("Tuple should", "List should")
+    if found["type"] == "dataclass_type":
+        message = "should be a table" if table is not None else message.replace("a dictionary or ", "")
+    return sentence(message, got=None if isinstance(found["input"], dict) else found["input"], where=where)
+
+
+def _reason(found: Any) -> object:
+    """The error of ours behind one of pydantic's, if there is one."""
+    return found.get("ctx", {}).get("error")
+
+
+def _path(places: tuple[int | str, ...], table: Any) -> str:
+    """Where a value stands, tables of a list being called by their names."""
+    words = []
+    for place in places:
+        table = table[place]
+        words.append(table["name"] if isinstance(place, int) else place)
+    return ".".join(words)
+
+
+def keys_of(kind: Any, in_file: bool = True) -> dict[str, Any]:
+    """The keys of a part and their types; in a file they may have other names, and what a certificate says has none."""
+    found = {}
+    for name, about in kind.__pydantic_fields__.items():
+        alias = about.validation_alias if in_file else None
+        if not isinstance(alias, AliasPath):
+            found |= dict.fromkeys(alias.choices if isinstance(alias, AliasChoices) else [alias or name], about.annotation)
+    return found
+
+
+def keys_at(kind: Any, places: tuple[int | str, ...], in_file: bool) -> dict[str, Any]:
+    """The keys of the part that `places` lead to from a part of this kind, those of tables last."""
+    for place in places:
+        kind = part_in(keys_of(kind, in_file).get(str(place))) or kind
+    return dict(sorted(keys_of(kind, in_file).items(), key=lambda item: part_in(item[1]) is not None))
+
+
+def part_in(annotation: Any) -> type[Part] | None:
+    """The part that a type is, or that stands in it."""
+    if isinstance(annotation, type) and issubclass(annotation, Part):
+        return annotation
+    inside = annotation.type if isinstance(annotation, InitVar) else get_args(annotation)
+    return next(filter(None, map(part_in, inside if isinstance(inside, tuple) else [inside])), None)
