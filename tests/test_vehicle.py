@@ -1,9 +1,14 @@
 """The vehicle and its file: what is refused, and in which words."""
 
+import pickle
+from dataclasses import FrozenInstanceError, fields, replace
+
 import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.vehicle import SpinDown, SunRule, TelemetryForm
+from sunspin.vehicle.part import Part
 
 GOOD = """
 name = "v"
@@ -78,6 +83,79 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts):
     assert "vehicle.toml" in message and "\n" not in message
     for part in parts:
         assert part in message, message
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (lambda t: t.replace("cells = 10", "gain = 10"), ["panel[0].gain", "unknown key", "name, normal_B, cells, relative_gain"]),
+        (lambda t: t.replace("cells = 10", "cels = 10"), ["panel[0].cels", "unknown key"]),
+        (lambda t: t.replace("cells = 10", "cells = 10\ngain_W = 2"), ["exactly one of cells", "cells, gain_W"]),
+        (lambda t: t + "spin_down = { c1_rad_s = 1, c2_per_s = -1, c3_rad_s = -1 }\n", ["wheel.w.friction gives both a spin_down"]),
+        (lambda t: t + "[telemetry]\nnoise = 0\n", ["telemetry.noise must be positive (found 0.0)"]),
+        (lambda t: t + '[gyro]\ncolumns = ["x", "y", "z"]\nscale_rad_s = 1\nnoise_rad_s = 1\nzero_sigma = 1\n',
+         ["gyro.zero_sigma", "known keys: columns, scale_rad_s, zero, noise_rad_s, wraps_at"]),
+        (lambda t: t + "[clock]\nsensors_late_s = { value = 1, sigma = -1 }\n", ["the sigma of clock.sensors_late_s"]),
+        (lambda t: t.replace("[[panel]]", "[panel]"), ["panel: should be a valid list"]),
+        (lambda t: t.replace("[body]", "[[body]]"), ["body: should be a table"]),
+        (lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, [0], 0]"), ["normal_B of panel 'a'", "three finite numbers"]),
+    ],
+)  # fmt: skip
+def test_keys_of_a_file_are_not_the_names_in_python(tmp_path, change, parts):
+    test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts)
+
+
+PANEL, WHEEL = ss.Panel("a", [1, 0, 0], 2.0), ss.Wheel("w", [0, 0, 1], 0.01)
+CRAFT = ss.Vehicle("v", np.diag([1.0, 2.0, 2.5]), 10.0, panels=[PANEL], wheels=[WHEEL])
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: replace(CRAFT, mass_kg=-1), "mass_kg must be positive (found -1.0)"),
+        (lambda: replace(CRAFT, inertia_kg_m2=np.diag([1, 2, 9])), "not that of any body"),
+        (lambda: replace(CRAFT, panels=[PANEL, PANEL]), "two panels share the name 'a'"),
+        (lambda: replace(CRAFT, panels=[3]), "Vehicle, panels[0]: should be an instance of Panel (found 3)"),
+        (lambda: replace(CRAFT, mass="3"), "Vehicle, mass: unknown key 'mass'; known keys: name, "),
+        (lambda: replace(PANEL, gain=0.0), "the gain of panel 'a' must be positive"),
+        (lambda: replace(PANEL, gain="2"), "Panel, gain: a number is expected, not '2'"),
+        (lambda: replace(WHEEL, inertia_kg_m2=np.nan), "Wheel.inertia_kg_m2 must be positive (found nan)"),
+        (lambda: replace(CRAFT.telemetry, noise=-0.1), "TelemetryForm.noise must be positive (found -0.1)"),
+        (lambda: replace(CRAFT.telemetry, quantity="power"), "TelemetryForm, quantity: should be 'power_W' or 'current_A'"),
+        (lambda: ss.Panel("a", [1, 0, 0]), "Panel, gain: this key is missing"),
+        (lambda: SunRule([], "r"), "SunRule, all_dark: List should have at least 1 item"),
+    ],
+)
+def test_what_is_made_or_changed_in_python_passes_the_same_checks(make, said):
+    with pytest.raises(ss.VehicleError) as error:
+        make()
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_parts_are_compared_and_hashed_by_content():
+    for name in ("philae", "skcube"):
+        one, two = ss.load_vehicle(name), ss.load_vehicle(name)
+        assert one == two == pickle.loads(pickle.dumps(one)) and len({one, two}) == 1
+        assert replace(one, name="other") != one
+    assert replace(PANEL, normal_B=[0, 1, 0]) != PANEL == ss.Panel("a", np.array([1.0, 0, 0]), 2) and PANEL != 3
+
+
+def test_every_part_is_frozen():
+    kinds, waiting = [], [Part]
+    while waiting:
+        kinds += (found := waiting.pop().__subclasses__())
+        waiting += found
+    assert {ss.Vehicle, ss.Panel, ss.Wheel, TelemetryForm} <= set(kinds)
+    for kind in kinds:
+        with pytest.raises(FrozenInstanceError):
+            setattr(object.__new__(kind), fields(kind)[0].name, None)
+
+
+def test_a_spin_down_gives_the_wheel_its_friction():
+    measured = SpinDown(1271.0, -4.643e-4, -388.9)
+    wheel = ss.Wheel("w", [0, 0, 1], 0.0058, friction=ss.Friction(spin_down=measured))
+    assert wheel.friction == ss.Friction.from_spin_down(1271.0, -4.643e-4, -388.9, 0.0058)
+    assert wheel.friction == ss.load_vehicle("philae").wheels[0].friction
 
 
 def test_unknown_names_list_the_known_ones():

@@ -192,7 +192,7 @@ def _candidate_maps(normals: tuple, gains: tuple) -> tuple[np.ndarray, np.ndarra
     from sunspin.vehicle import Panel
 
     panels = tuple(Panel(str(k), normal, gain) for k, (normal, gain) in enumerate(zip(normals, gains, strict=True)))
-    cells = arrangement(Vehicle("", panels=panels))
+    cells = arrangement(Vehicle("normals and gains", panels=panels))
     rows = np.array(gains)[:, None] * np.array(normals)
     maps = []
     for lit in cells.cell_lit:

@@ -3,40 +3,37 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-from sunspin.base.errors import InputError, sentence
-
-EVENT_KEYS = {"name", "utc", "source", "note", "refined_utc", "refined_source"}
-PHASE_KEYS = {"name", "begin", "end", "note"}
+from sunspin.base.errors import InputError, SunspinError, sentence
+from sunspin.vehicle.part import Name, Number, Part, keys_of, part
 
 
-@dataclass(frozen=True)
-class Event:
+@part
+class Event(Part):
     """A named instant: its UTC as published, a refined one where known, and `t_s` (s from the epoch) of the better."""
 
-    name: str
+    name: Name
     utc: str
-    t_s: float
+    t_s: Number
     source: str
     note: str = ""
     refined_utc: str | None = None
     refined_source: str | None = None
 
 
-@dataclass(frozen=True)
-class Phase:
+@part
+class Phase(Part):
     """The stretch ``begin_s <= t < end_s`` (s from the epoch) between two events; `end_s` is inf where open."""
 
-    name: str
-    begin_s: float
-    end_s: float
+    name: Name
+    begin_s: Number
+    end_s: Number
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Timeline:
+@part
+class Timeline(Part):
     """Events in order of time and the phases between them."""
 
     epoch_utc: str
@@ -79,9 +76,7 @@ def _instant(utc: str) -> datetime:
         instant = datetime.fromisoformat(utc)
         return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
     except (TypeError, ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
-        raise InputError(
-            sentence("a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it")
-        ) from None
+        raise InputError(sentence("a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it")) from None
 
 
 def parse_timeline(text: str, where: str) -> Timeline:
@@ -97,20 +92,20 @@ def parse_timeline(text: str, where: str) -> Timeline:
         return Timeline(epoch, tuple(events), tuple(_phase(entry, timeline) for entry in table.get("phase", [])))
     except KeyError as error:
         raise InputError(sentence(f"key {error.args[0]!r} is missing", do="add it", where=where)) from None
-    except InputError as error:
+    except SunspinError as error:
         raise InputError(f"{where}: {error}") from None
 
 
 def _event(entry: dict, epoch_utc: str) -> Event:
-    _refuse_unknown(entry, EVENT_KEYS, "event")
-    if not entry["source"].strip():
-        raise InputError(sentence(f"event {entry['name']!r} has an empty source", do="say where its time comes from"))
-    best = entry.get("refined_utc") or entry["utc"]
-    return Event(t_s=utc_seconds(best, epoch_utc), **entry)
+    _refuse_unknown(entry, {*keys_of(Event)} - {"t_s"}, "event")
+    event = Event(t_s=utc_seconds(entry.get("refined_utc") or entry["utc"], epoch_utc), **entry)
+    if not event.source.strip():
+        raise InputError(sentence(f"event {event.name!r} has an empty source", do="say where its time comes from"))
+    return event
 
 
 def _phase(entry: dict, timeline: Timeline) -> Phase:
-    _refuse_unknown(entry, PHASE_KEYS, "phase")
+    _refuse_unknown(entry, {"name", "begin", "end", "note"}, "phase")
     begin = timeline.event(entry["begin"]).t_s
     end = timeline.event(entry["end"]).t_s if "end" in entry else float("inf")
     if not begin < end:
@@ -121,9 +116,7 @@ def _phase(entry: dict, timeline: Timeline) -> Phase:
 def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
     for key in entry:
         if key not in known:
-            raise InputError(
-                sentence(f"unknown key {key!r} in [[{kind}]]", do=f"known keys: {', '.join(sorted(known))}")
-            )
+            raise InputError(sentence(f"unknown key {key!r} in [[{kind}]]", do=f"known keys: {', '.join(sorted(known))}"))
 
 
 def _named(items: tuple, name: str, kind: str):
