@@ -113,6 +113,7 @@ def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
 
 Mass = Annotated[Number, must(above_zero, "mass_kg must be positive")]
 Inertia = Annotated[FloatArray, PlainValidator(_physical_inertia)]
+Facts = Annotated[Mapping[str, Fact], AfterValidator(lambda facts: MappingProxyType(dict(facts)))]
 
 
 @part
@@ -136,9 +137,7 @@ class Vehicle(Part):
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()
     sensors: Sensors = Sensors()
-    facts: Annotated[Mapping[str, Fact], AfterValidator(lambda facts: MappingProxyType(dict(facts)))] = field(
-        default_factory=no_entries
-    )
+    facts: Facts = field(default_factory=no_entries)
 
     def __post_init__(self) -> None:
         for key, most in LIMITS.items():

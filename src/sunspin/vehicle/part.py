@@ -6,9 +6,11 @@ where a key has another name, the field's `validation_alias` says so. A file is 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import InitVar, field
 from functools import wraps
+from inspect import Signature, signature
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, TypeVar, dataclass_transform, get_args
 
@@ -36,6 +38,8 @@ UNIT_TOLERANCE = 1e-3
 """Vectors within this of length one count as directions written with few digits and are normalised."""
 
 CONFIG = ConfigDict(extra="forbid", validate_by_name=True, validate_by_alias=False)
+
+RULES = re.compile(r"Annotated\[(\w+), .*\](?= \| None|$)")
 
 T = TypeVar("T")
 
@@ -98,7 +102,14 @@ def part(cls: type[T]) -> type[T]:
             raise VehicleError(problem(error, made, made.__name__)) from None
 
     made.__init__ = checked
+    made.__signature__ = _short(signature(made))
     return made
+
+
+def _short(long: Signature) -> Signature:
+    """A signature for people: types without their rules."""
+    told = [p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in long.parameters.values()]
+    return long.replace(parameters=told)
 
 
 # ---------------------------------------------------------------------------------------------------------------------- values
