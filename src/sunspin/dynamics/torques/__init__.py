@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.dynamics.torques.acting import NOTHING, Acting, Torque
+from sunspin.dynamics.torques.gravity_gradient import GravityGradient
 from sunspin.environment import Environment
 
 __all__ = ["NOTHING", "TORQUES", "Acting", "Torque", "acting"]
 
-_ALL: tuple[Torque, ...] = ()
+_ALL: tuple[Torque, ...] = (
+    GravityGradient(),
+)  # fmt: skip
 
 TORQUES: dict[str, Torque] = {torque.name: torque for torque in _ALL}
 """What may be named as a torque."""
