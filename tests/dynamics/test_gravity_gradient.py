@@ -10,7 +10,7 @@ from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import acting
 from sunspin.environment import circular
 from sunspin.estimate.posterior.model import State, model, under
-from sunspin.estimate.rates.motion import FREE, Body, step_with_answer
+from sunspin.estimate.rates.motion import FREE, Body, step
 from sunspin.vehicle import Panel, Vehicle
 
 N = 1.1e-3
@@ -21,7 +21,7 @@ LIBRATION = np.sqrt(3 * N**2 * (ROLL - YAW) / PITCH)
 AMPLITUDE = 1e-3
 START = Rotation.from_rotvec([0.0, -AMPLITUDE, 0.0])
 OMEGA, SUN = np.array([0.0, N, 0.0]), START.apply([0.0, 0.0, 1.0])
-TIMES = np.linspace(0.0, 12 * 2 * np.pi / LIBRATION, 1801)
+TIMES = np.linspace(0.0, 12 * 2 * np.pi / LIBRATION, 901)
 
 
 def propagated() -> np.ndarray:
@@ -40,7 +40,7 @@ def stepped_by_rates() -> np.ndarray:
     body, attitude, omega = Body.of(BODY, acting=acting(["gravity_gradient"], ORBIT)), START.as_matrix()[None], OMEGA[None]
     seen = [attitude[0] @ ORBIT.at(0.0).nadir_N[0]]
     for t, t_next in zip(TIMES[:-1], TIMES[1:], strict=True):
-        made, omega, _ = step_with_answer(body, omega, np.array([t_next - t]), body.seen(FREE, attitude, np.array([t])))
+        made, omega = step(body, omega, np.array([t_next - t]), body.seen(FREE, attitude, np.array([t])))
         attitude = made @ attitude
         seen.append(attitude[0] @ ORBIT.at(t_next).nadir_N[0])
     return np.array(seen)
