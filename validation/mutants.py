@@ -18,8 +18,9 @@ LIMIT_S = 400.0
 """A mutant whose tests take longer counts as seen: it hangs."""
 
 MODULES = {
-    "dynamics/gyrostat.py": ("tests/dynamics/test_propagate.py", "tests/dynamics/test_impact.py", "tests/test_properties.py",
-                           "tests/dynamics/test_ensemble.py", "tests/dynamics/test_ensemble_outputs.py", "tests/test_golden.py"),
+    "dynamics/gyrostat.py": ("tests/dynamics/test_propagate.py", "tests/dynamics/test_torques.py", "tests/dynamics/test_impact.py",
+                             "tests/test_properties.py", "tests/dynamics/test_ensemble.py",
+                             "tests/dynamics/test_ensemble_outputs.py", "tests/test_golden.py"),
     "estimate/scan/histogram.py": ("tests/estimate/test_histogram.py",),
     "telemetry/sun.py": ("tests/telemetry/test_sun.py", "tests/telemetry/test_sun_statistics.py"),
 }  # fmt: skip

@@ -1,9 +1,10 @@
 """The environment that is not known, and the names of frames on results with an attitude."""
 
 import numpy as np
+import pytest
 
 import sunspin as ss
-from sunspin.environment import unknown
+from sunspin.environment import circular, unknown
 from sunspin.environment.frames import BODY_AT_START, SUN_Z_LOCAL
 from vehicles import FIRST_SUN, philae_body
 
@@ -20,3 +21,27 @@ def test_an_attitude_says_which_frame_it_is_from():
     run = ss.propagate(philae_body(), [0.1, 0.0, 0.0], FIRST_SUN, 0.0, [0.0, 10.0])
     assert run.attrs["frame_N"] == BODY_AT_START
     assert np.array_equal(run["B_from_N"].values[0], [0.0, 0.0, 0.0, 1.0])
+
+
+def test_the_nadir_of_a_circular_orbit_turns_evenly_about_the_normal():
+    orbit = circular(2e-3, [0.0, 0.0, 5.0], [0.0, 3.0, 1.0])
+    assert orbit.frame_N == SUN_Z_LOCAL
+    found = orbit.at([0.0, np.pi / 4e-3, 100.0, 100.001])
+    np.testing.assert_allclose(found.nadir_N[:2], [[0, 1, 0], [-1, 0, 0]], atol=1e-15)
+    turn = (found.nadir_N[3] - found.nadir_N[2]) / 0.001
+    np.testing.assert_allclose(np.cross(found.nadir_turn_N[2], found.nadir_N[2]), turn, atol=1e-8)
+    assert np.array_equal(orbit.at(100.0).nadir_N, found.nadir_N[2:3])
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ((0.0, [0, 0, 1]), "the rate of an orbit must be positive, in rad/s .found 0.0"),
+        ((1e-3, [1, 0, 0]), "the nadir lies along the orbit's normal; give a nadir across it"),
+        ((1e-3, [0, 0, 0]), "the nadir lies along"),
+        ((1e-3, [0, 1]), "normal and nadir of an orbit must be three finite numbers each"),
+    ],
+)
+def test_an_orbit_that_is_none_is_refused(given, text):
+    with pytest.raises(ss.InputError, match=text):
+        circular(*given)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 PHYSICS = (
-    "vehicle", "dynamics", "compute/compiler.py", "telemetry/sun.py",
+    "vehicle", "environment", "dynamics", "compute/compiler.py", "telemetry/sun.py",
     *(f"estimate/scan/{name}.py" for name in ("rows", "histogram", "mask", "metrics")),
 )  # fmt: skip
 """Files and folders of the package whose text decides what a row gives."""

@@ -40,6 +40,12 @@ class Bodies:
         return body if n is None else body.take(np.zeros(n, dtype=np.int64))
 
     @classmethod
+    def rigid(cls, inertia_kg_m2: np.ndarray) -> Bodies:
+        """Bodies (...) without wheels."""
+        none = np.zeros((*inertia_kg_m2.shape[:-2], 0))
+        return cls(inertia_kg_m2, none, none, none, np.zeros((0, 3)))
+
+    @classmethod
     def stack(cls, vehicles: Sequence[Vehicle]) -> Bodies:
         """The numbers of vehicles (n) that differ in inertia and friction only."""
         variants = [cls.of(vehicle) for vehicle in vehicles]

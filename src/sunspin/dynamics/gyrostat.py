@@ -13,12 +13,14 @@ view: they hold whatever the wheels' torques are. The torque on a coasting wheel
 :func:`rhs` and the observables use only + - * on scalars. Called with heyoka expressions they build the reference
 integrator; traced with SymPy symbols they become the source of the ensemble kernel. There is no second copy of them.
 What depends on a wheel's mode (free or held, sign of its speed) enters through :class:`Parameters`, never through a branch,
-so every mode is a smooth system and mode changes are events of the callers.
+so every mode is a smooth system and mode changes are events of the callers. So do torques from outside
+(:mod:`sunspin.dynamics.torques`): with them H moves in space too, and directions in space that they depend on are part of the
+state beside the Sun's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -40,12 +42,30 @@ class WheelParameters(NamedTuple):
     viscous: Scalar  # mu1, N m s
 
 
+class Direction(NamedTuple):
+    """A direction in body axes; `turn`, in body axes too, is the rate (rad/s) at which it turns in space, None where it stands."""
+
+    vector: Vector
+    turn: Vector | None = None
+
+
+Directions: TypeAlias = Mapping[str, Direction]  # by name, "sun" first
+
+
+class OutsideTorque(NamedTuple):
+    """A torque on the body: `torque(omega_B, directions_B, t_s, parameters)` in N m, of + - * only, and its parameters."""
+
+    torque: Callable[[Vector, Mapping[str, Vector], Scalar, Vector], Vector]
+    parameters: Vector
+
+
 class Parameters(NamedTuple):
-    """All that :func:`rhs` needs besides the state: A^-1 as (xx, xy, xz, yy, yz, zz), K (N m s), the wheels."""
+    """All that :func:`rhs` needs besides the state: A^-1 as (xx, xy, xz, yy, yz, zz), K (N m s), wheels, torques from outside."""
 
     inverse: tuple[Scalar, ...]  # six
     held_momentum: tuple[Scalar, ...]  # three
     wheels: tuple[WheelParameters, ...]
+    outside: tuple[OutsideTorque, ...] = ()
 
 
 def cross(a: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
@@ -85,18 +105,38 @@ def wheel_torque(h_i: Scalar, omega: Vector, wheel: WheelParameters) -> Scalar:
     return wheel.free * (-wheel.coulomb - wheel.viscous * wheel_speed(h_i, omega, wheel))
 
 
-def rhs(
-    H: Vector, h: Vector, r: Vector, p: Parameters, spin: Scalar = 0
-) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """Time derivatives (dH, dh, dr) in body axes; paper eqs. (3), (4), (5), (7) in terms of momenta.
+def momentum_rate(H: Vector, omega: Vector, directions: Directions, p: Parameters, t_s: Scalar) -> Vector:
+    """dH/dt (N m, B): as seen from the turning body, and by the torques from outside."""
+    moment = cross(H, omega)
+    vectors = {name: direction.vector for name, direction in directions.items()}
+    for one in p.outside:
+        torque = one.torque(omega, vectors, t_s, one.parameters)
+        moment = (moment[0] + torque[0], moment[1] + torque[1], moment[2] + torque[2])
+    return moment
 
-    With a `spin` in 1/(kg m2), r is seen from axes that turn about H at the rate spin |H| besides. The share spin H of omega
-    turns r about H and leaves H alone, and what is left of omega is slower than omega; see :func:`spun`.
+
+def direction_rate(direction: Direction, omega: Vector) -> tuple[Scalar, ...]:
+    """d/dt of a direction as the body turns and, where it turns in space, of its turning rate too: d x (omega - turn)."""
+    if direction.turn is None:
+        return cross(direction.vector, omega)
+    relative = [omega[k] - direction.turn[k] for k in range(3)]
+    return (*cross(direction.vector, relative), *cross(direction.turn, omega))
+
+
+def rhs(
+    H: Vector, h: Vector, directions: Directions, p: Parameters, t_s: Scalar = 0, spin: Scalar = 0
+) -> tuple[Vector, tuple[Scalar, ...], tuple[Scalar, ...]]:
+    """Time derivatives in body axes of H, h and, one after the other, the directions with their turning rates.
+
+    Paper eqs. (3), (4), (5), (7) in terms of momenta, and with torques from outside. Without those a `spin` in 1/(kg m2) may be
+    given: the directions are then seen from axes that turn about H at the rate spin |H| besides. The share spin H of omega turns
+    them about H and leaves H alone, and what is left of omega is slower than omega; see :func:`spun`.
     """
     omega = body_rate(H, h, p)
     torques = tuple(wheel_torque(h_i, omega, wheel) for h_i, wheel in zip(h, p.wheels, strict=True))
     left = tuple(omega[k] - spin * H[k] for k in range(3)) if spin != 0 else omega
-    return cross(H, left), torques, cross(r, left)
+    moment = momentum_rate(H, left, directions, p, t_s)
+    return moment, torques, tuple(x for direction in directions.values() for x in direction_rate(direction, left))
 
 
 def spun(H: Vector, r: Vector, cosine: Scalar, sine: Scalar, along: Scalar) -> tuple[Scalar, ...]:
@@ -115,10 +155,12 @@ def quaternion_rate(q: Vector, omega: Vector) -> tuple[Scalar, Scalar, Scalar, S
     return (-(a * w + b * z - c * y), -(b * w + c * x - a * z), -(c * w + a * y - b * x), a * x + b * y + c * z)
 
 
-def body_acceleration(H: Vector, h: Vector, p: Parameters) -> tuple[Scalar, Scalar, Scalar]:
+def body_acceleration(
+    H: Vector, h: Vector, p: Parameters, directions: Directions, t_s: Scalar = 0
+) -> tuple[Scalar, Scalar, Scalar]:
     """domega/dt (rad/s2, B)."""
     omega = body_rate(H, h, p)
-    moment = list(cross(H, omega))
+    moment = momentum_rate(H, omega, directions, p, t_s)
     for h_i, wheel in zip(h, p.wheels, strict=True):
         torque = wheel_torque(h_i, omega, wheel)
         moment = [moment[k] - torque * wheel.axis[k] for k in range(3)]
@@ -126,10 +168,10 @@ def body_acceleration(H: Vector, h: Vector, p: Parameters) -> tuple[Scalar, Scal
 
 
 def holding_torque(
-    H: Vector, h: Vector, p: Parameters, wheel: WheelParameters, inertia: Scalar
+    H: Vector, h: Vector, p: Parameters, wheel: WheelParameters, inertia: Scalar, directions: Directions, t_s: Scalar = 0
 ) -> Scalar:
     """J u.domega/dt (N m): the torque on a held wheel that keeps its speed; a stuck one breaks away beyond mu0 (eq. 6)."""
-    return inertia * dot(wheel.axis, body_acceleration(H, h, p))
+    return inertia * dot(wheel.axis, body_acceleration(H, h, p, directions, t_s))
 
 
 # ---- what is computed with numbers only --------------------------------------------------------------------------------

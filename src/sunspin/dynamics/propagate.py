@@ -7,17 +7,22 @@ breaks away or reverses, and a change of command, end one smooth piece and begin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
+from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.taylor import integrator, parameter_values
+from sunspin.dynamics.torques import NOTHING, Acting, Torque, acting
+from sunspin.dynamics.torques.acting import PER_DIRECTION, directions_of, needed, outside
+from sunspin.environment import Environment
 from sunspin.environment.frames import BODY_AT_START
 from sunspin.vehicle import Vehicle
 
@@ -42,7 +47,7 @@ MAX_EVENTS = 100_000
 
 @dataclass
 class _Run:
-    """The state of a run between pieces: time, y = (H, h, r, q), the wheels, the events so far."""
+    """The state of a run between pieces: time, y = (H, h, r, what torques carry, q), the wheels, the events so far."""
 
     vehicle: Vehicle
     t: float
@@ -52,6 +57,8 @@ class _Run:
     stopped_at: tuple[float | None, ...]
     events: list[tuple[float, str, str]]
     pending: int | None = None  # event that ended the last piece
+    acting: Acting = NOTHING
+    outside_values: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def momentum(self) -> np.ndarray:
@@ -60,6 +67,18 @@ class _Run:
     @property
     def axial(self) -> np.ndarray:
         return self.y[3 : 3 + len(self.wheels)]
+
+    @property
+    def outside(self) -> tuple[g.OutsideTorque, ...]:
+        return outside(self.acting.torques, self.outside_values)
+
+    @property
+    def directions(self) -> g.Directions:
+        return directions_of(self.acting.torques, self.y[3 + len(self.wheels) : -4])
+
+    def settled(self) -> tuple[m.WheelState, ...]:
+        """The wheels, those let go that friction cannot hold."""
+        return m.settle(self.vehicle, self.momentum, self.wheels, self.axial, self.outside, self.directions, self.t)
 
     def note(self, wheel: int, what: str) -> None:
         self.events.append((self.t, self.vehicle.wheels[wheel].name, what))
@@ -74,8 +93,12 @@ def propagate(
     wheel_mode: Any = "coast",
     stopped_at_s: float | Sequence[float | None] | None = None,
     rtol: float = 1e-12,
+    *,
+    environment: Environment | None = None,
+    torques: Sequence[str | Torque] = (),
+    B_from_N: npt.ArrayLike | None = None,
 ) -> xr.Dataset:
-    """Rotation of `vehicle` from the state given at ``t_s[0]``, on all of `t_s` (paper, eqs. 3-7).
+    """Rotation of `vehicle` from the state given at ``t_s[0]``, on all of `t_s` (paper, eqs. 3-7), and under torques.
 
     Parameters
     ----------
@@ -96,21 +119,29 @@ def propagate(
         a run backward out of a stuck phase needs it.
     rtol : float
         Relative error wanted over the run, down to 1e-13.
+    environment : Environment, optional
+        What surrounds the body, such as :func:`sunspin.environment.circular`, on the clock of `t_s`.
+    torques : list, optional
+        Names of torques that act on the body (`sunspin.dynamics.torques.TORQUES`), or torques themselves.
+    B_from_N : (4,), optional
+        Attitude at ``t_s[0]``, scalar last, from the environment's N; the body's axes at ``t_s[0]`` are N unless given.
 
     Returns
     -------
     xarray.Dataset
         On `time`: `omega_B` (rad/s), `sun_B`, `wheel_speed_rad_s`, `momentum_B` (N m s), `B_from_N` (quaternion, scalar
-        last; N is B at ``t_s[0]``). On `event`: `event_time_s`, `event_wheel`, `event_what`.
+        last; N is B at ``t_s[0]``, or the environment's), and `nadir_B` where a torque needs it. On `event`: `event_time_s`,
+        `event_wheel`, `event_what`.
 
     Raises
     ------
     MotionError
-        Bad arguments, or a past that the data do not determine.
+        Bad arguments, a past that the data do not determine, or a torque without the environment that it needs.
     """
     t = _times(t_s)
-    run, plan = _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s)
-    ta = integrator(len(vehicle.wheels), _tolerance(rtol))
+    forces = acting(torques, environment, t[0])
+    run, plan = _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N)
+    ta = integrator(len(vehicle.wheels), forces.torques, _tolerance(rtol))
     y = np.empty((t.size, run.y.size))
     omega = np.empty((t.size, 3))
     speeds = np.empty((t.size, len(vehicle.wheels)))
@@ -129,7 +160,7 @@ def propagate(
                 omega[inside], speeds[inside] = _observe(run.vehicle, run.wheels, y[inside])
             filled = inside.stop
             _change_modes(run, ta)
-    return _dataset(vehicle, t, y, omega, speeds, run.events, rtol)
+    return _dataset(vehicle, t, y, omega, speeds, run, rtol)
 
 
 def _times(t_s: npt.ArrayLike) -> np.ndarray:
@@ -168,7 +199,7 @@ def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> n
     return speeds
 
 
-def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s) -> tuple[_Run, tuple]:
+def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N) -> tuple[_Run, tuple]:
     omega, sun = _vector(omega_B, "omega_B"), _vector(sun_B, "sun_B")
     if abs(np.linalg.norm(sun) - 1) > SUN_LENGTH_TOLERANCE:
         raise MotionError(
@@ -182,12 +213,15 @@ def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at
     stopped = stopped_at_s if isinstance(stopped_at_s, Sequence) else (stopped_at_s,) * len(vehicle.wheels)
     if len(stopped) != len(vehicle.wheels):
         raise MotionError(sentence("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s))
+    attitude = forces.attitude(B_from_N, sun)
+    carried = forces.carried(Rotation.from_quat(attitude).as_matrix()[None])[0]
     y = np.concatenate(
-        [g.total_momentum(vehicle, omega, speeds), g.axial_momenta(vehicle, omega, speeds), sun, [0.0, 0.0, 0.0, 1.0]]
+        [g.total_momentum(vehicle, omega, speeds), g.axial_momenta(vehicle, omega, speeds), sun, carried, attitude]
     )
     wheels = tuple(m.WheelState(m.Turning.HELD, "hold", float(speed), 0.0, 0.0) for speed in speeds)
     backward = t.size > 1 and t[-1] < t[0]
-    return _Run(vehicle, float(t[0]), y, wheels, backward, tuple(stopped), []), plan
+    values = forces.values(Bodies.of(vehicle))
+    return _Run(vehicle, float(t[0]), y, wheels, backward, tuple(stopped), [], acting=forces, outside_values=values), plan
 
 
 def _command(run: _Run, plan: tuple, t: float) -> None:
@@ -201,7 +235,7 @@ def _command(run: _Run, plan: tuple, t: float) -> None:
         for i in range(len(run.wheels)):
             _require_known_past(run, i)
     else:
-        run.wheels = m.settle(run.vehicle, run.momentum, run.wheels, run.axial)
+        run.wheels = run.settled()
 
 
 def _refresh(run: _Run) -> None:
@@ -226,7 +260,7 @@ def _observe(vehicle: Vehicle, wheels: tuple[m.WheelState, ...], y: np.ndarray) 
 
 def _piece(run: _Run, ta, t_stop: float):
     """Integrate to `t_stop`, a wheel event, or the time a stuck wheel had stopped; return the dense output."""
-    values = parameter_values(run.vehicle, run.wheels, run.backward)
+    values = parameter_values(run.vehicle, run.wheels, run.backward, run.outside_values)
     fastest = np.linalg.norm(run.momentum) * np.linalg.norm(values[:6])
     longest = PIECE_ANGLE / max(fastest, 1e-12)
     target = max(t_stop, run.t - longest) if run.backward else min(t_stop, run.t + longest)
@@ -294,7 +328,7 @@ def _stop(run: _Run, i: int) -> None:
     before = run.wheels[i]
     _set_wheel(run, i, m.WheelState(m.Turning.STUCK, before.command, 0.0, 0.0, before.limit))
     _refresh(run)
-    settled = m.settle(run.vehicle, run.momentum, run.wheels, run.axial)
+    settled = run.settled()
     if run.backward:
         if settled[i].turning is m.Turning.FREE:
             # it passed through zero; backward in time it leaves with the opposite sign
@@ -318,11 +352,11 @@ def _breakaway(run: _Run, i: int) -> None:
             )
         )
     before = run.wheels[i]
-    p = m.parameters(run.vehicle, run.wheels)
-    torque = g.holding_torque(run.momentum, run.axial, p, p.wheels[i], run.vehicle.wheels[i].inertia_kg_m2)
+    p, inertia = m.parameters(run.vehicle, run.wheels, run.outside), run.vehicle.wheels[i].inertia_kg_m2
+    torque = g.holding_torque(run.momentum, run.axial, p, p.wheels[i], inertia, run.directions, run.t)
     _refresh(run)
     _set_wheel(run, i, m.WheelState(m.Turning.FREE, before.command, 0.0, -float(np.sign(torque)), before.limit))
-    run.wheels = m.settle(run.vehicle, run.momentum, run.wheels, run.axial)
+    run.wheels = run.settled()
     run.note(i, "breaks away")
 
 
@@ -353,8 +387,8 @@ def _require_known_past(run: _Run, i: int) -> None:
         _release_backward(run, i)
 
 
-def _dataset(vehicle, t, y, omega, speeds, events, rtol) -> xr.Dataset:
-    n = len(vehicle.wheels)
+def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
+    n, events, environment = len(vehicle.wheels), run.events, run.acting.environment
     body = ("time", "axis")
     return xr.Dataset(
         {
@@ -364,9 +398,13 @@ def _dataset(vehicle, t, y, omega, speeds, events, rtol) -> xr.Dataset:
             "momentum_B": (body, y[:, :3], {"units": "N m s", "long_name": "total angular momentum, body axes"}),
             "B_from_N": (
                 ("time", "quaternion"),
-                y[:, 6 + n :],
-                {"units": "1", "long_name": "attitude, scalar last; N is B at the first time"},
+                y[:, -4:],
+                {"units": "1", "long_name": "attitude, scalar last; N is " + _named_frame(environment)},
             ),
+            **{
+                f"{name}_B": (body, y[:, at : at + 3], {"units": "1", "long_name": f"direction of the {name}, body axes"})
+                for name, at in zip(needed(run.acting.torques), range(6 + n, y.shape[1], PER_DIRECTION), strict=False)
+            },
             "event_time_s": ("event", np.array([e[0] for e in events], dtype=np.float64), {"units": "s"}),
             "event_wheel": ("event", np.array([e[1] for e in events], dtype=np.str_)),
             "event_what": ("event", np.array([e[2] for e in events], dtype=np.str_)),
@@ -378,7 +416,11 @@ def _dataset(vehicle, t, y, omega, speeds, events, rtol) -> xr.Dataset:
             "quaternion": ["x", "y", "z", "w"],
         },
         attrs={
-            "vehicle": vehicle.name, "rtol": rtol, "frame_N": BODY_AT_START,
+            "vehicle": vehicle.name, "rtol": rtol, "frame_N": BODY_AT_START if environment is None else environment.frame_N,
             "source": "paper, eqs. 3-7; Taylor integration by heyoka",
         },
     )
+
+
+def _named_frame(environment: Environment | None) -> str:
+    return "B at the first time" if environment is None else "the environment's"

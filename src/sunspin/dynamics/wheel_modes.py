@@ -120,7 +120,9 @@ def friction_limit(wheel: Wheel, command: str, coulomb_N_m: Any = None) -> Any:
     return coulomb + (wheel.brake_torque_N_m or 0.0 if command == "brake" else 0.0)
 
 
-def parameters(vehicle: Vehicle, states: Sequence[WheelState]) -> g.Parameters:
+def parameters(
+    vehicle: Vehicle, states: Sequence[WheelState], outside: tuple[g.OutsideTorque, ...] = ()
+) -> g.Parameters:
     """Numbers for :func:`sunspin.dynamics.gyrostat.rhs` in this combination of wheel states."""
     free = [state.turning is Turning.FREE for state in states]
     held = np.zeros(3)
@@ -137,10 +139,14 @@ def parameters(vehicle: Vehicle, states: Sequence[WheelState]) -> g.Parameters:
                 wheel.friction.viscous_N_m_s,
             )
         )
-    return g.Parameters(tuple(g.inverse_elements(g.free_inertia(vehicle, free)).tolist()), tuple(held.tolist()), tuple(wheels))
+    inverse = tuple(g.inverse_elements(g.free_inertia(vehicle, free)).tolist())
+    return g.Parameters(inverse, tuple(held.tolist()), tuple(wheels), outside)
 
 
-def settle(vehicle: Vehicle, H: np.ndarray, states: Sequence[WheelState], h: np.ndarray) -> tuple[WheelState, ...]:
+def settle(
+    vehicle: Vehicle, H: np.ndarray, states: Sequence[WheelState], h: np.ndarray, outside: tuple[g.OutsideTorque, ...],
+    directions: g.Directions, t_s: float,
+) -> tuple[WheelState, ...]:  # fmt: skip
     """Decide which of the wheels at rest (turning STUCK) stay stuck; those that cannot begin to slip.
 
     Stuck wheels couple, so the one that is most overloaded is released first and the others are judged again.
@@ -148,11 +154,11 @@ def settle(vehicle: Vehicle, H: np.ndarray, states: Sequence[WheelState], h: np.
     states = tuple(states)
     while True:
         worst, worst_ratio, worst_torque = -1, 1.0, 0.0
-        p = parameters(vehicle, states)
+        p = parameters(vehicle, states, outside)
         for i, (wheel, state) in enumerate(zip(vehicle.wheels, states, strict=True)):
             if state.turning is not Turning.STUCK:
                 continue
-            torque = g.holding_torque(H, h, p, p.wheels[i], wheel.inertia_kg_m2)
+            torque = g.holding_torque(H, h, p, p.wheels[i], wheel.inertia_kg_m2, directions, t_s)
             if abs(torque) > worst_ratio * state.limit:
                 worst, worst_ratio, worst_torque = i, abs(torque) / state.limit, torque
         if worst < 0:

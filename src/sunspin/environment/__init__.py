@@ -11,9 +11,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.environment.frames import SUN_Z_LOCAL
 
-__all__ = ["Environment", "Surroundings", "Unknown", "unknown"]
+__all__ = ["Circular", "Environment", "Surroundings", "Unknown", "circular", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Surroundings:
     """The surroundings at n times; None is what is not known.
 
     `sun_N` (n, 3) unit, direction to the Sun; `lit` (n) the part of the Sun's disc that is seen, 0 to 1; `field_N` (n, 3) T;
-    `nadir_N` (n, 3) unit; `earth_radius_rad` (n) of the Earth's disc; `albedo_light_N` (n, 3) in parts of full Sun.
+    `nadir_N` (n, 3) unit, and `nadir_turn_N` (n, 3) the rate (rad/s) at which it turns in N, None where it stands;
+    `earth_radius_rad` (n) of the Earth's disc; `albedo_light_N` (n, 3) in parts of full Sun.
     """
 
     sun_N: np.ndarray
@@ -30,6 +32,7 @@ class Surroundings:
     nadir_N: np.ndarray | None = None
     earth_radius_rad: np.ndarray | None = None
     albedo_light_N: np.ndarray | None = None
+    nadir_turn_N: np.ndarray | None = None
 
 
 class Environment(Protocol):
@@ -54,3 +57,38 @@ class Unknown:
 def unknown() -> Environment:
     """The environment of a pass of which only the telemetry is known."""
     return Unknown()
+
+
+@dataclass(frozen=True)
+class Circular:
+    """A circular orbit: the nadir turns evenly about the orbit's normal, and the Sun stands still, along z of N."""
+
+    rate_rad_s: float
+    normal_N: tuple[float, ...]
+    nadir_N: tuple[float, ...]  # at t = 0
+    frame_N: str = SUN_Z_LOCAL
+
+    def at(self, t_s: npt.ArrayLike) -> Surroundings:
+        angle = self.rate_rad_s * np.atleast_1d(np.asarray(t_s, dtype=np.float64))[:, None]
+        begin, normal = np.array(self.nadir_N), np.array(self.normal_N)
+        nadir = np.cos(angle) * begin + np.sin(angle) * np.cross(normal, begin)
+        turn = np.tile(self.rate_rad_s * normal, (len(angle), 1))
+        return Surroundings(np.tile([0.0, 0.0, 1.0], (len(angle), 1)), nadir_N=nadir, nadir_turn_N=turn)
+
+
+def circular(rate_rad_s: float, normal_N: npt.ArrayLike, nadir_N: npt.ArrayLike = (1.0, 0.0, 0.0)) -> Environment:
+    """A circular orbit at this rate (rad/s) about the direction `normal_N` (3), for tests and first studies.
+
+    `nadir_N` (3): where the nadir is at t = 0; its part along the normal is taken out. The Sun stands still along z of N.
+    `InputError` for a rate that is not positive, or directions that leave no nadir.
+    """
+    normal, nadir = (np.asarray(vector, dtype=np.float64) for vector in (normal_N, nadir_N))
+    if normal.shape != (3,) or nadir.shape != (3,) or not (np.isfinite(normal).all() and np.isfinite(nadir).all()):
+        raise InputError(sentence("normal and nadir of an orbit must be three finite numbers each", got=f"{normal_N}, {nadir_N}"))
+    if not 0 < rate_rad_s < np.inf:
+        raise InputError(sentence("the rate of an orbit must be positive, in rad/s", got=rate_rad_s))
+    across = np.cross(np.cross(normal, nadir), normal)
+    if np.linalg.norm(across) < 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir) or not normal.any():
+        raise InputError(sentence("the nadir lies along the orbit's normal", do="give a nadir across it"))
+    normal, nadir = (tuple((vector / np.linalg.norm(vector)).tolist()) for vector in (normal, across))
+    return Circular(float(rate_rad_s), normal, nadir)

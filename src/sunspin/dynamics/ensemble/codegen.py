@@ -8,7 +8,7 @@ structure); exact zeros and ones among axis and normal components are structure 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.series import Recurrence
+from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_carried, n_parameters, outside
 
 Literals = tuple[tuple[int, bool], ...]  # a conjunction: (panel index, lit?) ...
 Component = int | None
@@ -33,10 +34,20 @@ class Structure:
     bins: int = 0  # 0: no histogram
     method: str = "series"  # or "split"
     oblique: bool = True  # split: whether a wheel has a component along the principal axis q
+    torques: tuple[Torque, ...] = ()
 
     @property
     def precision(self) -> str:
         return "float32" if self.method == "split" else "float64"
+
+    @property
+    def layout(self) -> RowLayout:
+        return RowLayout.under(self.torques, len(self.axes))
+
+    @property
+    def spin(self) -> sp.Expr:
+        """The share of H in omega that is taken out: none where torques turn H in space."""
+        return sp.Integer(0) if self.torques else SPIN
 
 
 @dataclass(frozen=True)
@@ -44,6 +55,13 @@ class RowLayout:
     """Where each quantity of one trajectory lives in its row of numbers."""
 
     n_wheels: int
+    n_more: int = 0  # of the state, behind r, where torques act: their directions, and the time
+    n_parameters: int = 0  # of those torques
+
+    @classmethod
+    def under(cls, torques: Sequence[Torque], n_wheels: int) -> RowLayout:
+        """With the torques that act."""
+        return cls(n_wheels, n_carried(torques) + 1 if torques else 0, n_parameters(torques))
 
     @property
     def h(self) -> int:
@@ -55,7 +73,7 @@ class RowLayout:
 
     @property
     def n_state(self) -> int:
-        return 6 + self.n_wheels
+        return 6 + self.n_wheels + self.n_more
 
     @property
     def new(self) -> int:
@@ -103,8 +121,13 @@ class RowLayout:
         return self.n_state + 3 + self.n_wheels
 
     @property
-    def count(self) -> int:
+    def torques(self) -> int:
+        """Parameters of the torques, behind all else."""
         return self.wheel(self.n_wheels)
+
+    @property
+    def count(self) -> int:
+        return self.torques + self.n_parameters
 
 
 WHEEL_ROWS = (
@@ -159,24 +182,41 @@ def wheel_symbols(i: int, axis: Components) -> g.WheelParameters:
 def parameter_symbols(structure: Structure) -> g.Parameters:
     """The parameters in body axes."""
     wheels = tuple(wheel_symbols(i, axis) for i, axis in enumerate(structure.axes))
-    return g.Parameters(tuple(sp.symbols("inv0:6")), tuple(sp.symbols("held0:3")), wheels)
+    acting = outside(structure.torques, torque_symbols(structure))
+    return g.Parameters(tuple(sp.symbols("inv0:6")), tuple(sp.symbols("held0:3")), wheels, acting)
+
+
+def torque_symbols(structure: Structure) -> tuple[sp.Symbol, ...]:
+    """Parameters of the torques."""
+    return tuple(sp.Symbol(f"torque_{k}") for k in range(n_parameters(structure.torques)))
 
 
 SPIN = sp.Symbol("spin")
 
 
-def state_names(n_wheels: int) -> list[str]:
-    return ["H0", "H1", "H2", *(f"h{i}" for i in range(n_wheels)), "r0", "r1", "r2"]
+TIME = sp.Symbol("clock")
+"""Time (s) on the clock of the torques' environment: part of the state, so that it has a series too."""
 
 
-def state_symbols(n_wheels: int) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Symbol, ...], tuple[sp.Symbol, ...]]:
-    """H, h, r."""
-    symbols = tuple(sp.Symbol(name) for name in state_names(n_wheels))
-    return symbols[:3], symbols[3 : 3 + n_wheels], symbols[3 + n_wheels :]
+def state_names(structure: Structure) -> list[str]:
+    more = [*carried_names(structure.torques), str(TIME)] if structure.torques else []
+    return ["H0", "H1", "H2", *(f"h{i}" for i in range(len(structure.axes))), "r0", "r1", "r2", *more]
+
+
+def momentum_names(structure: Structure) -> list[str]:
+    """Of the state, what holding torques depend on: H, h, and all of it where torques act."""
+    return state_names(structure)[: None if structure.torques else 3 + len(structure.axes)]
+
+
+def state_symbols(structure: Structure) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Symbol, ...], dict[str, g.Direction]]:
+    """H, h, and the directions, that of the Sun first."""
+    n, symbols = len(structure.axes), tuple(sp.Symbol(name) for name in state_names(structure))
+    return symbols[:3], symbols[3 : 3 + n], directions_of(structure.torques, symbols[3 + n :])
 
 
 def load_parameters(structure: Structure, at: Callable[[str, int], str]) -> Iterator[str]:
-    """Assign the parameters in body axes; `at` gives the place of a quantity ("inverse", "held", "spin" or of a wheel) by index."""
+    """Assign the parameters in body axes; `at` gives the place of a quantity ("inverse", "held", "spin", "torques" or of a wheel)
+    by index."""
     yield f"spin = {at('spin', 0)}"
     yield from (f"inv{k} = {at('inverse', k)}" for k in range(6))
     yield from (f"held{k} = {at('held', k)}" for k in range(3))
@@ -184,13 +224,13 @@ def load_parameters(structure: Structure, at: Callable[[str, int], str]) -> Iter
         yield from (f"u{i}_{k} = {at('axis_' + 'xyz'[k], i)}" for k, c in enumerate(axis) if c is None)
         named = (("iJ", "inverse_inertia"), ("free", "free"), ("coul", "coulomb"), ("visc", "viscous"))
         yield from (f"{symbol}{i} = {at(name, i)}" for symbol, name in named)
+    yield from (f"{symbol} = {at('torques', k)}" for k, symbol in enumerate(torque_symbols(structure)))
 
 
 def recurrence(structure: Structure) -> Recurrence:
     """The Taylor coefficients of the motion, r seen from axes that turn about H."""
-    n = len(structure.axes)
-    dH, dh, dr = g.rhs(*state_symbols(n), parameter_symbols(structure), SPIN)
-    return Recurrence(state_names(n), [*dH, *dh, *dr])
+    dH, dh, dr = g.rhs(*state_symbols(structure), parameter_symbols(structure), TIME, structure.spin)
+    return Recurrence(state_names(structure), [*dH, *dh, *dr, *([sp.Integer(1)] if structure.torques else [])])
 
 
 # ---- one trajectory, in its row of numbers -------------------------------------------------------------------------------
@@ -198,7 +238,8 @@ def recurrence(structure: Structure) -> Recurrence:
 
 def _in_row(layout: RowLayout) -> Callable[[str, int], str]:
     def at(name: str, k: int) -> str:
-        place = {"inverse": layout.inverse + k, "held": layout.held + k, "spin": layout.spin}.get(name)
+        known = {"inverse": layout.inverse, "held": layout.held, "spin": layout.spin, "torques": layout.torques}
+        place = known[name] + k if name in known else None
         return f"w[{layout.of(k, name) if place is None else place}]"
 
     return at
@@ -206,7 +247,7 @@ def _in_row(layout: RowLayout) -> Callable[[str, int], str]:
 
 def step_one_body(structure: Structure, order: int) -> list[str]:
     """One Taylor step of the row w; r is left in the axes that have turned about H. In loops: it is compiled for every kernel."""
-    layout, steps = RowLayout(len(structure.axes)), recurrence(structure)
+    layout, steps = structure.layout, recurrence(structure)
     lines = [*load_parameters(structure, _in_row(layout)), f"dt = w[{layout.dt}]"]
     lines += [f"series = np.empty(({steps.loop_rows()}, {order + 1}))"]
     lines += [f"series[{i}, 0] = w[{i}]" for i in range(layout.n_state)]
@@ -217,7 +258,7 @@ def step_one_body(structure: Structure, order: int) -> list[str]:
 
 def spin_one_body(structure: Structure) -> list[str]:
     """Turn r of the new state about its H."""
-    layout = RowLayout(len(structure.axes))
+    layout = structure.layout
     r = layout.new + layout.r
     lines = [f"H{k} = w[{layout.new + k}]" for k in range(3)] + [f"r{k} = w[{r + k}]" for k in range(3)]
     turned = g.spun(sp.symbols("H0:3"), sp.symbols("r0:3"), *sp.symbols("cosine sine along"))
@@ -229,15 +270,15 @@ def observe_one_body(structure: Structure) -> list[str]:
     n = len(structure.axes)
     if not n:
         return []
-    layout = RowLayout(n)
-    H, h, _ = state_symbols(n)
+    layout = structure.layout
+    H, h, directions = state_symbols(structure)
     p = parameter_symbols(structure)
     omega = g.body_rate(H, h, p)
-    lines = [f"{name} = w[{layout.new + i}]" for i, name in enumerate(state_names(n)[: 3 + n])]
+    lines = [f"{name} = w[{layout.new + i}]" for i, name in enumerate(momentum_names(structure))]
     lines += load_parameters(structure, _in_row(layout))
     lines += [f"J{i} = w[{layout.of(i, 'inertia')}]" for i in range(n)]
     speeds = [g.wheel_speed(h[i], omega, p.wheels[i]) for i in range(n)]
-    torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}")) for i in range(n)]
+    torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, TIME) for i in range(n)]
     lines += assignments([*(f"speed{i}" for i in range(n)), *(f"torque{i}" for i in range(n))], speeds + torques, "b")
     tests = []
     for i in range(n):
@@ -251,9 +292,9 @@ def observe_one_body(structure: Structure) -> list[str]:
 def omega_body(structure: Structure) -> list[str]:
     """The body rate of the committed state of the row, into omega."""
     n = len(structure.axes)
-    H, h, _ = state_symbols(n)
-    lines = [f"{name} = w[{i}]" for i, name in enumerate(state_names(n)[: 3 + n])]
-    lines += load_parameters(structure, _in_row(RowLayout(n)))
+    H, h, _ = state_symbols(structure)
+    lines = [f"{name} = w[{i}]" for i, name in enumerate(state_names(structure)[: 3 + n])]
+    lines += load_parameters(structure, _in_row(structure.layout))
     omega = g.body_rate(H, h, parameter_symbols(structure))
     return lines + assignments([f"omega[{k}]" for k in range(3)], list(omega), "c")
 
@@ -261,7 +302,7 @@ def omega_body(structure: Structure) -> list[str]:
 def speeds_body(structure: Structure) -> list[str]:
     """The wheels' speeds of the committed state of the row, which turns at omega, into speeds."""
     n = len(structure.axes)
-    layout, p = RowLayout(n), parameter_symbols(structure)
+    layout, p = structure.layout, parameter_symbols(structure)
     lines = [f"h{i} = w[{3 + i}]" for i in range(n)] + [f"o{k} = omega[{k}]" for k in range(3)]
     lines += load_parameters(structure, _in_row(layout))
     free = [g.wheel_speed(sp.Symbol(f"h{i}"), sp.symbols("o0:3"), p.wheels[i]) for i in range(n)]

@@ -93,6 +93,8 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
         text = text.replace(f'\n"{name}"\n', f"\n{part}\n")
     for name, value in _constants(structure, o).items():
         text = text.replace(f'\n{name} = "{name}"', f"\n{name} = {value}")
+    torques = o.load_torques()
+    text = text.replace("    pass  # LOAD_TORQUES\n", "".join(f"    {line}\n" for line in torques))
     for marker, lines in bodies.items():
         indent = marker[: len(marker) - len(marker.lstrip())]
         text = text.replace(marker + "\n", ("\n".join(indent + line for line in lines) or f"{indent}pass") + "\n")
@@ -106,7 +108,7 @@ def template(name: str) -> str:
 
 def _constants(structure: c.Structure, o: Lanes) -> dict[str, object]:
     """Numbers of the layouts by their names in the templates."""
-    rows = c.RowLayout(len(structure.axes))
+    rows = structure.layout
     return {
         **dict.fromkeys(NOT_IN_ALL, 0),
         **o.at,

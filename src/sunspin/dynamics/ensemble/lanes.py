@@ -12,7 +12,7 @@ from typing import Any
 import sympy as sp
 
 from sunspin.dynamics import gyrostat as g
-from sunspin.dynamics.ensemble.codegen import Component, Structure, assignments, state_names, state_symbols
+from sunspin.dynamics.ensemble.codegen import TIME, Component, Structure, assignments, momentum_names, state_names, state_symbols
 
 NODE_ROWS = 7
 """Of a node: the Sun's direction and its slope in body axes, and the squared rate of turning."""
@@ -40,7 +40,7 @@ class Lanes:
         self.n: int = len(structure.axes)
         self.constants: dict[tuple[str, float], str] = {}
         self.lines: list[str] = []
-        n_state = 6 + self.n
+        n_state = structure.layout.n_state
         self.at: dict[str, int] = _places({
             "S_STATE": n_state, "S_OLD": n_state, "S_DT": 1, "S_MARGIN": 1, "S_LEAST": 1, "S_TURN": 3 * self.nodes,
             "S_WHEEL": len(LANE_WHEEL_ROWS) * self.n, **self.more_rows(), "S_ROWS": 0,
@@ -60,6 +60,10 @@ class Lanes:
     def step(self) -> list[str]:
         """One step: the old state is kept, the new one put in its place, with nodes on the way and the margin of the wheels."""
         raise NotImplementedError
+
+    def load_torques(self) -> list[str]:
+        """Code that puts the torques' parameters of a row into a lane: nothing where none act."""
+        return []
 
     def parameters(self) -> g.Parameters:
         """Symbols of the parameters in the axes of the state."""
@@ -108,11 +112,11 @@ class Lanes:
 
     def keep_state(self, suffix: str = "") -> None:
         """Read the state into its names, and keep it in case the step has to be done again."""
-        for k, name in enumerate(state_names(self.n)):
+        for k, name in enumerate(state_names(self.structure)):
             self.add(f"{name}{suffix} = {self.row('S_STATE', k)}", f"{self.row('S_OLD', k)} = {name}{suffix}")
 
     def store_state(self) -> None:
-        self.add(*(f"{self.row('S_STATE', k)} = {name}" for k, name in enumerate(state_names(self.n))))
+        self.add(*(f"{self.row('S_STATE', k)} = {name}" for k, name in enumerate(state_names(self.structure))))
 
     def turn(self, node: int) -> None:
         """Turn r about H by the common share of omega since the beginning of the step, up to a node (1 ..)."""
@@ -128,14 +132,14 @@ class Lanes:
 
     def rates(self) -> None:
         """omega, o0 to o2, at the state in the names."""
-        H, h, _ = state_symbols(self.n)
+        H, h, _ = state_symbols(self.structure)
         self.put(["o0", "o1", "o2"], list(g.body_rate(H, h, self.parameters())))
 
     def margin(self) -> None:
         """Negative if a wheel that is watched has passed zero; omega is in o0 to o2."""
         if not self.n:
             return
-        _, h, _ = state_symbols(self.n)
+        _, h, _ = state_symbols(self.structure)
         wheels = self.parameters().wheels
         speeds = [g.wheel_speed(h[i], sp.symbols("o0:3"), wheels[i]) for i in range(self.n)]
         self.put([f"speed{i}" for i in range(self.n)], speeds)
@@ -149,11 +153,11 @@ class Lanes:
         if not self.n:
             return []
         self.load_parameters()
-        H, h, _ = state_symbols(self.n)
-        self.add(*(f"{name} = {self.row('S_STATE', k)}" for k, name in enumerate((*H, *h))))
+        H, h, directions = state_symbols(self.structure)
+        self.add(*(f"{name} = {self.row('S_STATE', k)}" for k, name in enumerate(momentum_names(self.structure))))
         self.add(*(f"J{i} = {self.wheel(i, 'inertia')}" for i in range(self.n)))
         p = self.parameters()
-        torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}")) for i in range(self.n)]
+        torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, TIME) for i in range(self.n)]
         self.put([f"torque{i}" for i in range(self.n)], torques)
         self.add(f"margin = {self.row('S_MARGIN')}")
         near = self.number(NEARLY_AWAY, self.structure.precision)

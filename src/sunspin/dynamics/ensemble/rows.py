@@ -6,12 +6,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import principal
+from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.dynamics.torques.acting import needed
 from sunspin.vehicle import Vehicle
 
 
@@ -19,20 +23,31 @@ from sunspin.vehicle import Vehicle
 class Rows:
     """Initial states of n trajectories: omega_B (n, 3) rad/s, sun_B (n, 3), wheel speeds (n, n_wheel) rad/s.
 
-    `bodies` gives each its own inertia and friction, leading shape (n,); without it all have the vehicle's.
+    `bodies` gives each its own inertia and friction, leading shape (n,); without it all have the vehicle's. `B_from_N` (n, 4),
+    quaternions with the scalar last, is what torques need that depend on directions beside the Sun's.
     """
 
     omega_B: np.ndarray
     sun_B: np.ndarray
     wheel_speed_rad_s: np.ndarray
     bodies: Bodies | None = None
+    B_from_N: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.omega_B)
 
     def take(self, index: np.ndarray) -> Rows:
         bodies = None if self.bodies is None else self.bodies.take(index)
-        return Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index], bodies)
+        attitude = None if self.B_from_N is None else self.B_from_N[index]
+        return Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index], bodies, attitude)
+
+    def carried(self, acting: Acting) -> np.ndarray:
+        """What torques need of directions (n, n_carried); `InputError` for rows without attitudes where some is needed."""
+        if not needed(acting.torques):
+            return np.zeros((len(self), 0))
+        if self.B_from_N is None:
+            raise InputError(sentence("torques that depend on directions need the attitude of each row", do="give B_from_N"))
+        return acting.carried(Rotation.from_quat(self.B_from_N).as_matrix())
 
     def bodies_of(self, vehicle: Vehicle) -> Bodies:
         """The numbers of these rows, leading shape (n,) or, where all have the same, (1,)."""
@@ -79,14 +94,20 @@ def _wheel_modes(
         yield members, [m.state_under(wheel, command, float(speed), float(dry)) for wheel, command, speed, dry in wheels]
 
 
-def work_array(vehicle: Vehicle, rows: Rows, commands: Sequence[str], modes: np.ndarray) -> np.ndarray:
+def work_array(
+    vehicle: Vehicle, rows: Rows, commands: Sequence[str], modes: np.ndarray, acting: Acting = NOTHING
+) -> np.ndarray:
     """The kernel's row of numbers for each trajectory, (n, rows); `modes` as `mode_table` gives it for their bodies."""
-    layout, bodies = c.RowLayout(len(vehicle.wheels)), rows.bodies_of(vehicle)
+    layout, bodies = c.RowLayout.under(acting.torques, len(vehicle.wheels)), rows.bodies_of(vehicle)
     speeds = np.asarray(rows.wheel_speed_rad_s, dtype=np.float64)
     work = np.zeros((len(rows), layout.count))
     work[:, :3] = g.total_momentum(bodies, rows.omega_B, speeds)
     work[:, 3 : layout.r] = g.axial_momenta(bodies, rows.omega_B, speeds)
-    work[:, layout.r : layout.n_state] = rows.sun_B
+    work[:, layout.r : layout.r + 3] = rows.sun_B
+    if acting.torques:
+        work[:, layout.r + 3 : layout.n_state - 1] = rows.carried(acting)
+        work[:, layout.n_state - 1] = acting.start_s
+        work[:, layout.torques : layout.count] = acting.values(bodies)
     own = np.arange(len(rows)) if len(modes) > 1 else np.zeros(len(rows), dtype=np.int64)
     work[:, layout.body] = own
     for members, states in _wheel_modes(vehicle, speeds, commands, bodies.coulomb_N_m):

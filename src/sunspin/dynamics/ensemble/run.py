@@ -24,6 +24,7 @@ from sunspin.dynamics.ensemble.cuda import launch as launch_cuda
 from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
 from sunspin.dynamics.ensemble.steps import SEGMENTS, UNEVEN, Scales, plan, segments
 from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
+from sunspin.dynamics.torques import NOTHING, Acting, Torque
 from sunspin.vehicle import Vehicle
 
 
@@ -36,23 +37,28 @@ class Mask:
 
 
 def structure_of(
-    vehicle: Vehicle, mask: Mask | None, bins: int, method: str = "series", own_bodies: bool = False
+    vehicle: Vehicle, mask: Mask | None, bins: int, method: str = "series", own_bodies: bool = False,
+    torques: tuple[Torque, ...] = (),
 ) -> c.Structure:
-    """What the source of the kernel depends on, for rows with the vehicle's own numbers or with theirs."""
+    """What the source of the kernel depends on, for rows with the vehicle's own numbers or with theirs; `InputError` for torques
+    that turn H in space with the method that keeps it."""
+    if torques and method == "split":
+        names = ", ".join(torque.name for torque in torques)
+        raise InputError(sentence("the split method keeps the momentum, which torques change", got=names, do="run by series"))
     axes = tuple(c.components(wheel.axis_B) for wheel in vehicle.wheels)
     oblique = method == "split" and (own_bodies or principal.is_oblique(vehicle))
     if mask is None or not bins:
-        return c.Structure(axes, bins=bins, method=method, oblique=oblique)
+        return c.Structure(axes, bins=bins, method=method, oblique=oblique, torques=torques)
     normals = tuple(c.components(normal) for normal in mask.normals_B)
-    return c.Structure(axes, normals, mask.clauses, bins, method, oblique)
+    return c.Structure(axes, normals, mask.clauses, bins, method, oblique, torques)
 
 
-def prepare(vehicle: Vehicle, runs: Iterable[tuple[Mask | None, int]]) -> None:
+def prepare(vehicle: Vehicle, runs: Iterable[tuple[Mask | None, int]], torques: tuple[Torque, ...] = ()) -> None:
     """Have the kernels for runs with these masks and numbers of bins compiled, in another process, while this one goes on."""
     compile_ahead(
-        structure_of(vehicle, mask, bins, method)
+        structure_of(vehicle, mask, bins, method, torques=torques)
         for mask, bins in runs
-        for method in (("split", "series") if bins else ("series",))
+        for method in (("split", "series") if bins and not torques else ("series",))
     )
 
 
@@ -79,7 +85,7 @@ class BlockResult:
     steps: np.ndarray
     method: np.ndarray
     evenness: np.ndarray
-    n_wheels: int
+    layout: c.RowLayout
 
     def _part(self, begin: int, count: int) -> np.ndarray:
         return self.track[..., begin : begin + count]
@@ -92,22 +98,27 @@ class BlockResult:
     @property
     def axial_momenta(self) -> np.ndarray:
         """h (n, n_out, n_wheel) in N m s."""
-        return self._part(3, self.n_wheels)
+        return self._part(self.layout.h, self.layout.n_wheels)
 
     @property
     def sun_B(self) -> np.ndarray:
         """r (n, n_out, 3)."""
-        return self._part(3 + self.n_wheels, 3)
+        return self._part(self.layout.r, 3)
+
+    @property
+    def carried(self) -> np.ndarray:
+        """What torques need of directions (n, n_out, n_carried), as :class:`sunspin.dynamics.torques.Acting` has it."""
+        return self._part(self.layout.r + 3, max(self.layout.n_more - 1, 0))
 
     @property
     def omega_B(self) -> np.ndarray:
         """Body rates (n, n_out, 3) in rad/s."""
-        return self._part(6 + self.n_wheels, 3)
+        return self._part(self.layout.n_state, 3)
 
     @property
     def wheel_speed_rad_s(self) -> np.ndarray:
         """Relative to the body (n, n_out, n_wheel); exactly zero where friction holds the wheel."""
-        return self._part(9 + self.n_wheels, self.n_wheels)
+        return self._part(self.layout.n_state + 3, self.layout.n_wheels)
 
 
 def _launch(
@@ -131,6 +142,7 @@ def run_rows(
     bins: int = 0,
     min_steps: int = 1,
     device: str = "cpu",
+    acting: Acting = NOTHING,
 ) -> BlockResult:
     """Run rows through the kernels on the calling thread (the GIL is released inside), or on a GPU.
 
@@ -149,11 +161,14 @@ def run_rows(
         At least this many steps over the whole run.
     device : "cpu" or "cuda"
         Where the rows run: with the same steps, and within the same errors, but not to the same bits.
+    acting : Acting
+        Torques from outside, in an environment in which the rows have their attitudes. They run by series.
 
     Raises
     ------
     InputError
-        Output times that go to and fro, an error that cannot be met, a device that is not there.
+        Output times that go to and fro, an error that cannot be met, a device that is not there, rows without the attitude that
+        torques need.
     """
     require_device(device)
     ends = np.atleast_1d(np.asarray(duration_s, dtype=np.float64))
@@ -164,17 +179,19 @@ def run_rows(
         raise InputError(sentence("an EMD needs a histogram", got="bins = 0"))
     wanted = accuracy(direction_error, emd_error)
     commands = check_commands(vehicle, wheel_mode)
-    n, layout = len(rows), c.RowLayout(len(vehicle.wheels))
+    n, layout = len(rows), c.RowLayout.under(acting.torques, len(vehicle.wheels))
     modes = mode_table(vehicle, rows.bodies_of(vehicle))
-    work = work_array(vehicle, rows, commands, modes)
+    if acting.torques:
+        modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
+    work = work_array(vehicle, rows, commands, modes, acting)
     normals = np.zeros(0, np.float32) if mask is None else np.asarray(mask.normals_B, dtype=np.float32).ravel()
     result = BlockResult(
         np.zeros((n, bins), dtype=np.float32), np.zeros((n, 0 if bins else ends.size, layout.n_output)),
-        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, "series"), np.ones(n), len(vehicle.wheels),
+        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, "series"), np.ones(n), layout,
     )  # fmt: skip
 
     def go(which: np.ndarray, accuracy: Accuracy) -> None:
-        scales = Scales(vehicle, rows.take(which), commands)
+        scales = Scales(vehicle, rows.take(which), commands, acting)
         todo = plan(scales, float(ends[-1]), accuracy, bool(bins), min_steps)
         result.steps[which], result.method[which] = todo.steps, todo.method
         by_method: dict[str, list[Group]] = {}
@@ -183,7 +200,8 @@ def run_rows(
             by_method.setdefault(method, []).append((which[group], parts))
         for method, groups in by_method.items():
             launch = launch_cuda if device == "cuda" else _launch
-            launch(structure_of(vehicle, mask, bins, method, rows.bodies is not None), work, groups, modes, normals, result)
+            structure = structure_of(vehicle, mask, bins, method, rows.bodies is not None, acting.torques)
+            launch(structure, work, groups, modes, normals, result)
 
     go(np.arange(n), wanted)
     sensitive = np.flatnonzero((result.method == "split") & ~(result.evenness > UNEVEN) & (result.outcome == Outcome.FINE))

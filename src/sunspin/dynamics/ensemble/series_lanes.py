@@ -5,7 +5,7 @@ from __future__ import annotations
 import sympy as sp
 
 from sunspin.dynamics import gyrostat as g
-from sunspin.dynamics.ensemble.codegen import parameter_symbols, recurrence, state_names
+from sunspin.dynamics.ensemble.codegen import parameter_symbols, recurrence, state_names, torque_symbols
 from sunspin.dynamics.ensemble.lanes import NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series import value_at
 
@@ -19,7 +19,8 @@ class SeriesLanes(Lanes):
     lanes = 16
 
     def more_rows(self) -> dict[str, int]:
-        return {"S_SPIN": 1, "S_INVERSE": 6, "S_HELD": 3}
+        torques = self.structure.layout.n_parameters
+        return {"S_SPIN": 1, "S_INVERSE": 6, "S_HELD": 3} | ({"S_TORQUES": torques} if torques else {})
 
     def parameters(self) -> g.Parameters:
         return parameter_symbols(self.structure)
@@ -29,9 +30,15 @@ class SeriesLanes(Lanes):
         self.add(*(f"inv{k} = {self.row('S_INVERSE', k)}" for k in range(6)))
         self.add(*(f"held{k} = {self.row('S_HELD', k)}" for k in range(3)))
         self.load_wheels()
+        self.add(*(f"{symbol} = {self.row('S_TORQUES', k)}" for k, symbol in enumerate(torque_symbols(self.structure))))
+
+    def load_torques(self) -> list[str]:
+        """From a row of numbers into the lane."""
+        layout = self.structure.layout
+        return [f"{self.row('S_TORQUES', k)} = one[{layout.torques + k}]" for k in range(layout.n_parameters)]
 
     def step(self) -> list[str]:
-        names, histogram = state_names(self.n), bool(self.structure.bins)
+        names, histogram = state_names(self.structure), bool(self.structure.bins)
         self.load_parameters()
         self.add(f"dt = {self.row('S_DT')}")
         self.keep_state("_0")

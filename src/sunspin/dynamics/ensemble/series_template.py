@@ -19,6 +19,7 @@ def load(one, w, v, j):
     for i in range(N_WHEELS):
         for k in range(LANE_WHEEL_ROWS):
             w[(S_WHEEL + LANE_WHEEL_ROWS * i + k) * LANES + j] = one[WHEEL + PER_WHEEL * i + k]
+    pass  # LOAD_TORQUES
     load_turn(one, w, j)
 
 

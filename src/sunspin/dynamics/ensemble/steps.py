@@ -22,6 +22,7 @@ from sunspin.dynamics.ensemble.series_lanes import ORDER
 from sunspin.dynamics.ensemble.split_lanes import MAX_MAIN_ANGLE, MAX_SIDE_ANGLE
 from sunspin.dynamics.ensemble.tolerance import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.dynamics.friction import spin_down_speed
+from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.vehicle import Vehicle
 
 MAX_STEPS = 2_000_000
@@ -55,6 +56,7 @@ class Scales:
     vehicle: Vehicle
     rows: Rows
     commands: Sequence[str]
+    acting: Acting = NOTHING
 
     @cached_property
     def inertias(self) -> np.ndarray:
@@ -88,6 +90,25 @@ class Scales:
         spread = (1.0 / moments[..., 0] - 1.0 / moments[..., -1]).max(axis=0)
         return 0.5 * spread * self.momentum_size
 
+    def outside_rate(self, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """What torques from outside add to :meth:`uneven` and, as then no share of H is taken out, to the rest of the rates.
+
+        The largest torque, all through the run, makes H so much larger; a body swings under it at the root of its share of the
+        inertia; and directions turn.
+        """
+        still = np.zeros(len(self.rows))
+        if not self.acting.torques:
+            return still, still
+        torque = self.acting.largest(self.acting.values(self.rows.bodies_of(self.vehicle)))
+        moments = np.linalg.eigvalsh(self.inertias)
+        slow, fast = 1.0 / moments[..., -1], 1.0 / moments[..., 0]
+        gained = torque * abs(duration_s)
+        carried = self.rows.carried(self.acting).reshape(len(self.rows), -1, 2, 3)[:, :, 1]
+        turning = np.linalg.norm(carried, axis=-1).max(axis=1, initial=0.0)
+        swing = np.sqrt(torque * fast.max(axis=0))
+        common = 0.5 * (slow + fast).max(axis=0) * (self.momentum_size + gained)
+        return 0.5 * (fast - slow).max(axis=0) * gained + swing, common + turning + still
+
     def wheel_rate(self, t: float) -> np.ndarray:
         """A bound (n), rad/s, of what the wheels' momenta make of omega at the time t (s)."""
         bodies, rate = self.rows.bodies_of(self.vehicle), np.zeros(len(self.rows))
@@ -109,8 +130,9 @@ def series_steps(scales: Scales, duration_s: float, accuracy: Accuracy) -> tuple
     u of unevenness like (u h / CONVERGENCE)^k; the error left out adds up over all steps. Between its ends s is taken to
     change in proportion to time.
     """
-    uneven = np.maximum(scales.uneven(), 1e-12)
-    ends = [uneven + scales.wheel_rate(t) for t in (0.0, duration_s)]
+    pushed, more = scales.outside_rate(duration_s)
+    uneven = np.maximum(scales.uneven() + pushed, 1e-12)
+    ends = [uneven + scales.wheel_rate(t) + more for t in (0.0, duration_s)]
     allowed = SAFETY * accuracy.direction_error / (0.5 * (ends[0] + ends[1]) * abs(duration_s))
     angle = (allowed * math.factorial(ORDER + 1)) ** (1 / ORDER) / SERIES_GROWTH ** (1 + 1 / ORDER)
     angle = np.minimum(angle, MAX_SLOW_ANGLE)
@@ -179,7 +201,7 @@ def plan(scales: Scales, duration_s: float, accuracy: Accuracy, histogram: bool,
     profile = len(PROFILES) - np.searchsorted(PROFILES[::-1], ratio * (1 - 1e-12), side="left") - 1
     steps = on_ladder(np.maximum(wanted, least), scales.rate, duration_s)
     method = np.full(len(scales.rows), "series")
-    if accuracy.distribution_only and histogram:
+    if accuracy.distribution_only and histogram and not scales.acting.torques:
         split = on_ladder(np.maximum(split_steps(scales, duration_s, accuracy), least), scales.rate, duration_s)
         use = split < SPLIT_ADVANTAGE * steps
         return Plan(np.where(use, "split", method), np.where(use, split, steps), np.where(use, 0, profile))

@@ -15,12 +15,14 @@ from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.torques import Torque, acting
+from sunspin.environment import Environment
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.check import Check, check
 from sunspin.estimate.posterior.data import Readings, group, readings
 from sunspin.estimate.posterior.fit import chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.model import Model, State, model
+from sunspin.estimate.posterior.model import Model, State, model, under
 from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan
 from sunspin.estimate.posterior.verdict import Found, refused, spoilt_panels, verdict
 from sunspin.estimate.posterior.widths import Sample, resampled, sample
@@ -55,6 +57,8 @@ def posterior(
     store: str | Path | None = None,
     progress: bool = False,
     device: str = "cpu",
+    environment: Environment | None = None,
+    torques: Sequence[str | Torque] = (),
 ) -> xr.DataTree:
     """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
 
@@ -84,6 +88,11 @@ def posterior(
         As in :func:`sunspin.compute.rows.ensemble`; the folder `store` resumes every stage.
     device : "cpu" or "cuda"
         Where motions run; least squares and weights are the processor's on either. Between them bits differ.
+    environment : Environment, optional
+        What surrounds the body, on the telemetry's clock (:func:`sunspin.environment.circular`).
+    torques : list, optional
+        Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
+        Sun's, the turn about the Sun at the reference sample is an unknown, `turn_about_sun_rad`.
 
     Returns
     -------
@@ -97,13 +106,15 @@ def posterior(
     ------
     InputError
         Priors, observations or a window that make no sense; too few samples; a device that is not there.
+    MotionError
+        A torque without the environment that it needs.
     """
     _whole(seed, draws)
     k.require_device(device)
     data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
-    unknown = replace(unknown, device=device)
+    unknown = under(replace(unknown, device=device), acting(torques, environment, start_s))
     chosen = plan(unknown, data, scale)
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
@@ -235,6 +246,7 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,
         "searched_rate_rad_s": float(chosen.limit), "device": unknown.device, "sunspin_version": metadata.version("sunspin"),
+        "torques": json.dumps([torque.name for torque in unknown.acting.torques]),
     }  # fmt: skip
 
 

@@ -217,7 +217,8 @@ class Likelihood:
         """Prediction, differences (n, R), their added variance (n, R) and the derivatives of the former (n, R, D).
 
         In the order rates (rad/s), direction (tangent, rad), u. By differences of runs, so that the jump at a wheel's stop is
-        in them; the direction's from one run more, as r0 -> r(t) is a rotation and does not depend on r0. `still` leaves the
+        in them; the direction's from one run more, as r0 -> r(t) is a rotation and does not depend on r0 (unless torques do: then
+        from two). `still` leaves the
         unknowns that need a run of their own as they are.
         """
         n, model = len(state), self.model
@@ -227,19 +228,26 @@ class Likelihood:
         moving = [] if still else model.moving
         e1, _ = tangents(state.sun)
         runs = [state] + [State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)]
-        runs.append(State(state.omega, e1, state.u))
+        if model.turned:
+            runs += [State(state.omega, moved(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u) for x in np.eye(2)]
+        else:
+            runs.append(State(state.omega, e1, state.u))
+        first = len(runs) - 1
         runs += [State(state.omega, state.sun, state.u + own * np.eye(state.u.shape[1])[i]) for i in moving]
         every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         raw, extra = self.misfit(base, state.u)
-        turned, rest = parts[3], np.zeros_like(base.rate)
         moves = [p.slope(base, step) for p in parts[:3]]
-        moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
-        moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
+        if model.turned:
+            moves += [p.slope(base, RATE_STEP) for p in parts[3:5]]
+        else:
+            turned, rest = parts[3], np.zeros_like(base.rate)
+            moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
+            moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
         columns = [self._moving(base, state.u, move) for move in moves]
         for i in range(state.u.shape[1]):
             if i in moving:
-                columns.append(self._moving(base, state.u, parts[4 + moving.index(i)].slope(base, own)))
+                columns.append(self._moving(base, state.u, parts[first + moving.index(i)].slope(base, own)))
             else:
                 columns.append(self._standing(base, state.u, i))
         jacobian = np.stack(columns, axis=-1)

@@ -12,10 +12,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.friction import spin_down_speed
+from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.dynamics.torques.acting import needed
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
 from sunspin.vehicle import Vehicle
@@ -79,7 +82,7 @@ class Model:
     Rates and direction are those at the reference, `after_s` after the first sample, wheel speeds those at the first sample.
     `time_sigma_s` is that of each sample's time tag. `wheel_off_s`: how long before the first sample the wheels were released; the
     vehicle's speeds are those of that instant, and the unknown "wheel_off" is added to it (never less than zero together).
-    `device`: where motions run.
+    `device`: where motions run. `acting`: the torques, their motion beginning at the first sample.
     """
 
     vehicle: Vehicle
@@ -90,6 +93,12 @@ class Model:
     after_s: float = 0.0
     wheel_off_s: float = 0.0
     device: str = "cpu"
+    acting: Acting = NOTHING
+
+    @property
+    def turned(self) -> bool:
+        """Whether the motion depends on the turn about the Sun, which is then an unknown."""
+        return bool(self.where("turn"))
 
     def where(self, kind: str) -> list[int]:
         """Places of the unknowns of a kind."""
@@ -134,16 +143,27 @@ class Model:
 
     def rows(self, state: State) -> k.Rows:
         """Initial states for the kernel."""
-        rows = k.Rows(state.omega, state.sun, self.wheel_speeds(state.u))
+        rows = k.Rows(state.omega, state.sun, self.wheel_speeds(state.u), B_from_N=self._attitudes(state) if self.turned else None)
         if not any(self.where(kind) for kind in ("inertia", "coulomb", "viscous", "wheel_inertia")):
             return rows
         return replace(rows, bodies=self.bodies(state.u))
 
+    def _attitudes(self, state: State) -> np.ndarray:
+        """Quaternions B_from_N (n, 4): the shortest turn that takes the Sun to its direction, and then the unknown one about it."""
+        here = replace(self.acting, start_s=self.acting.start_s + self.after_s).here()
+        sun_N = np.zeros(3) if here is None else here.sun_N[0]
+        shortest = np.concatenate([np.cross(sun_N, state.sun), 1.0 + state.sun @ sun_N[:, None]], axis=1)
+        across = [*np.cross(sun_N, np.eye(3)[np.argmin(np.abs(sun_N))]), 0.0]  # half a turn about any axis across, if opposite
+        shortest = np.where(np.linalg.norm(shortest, axis=1, keepdims=True) < 1e-9, across, shortest)
+        about = Rotation.from_rotvec(self.relative(state.u, "turn", 1) * state.sun)
+        return (about * Rotation.from_quat(shortest)).as_quat()
+
     def run(self, rows: k.Rows, times_s: npt.ArrayLike, direction_error: float) -> k.BlockResult:
         """Motions from initial states at the reference to times from there, all later or all earlier."""
         return k.run_rows(
-            self.vehicle, rows, times_s, wheel_mode=self.wheel_mode, direction_error=direction_error, device=self.device
-        )
+            self.vehicle, rows, times_s, wheel_mode=self.wheel_mode, direction_error=direction_error, device=self.device,
+            acting=replace(self.acting, start_s=self.acting.start_s + self.after_s),
+        )  # fmt: skip
 
     def bodies(self, u: np.ndarray) -> k.Bodies:
         """Inertia, wheel inertia and friction of each hypothesis."""
@@ -208,6 +228,12 @@ def model(
     told["rate"] = f"uniform in a ball of {limit:g} rad/s"
     return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, _tags(priors, told),
                  wheel_off_s=0.0 if off is None else off.centre), told  # fmt: skip
+
+
+def under(model_: Model, acting: Acting) -> Model:
+    """The model under torques; where they depend on directions beside the Sun's, the turn about the Sun becomes an unknown."""
+    turn = (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),) if needed(acting.torques) else ()
+    return replace(model_, acting=acting, unknowns=model_.unknowns + turn)
 
 
 def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: float, told: dict[str, str]) -> float:

@@ -10,12 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sunspin.compute.rows import ensemble, worker_count
+from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.model import Model, State
+from sunspin.estimate.posterior.model import Model, State, Unknown
 
 GROWTH = 1.5
 """Factor by which the window grows: what is known of the phase then still carries."""
@@ -52,6 +53,9 @@ KEPT_ANYWAY = 100
 
 SPEED_LEFT = 0.3
 """Part of its speed that a wheel has left at a reference."""
+
+TURNS = 4
+"""Turns about the Sun that are tried where torques depend on them."""
 
 MOST_CHOICES = 40
 """Samples looked at for the reference, evenly over those that may be it."""
@@ -178,13 +182,25 @@ class Search:
         """Starts around the reference; `data` counts time from it."""
         near = data.take(chosen.tried)
         tried = replace(near, others=())
-        grid = c.Attitudes(replace(model, max_rate=chosen.limit), tried.t_s, chosen.edge)
+        # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
+        free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_untorqued(model))
+        grid = c.Attitudes(free, tried.t_s, chosen.edge)
         turn = self.run(grid, "grid of rates", 8192)["turn"]
         cells = c.Starts(grid, turn, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
-        return cells.found(worker_count(self.workers))
+        state, hits = cells.found(worker_count(self.workers))
+        return replace(state, u=np.zeros((len(state), len(model.unknowns)))) if model.turned else state, hits
 
-    def fit(self, likelihood: Likelihood, state: State, levels: Levels, label: str, **options: Any) -> dict[str, np.ndarray]:
-        return self.run(Fit(likelihood, state, levels, **options), label, chunk_rows(likelihood))
+    def fit(
+        self, likelihood: Likelihood, state: State, levels: Levels, label: str, every: bool = False, **options: Any
+    ) -> dict[str, np.ndarray]:
+        """Least squares from each state; from several turns about the Sun where it depends on that: `every` one, or the best."""
+        turns = _turned(likelihood.model, state)
+        found = self.run(Fit(likelihood, State.joined(turns), levels, **options), label, chunk_rows(likelihood))
+        if every or len(turns) == 1:
+            return found
+        cost = found["cost"].reshape(len(turns), len(state))
+        best = np.where(np.isfinite(cost), cost, np.inf).argmin(axis=0) * len(state) + np.arange(len(state))
+        return {name: values[best] for name, values in found.items()}
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
         """All modes; `model` and `data` have the plan's sample as the reference."""
@@ -234,7 +250,8 @@ class Search:
         return self.run(look, "looking ahead", 8192)["allowed"]
 
     def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
-        found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", curved=True)
+        found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", every=True, curved=True)
+        hits = np.tile(hits, len(found["cost"]) // len(hits))
         order = np.argsort(found["cost"], kind="stable")
         order = order[found["cost"][order] < found["cost"][order[0]] + DROP]
         state, cost, hessian = State(found["omega"], found["sun"], found["u"]), found["cost"], found["hessian"]
@@ -252,6 +269,19 @@ class Search:
         trace.append((len(likelihood.data), len(state), len(kept)))
         index = np.array(kept)
         return Modes(state.take(index), cost[index], hessian[index], np.array(count), tuple(trace), tuple(notes))
+
+
+def _turned(model: Model, state: State) -> list[State]:
+    """The states with each of the turns about the Sun to be tried; as they are where nothing depends on it."""
+    if not model.turned:
+        return [state]
+    place = model.where("turn")[0]
+    step = 2 * np.pi / TURNS / model.unknowns[place].sigma * np.eye(len(model.unknowns))[place]
+    return [replace(state, u=state.u + i * step) for i in range(TURNS)]
+
+
+def _untorqued(model: Model) -> tuple[Unknown, ...]:
+    return tuple(x for x in model.unknowns if x.kind != "turn")
 
 
 def _anything(model: Model, chosen: Plan) -> State:

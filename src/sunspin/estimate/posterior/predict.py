@@ -28,6 +28,8 @@ LEVELS = (0.5, 0.9)
 
 def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     """The model behind a posterior and its draws (n) at the first sample as rows for the kernel."""
+    if json.loads(tree.attrs.get("torques", "[]")):
+        raise InputError(sentence("draws of a posterior under torques cannot be carried on yet", got=tree.attrs["torques"]))
     posterior, mode = group(tree, "posterior"), json.loads(tree.attrs.get("wheel_mode", '"coast"'))
     unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), 1.0, mode)
     omega, sun, speeds = (

@@ -92,6 +92,7 @@ def _carried(
         ends = ends._replace(field=first, field_end=second)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*shape, 3)) for part in ends))
     dt = np.broadcast_to(o.t_s[end] - o.t_s[start], shape)
+    ends = motion.body.seen(ends, track.attitude[:, number], o.t_s[start])
     made, omega, answer = step_with_answer(motion.body, track.omega[:, number], dt, ends)
     return Way(number, made @ track.attitude[:, number], omega, answer, weight)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
 from typing import Any, NamedTuple
@@ -11,6 +12,9 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.dynamics.torques import Torque, acting
+from sunspin.dynamics.torques.acting import needed
+from sunspin.environment import Environment
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.estimate.rates import torque
 from sunspin.estimate.rates.clock import lateness, suspected
@@ -19,11 +23,11 @@ from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.earth import is_told, with_beam
 from sunspin.estimate.rates.field import with_drift
 from sunspin.estimate.rates.link import linked
-from sunspin.estimate.rates.motion import Body, require_followed
+from sunspin.estimate.rates.motion import SUN_N, Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
-from sunspin.estimate.rates.seed import distinct_index, guesses, search
-from sunspin.estimate.rates.smooth import cost_limit
+from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
+from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
@@ -33,6 +37,9 @@ from sunspin.vehicle.sensors import Clock as Lateness
 
 MAX_MODES = 6
 """Modes reported for each pass."""
+
+TURNS = 6
+"""Turns about the Sun that are tried where a torque depends on them."""
 
 LEAST_WEIGHT = 1e-3
 """Modes of less weight are not reported."""
@@ -71,6 +78,8 @@ def rates(
     max_rate_rad_s: float | None = None,
     acceleration_noise: float | None = None,
     gap_s: float | None = None,
+    environment: Environment | None = None,
+    torques: Sequence[str | Torque] = (),
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -92,6 +101,11 @@ def rates(
         rad/s^1.5; default: the vehicle's, else the best supported by the first passes.
     gap_s : float, optional
         A longer gap parts two passes; default: six usual intervals.
+    environment : Environment, optional
+        What surrounds the body, on the telemetry's clock, with z of its N to the Sun (:func:`sunspin.environment.circular`).
+    torques : list, optional
+        Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
+        Sun's, the turn about z of N is no longer arbitrary, and several are tried.
 
     Returns
     -------
@@ -108,13 +122,17 @@ def rates(
     ------
     InputError
         Too few samples, or no rate below the largest fits.
+    MotionError
+        A torque without the environment that it needs.
     """
+    forces = acting(torques, environment)
+    _require_sun_along_z(environment)
     o, why, source = observations(vehicle, telemetry, source)
     parts = passes(o, why, gap_s)
     sensors = vehicle.sensors
     rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
     given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
-    body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None)
+    body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None, acting=forces)
     if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
         low, high = NOISE_RANGE
         raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
@@ -139,6 +157,12 @@ def rates(
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _require_sun_along_z(environment: Environment | None) -> None:
+    sun = SUN_N if environment is None else environment.at(0.0).sun_N[0]
+    if np.linalg.norm(sun - SUN_N) > 1e-6:
+        raise InputError(sentence("rates needs an environment with z of its N to the Sun", got=f"the Sun at {np.round(sun, 3)}"))
 
 
 def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
@@ -175,10 +199,20 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     """The heavier modes of one pass, best first."""
     found = []
     for guess in guesses(o):
-        track = search(guess, motion, rate_max)
+        track = _turned_about_sun(guess, search(guess, motion, rate_max), motion)
         order, weight = _ranked(track)
         found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]))
     return joined(found)
+
+
+def _turned_about_sun(o: Observations, track: Track, motion: Motion) -> Track:
+    """The modes, tried with several turns about the Sun where torques tell one from the other: the search knows only the Sun."""
+    if not needed(motion.body.acting.torques) or not len(track.omega):
+        return track
+    angles = 2 * np.pi / TURNS * np.arange(TURNS)[:, None] * SUN_N
+    tried = [Track(track.attitude @ about, track.omega) for about in Rotation.from_rotvec(angles).as_matrix()]
+    fitted = joined([smooth(o, one, motion, steps=12) for one in tried])
+    return distinct(fitted, o.t_s)
 
 
 def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:

@@ -16,8 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import gyrostat as g
+from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.dynamics.torques.acting import directions_of, outside
+from sunspin.environment import unknown
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.vehicle import Vehicle
+
+SUN_N = unknown().at(0.0).sun_N[0]
+"""The Sun in the local frame N."""
 
 STEP_ANGLE = 0.4
 """rad turned in one Runge-Kutta step at most: the error over a turn is below 1e-4 rad, far below any panel's."""
@@ -44,18 +51,49 @@ class Body:
     dipole: np.ndarray
     spherical: bool
     errors: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    acting: Acting = NOTHING
+    unit: float = 1.0  # kg m2, the mean moment: torques are in N m
 
     @classmethod
-    def of(cls, vehicle: Vehicle, dipole: npt.ArrayLike | None = None, torques_known: bool = False) -> Body:
+    def of(
+        cls, vehicle: Vehicle, dipole: npt.ArrayLike | None = None, torques_known: bool = False, acting: Acting = NOTHING
+    ) -> Body:
         """The body of a vehicle; a sphere where its inertia is not known, give or take much.
 
         `torques_known`: the acceleration noise is given, and stands for what the body is not a sphere too.
         """
         pull = np.zeros(3) if dipole is None else np.asarray(dipole, dtype=np.float64)
-        if vehicle.inertia_kg_m2 is None:
+        if vehicle.inertia_kg_m2 is None and not acting.torques:
             return cls(np.eye(3), pull, True, unknown_errors()[: 0 if torques_known else None])
         unit = mean_moment(vehicle)
-        return cls(np.array(vehicle.inertia_kg_m2) / unit, pull, False, inertia_errors(vehicle) / unit)
+        return cls(np.array(vehicle.inertia_kg_m2) / unit, pull, False, inertia_errors(vehicle) / unit, acting, unit)
+
+    def outside(self) -> tuple[g.OutsideTorque, ...]:
+        """The torques that act, in units of the mean moment times rad/s2: as on this inertia in kg m2, divided by the unit."""
+        bodies = Bodies.rigid(self.unit * self.inertia)
+        return tuple(
+            one._replace(torque=lambda *given, torque=one.torque: [x / self.unit for x in torque(*given)])
+            for one in outside(self.acting.torques, self.acting.values(bodies))
+        )
+
+    def swing(self) -> float:
+        """rad/s at which torques swing the body to and fro, at most."""
+        if not self.acting.torques:
+            return 0.0
+        bodies = Bodies.rigid(self.unit * self.inertia)
+        least = self.unit * np.linalg.eigvalsh(self.inertia)[0]
+        return float(np.sqrt(self.acting.largest(self.acting.values(bodies)) / max(least, 1e-300)))
+
+    def seen(self, ends: Ends, attitude: np.ndarray, t_s: npt.ArrayLike) -> Ends:
+        """`ends` with the directions that torques need, of steps that begin at attitudes (..., 3, 3), B_from_N, and times (...)."""
+        if not self.acting.torques:
+            return ends
+        t = np.broadcast_to(t_s, attitude.shape[:-2])
+        here = self.acting.here(t.ravel())
+        flat = attitude.reshape(-1, 3, 3)
+        sun = np.tile(SUN_N, (t.size, 1)) if here is None else here.sun_N
+        every = np.concatenate([np.einsum("nij,nj->ni", flat, sun), self.acting.carried(flat, t.ravel())], axis=1)
+        return ends._replace(directions=every.reshape(*t.shape, -1), t_s=t)
 
 
 def mean_moment(vehicle: Vehicle) -> float:
@@ -66,16 +104,29 @@ def mean_moment(vehicle: Vehicle) -> float:
 class Ends(NamedTuple):
     """What acts on the body at the start and at the end of a step, (..., 3) each or None, in the body's axes of its moment:
     the magnetic field and the momentum of the wheels (mean moment of inertia times rad/s). Linear in between in the body,
-    which for the field holds to a few percent up to 40 degrees of turn."""
+    which for the field holds to a few percent up to 40 degrees of turn. Of torques: the directions at the start, the Sun's first,
+    with what is carried of the others (..., 3 + n_carried), and the time there (...) in s; see :meth:`Body.seen`."""
 
     field: np.ndarray | None = None
     field_end: np.ndarray | None = None
     momentum: np.ndarray | None = None
     momentum_end: np.ndarray | None = None
+    directions: np.ndarray | None = None
+    t_s: np.ndarray | None = None
 
     def spread(self) -> Ends:
         """With one more axis in front."""
         return Ends(*(None if part is None else part[None] for part in self))
+
+    def turned(self, angles_B: np.ndarray) -> Ends:
+        """For the body turned at the start by each of the rotation vectors (m, 3), with one more axis (m) in front."""
+        spread = self.spread()
+        if self.directions is None:
+            return spread
+        matrices = turn(np.eye(3), angles_B)
+        parts = self.directions.reshape(*self.directions.shape[:-1], -1, 3)
+        made = np.einsum("mij,...aj->m...ai", matrices, parts)
+        return spread._replace(directions=made.reshape(len(matrices), *self.directions.shape))
 
 
 FREE = Ends()
@@ -129,23 +180,29 @@ def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> t
     held, held_end = (nothing if part is None else part for part in (ends.momentum, ends.momentum_end))
     unit = tuple(g.inverse_elements(body.inertia))
     momentum = omega @ body.inertia + held
-    speed = np.linalg.norm(omega, axis=-1) + nutation(body, held)
+    speed = np.linalg.norm(omega, axis=-1) + nutation(body, held) + body.swing()
     rate = float(np.max(speed * np.abs(dt), initial=0.0))
     count = int(np.clip(np.ceil(rate / STEP_ANGLE), 2, MAX_STEPS))
     h = dt / count
-    y = np.stack([*np.moveaxis(momentum, -1, 0), *(np.zeros(omega.shape[:-1]) for _ in range(3)), np.ones(omega.shape[:-1])])
+    shape, torques, acting = omega.shape[:-1], body.acting.torques, body.outside()
+    seen = np.zeros(0) if ends.directions is None else ends.directions
+    begin = np.broadcast_to(seen, (*shape, seen.shape[-1]))
+    still = (*(np.zeros(shape) for _ in range(3)), np.ones(shape))
+    y = np.stack([*np.moveaxis(momentum, -1, 0), *np.moveaxis(begin, -1, 0), *still])
 
     def wheels(s: float) -> g.Parameters:
-        return g.Parameters(unit, tuple(np.moveaxis((1 - s) * held + s * held_end, -1, 0)), ())
+        return g.Parameters(unit, tuple(np.moveaxis((1 - s) * held + s * held_end, -1, 0)), (), acting)
 
     def slope(s: float, y: np.ndarray) -> np.ndarray:
-        H, q = y[:3], y[3:]
-        w = g.body_rate(H, (), wheels(s))
-        change = list(g.cross(H, w))
+        H, q, p = y[:3], y[-4:], wheels(s)
+        w = g.body_rate(H, (), p)
+        directions = directions_of(torques, y[3:-4]) if torques else {}
+        change = g.momentum_rate(H, w, directions, p, 0.0 if ends.t_s is None else ends.t_s + s * dt)
+        moved = [x for direction in directions.values() for x in g.direction_rate(direction, w)]
         if field is not None and field_end is not None:
             torque = g.cross(body.dipole, np.moveaxis((1 - s) * field + s * field_end, -1, 0))
             change = [c + sum(body.inertia[k, j] * torque[j] for j in range(3)) for k, c in enumerate(change)]
-        return np.stack([*change, *g.quaternion_rate(q, w)])
+        return np.stack([*change, *moved, *g.quaternion_rate(q, w)])
 
     with np.errstate(over="ignore", invalid="ignore"):  # no step is fine enough for some trials: they must cost much, not fail
         for i in range(count):
@@ -154,7 +211,7 @@ def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> t
             c = slope((i + 0.5) / count, y + h / 2 * b)
             d = slope((i + 1) / count, y + h * c)
             y = y + h / 6 * (a + 2 * b + 2 * c + d)
-    q = np.moveaxis(y[3:], 0, -1)
+    q = np.moveaxis(y[-4:], 0, -1)
     lost = ~np.isfinite(y).all(axis=0) | ~np.any(q, axis=-1)
     y[:, lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
     matrix = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*omega.shape, 3)
@@ -192,4 +249,18 @@ def step_with_answer(
     for k in range(3):
         answer[..., :3, 3 + k] = turn_between(matrix[0], matrix[1 + k]) * size / DIFFERENCE
         answer[..., 3:, 3 + k] = (rate[1 + k] - rate[0]) * size / DIFFERENCE
+    if ends.directions is not None:
+        _add_turns(answer, body, omega, dt, ends, matrix[0], rate[0])
     return matrix[0], rate[0], answer
+
+
+def _add_turns(
+    answer: np.ndarray, body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, matrix: np.ndarray, rate: np.ndarray
+) -> None:
+    """Into an answer (..., 6, 6): what a turn at the start does besides, where torques depend on directions in space."""
+    small = DIFFERENCE * np.eye(3)
+    many = np.broadcast_to(omega, (3, *omega.shape))
+    ended, rates = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.turned(small))
+    for k in range(3):
+        answer[..., :3, k] = turn_between(matrix, ended[k] @ turn(np.eye(3), small[k])) / DIFFERENCE
+        answer[..., 3:, k] = (rates[k] - rate) / DIFFERENCE

@@ -162,13 +162,15 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
         for _ in range(max(1, (high - low) // GROW_SHARE)):
             if high < len(o):
                 dt = np.full(len(omega), o.t_s[high] - o.t_s[high - 1])
-                made, rate = step(motion.body, omega[:, -1], dt, o.wheels(high - 1, high))
+                ends = motion.body.seen(o.wheels(high - 1, high), attitude[:, -1], o.t_s[high - 1])
+                made, rate = step(motion.body, omega[:, -1], dt, ends)
                 attitude = np.concatenate([attitude, (made @ attitude[:, -1])[:, None]], axis=1)
                 omega = np.concatenate([omega, rate[:, None]], axis=1)
                 high += 1
             if low > 0:
                 dt = np.full(len(omega), o.t_s[low - 1] - o.t_s[low])
-                made, rate = step(motion.body, omega[:, 0], dt, o.wheels(low, low - 1))
+                ends = motion.body.seen(o.wheels(low, low - 1), attitude[:, 0], o.t_s[low])
+                made, rate = step(motion.body, omega[:, 0], dt, ends)
                 attitude = np.concatenate([(made @ attitude[:, 0])[:, None], attitude], axis=1)
                 omega = np.concatenate([rate[:, None], omega], axis=1)
                 low -= 1

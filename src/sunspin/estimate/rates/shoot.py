@@ -25,7 +25,8 @@ def carried(o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, mo
         attitude[part, index], omega[part, index] = facing(suns[part]), rates[part]
         for start, end in _ways(index, len(o)):
             dt = np.full(len(part), o.t_s[end] - o.t_s[start])
-            made, omega[part, end] = step(motion.body, omega[part, start], dt, o.wheels(start, end))
+            ends = motion.body.seen(o.wheels(start, end), attitude[part, start], o.t_s[start])
+            made, omega[part, end] = step(motion.body, omega[part, start], dt, ends)
             attitude[part, end] = made @ attitude[part, start]
     return Track(attitude, omega)
 
@@ -67,7 +68,8 @@ def _equations(
     track.attitude[:, index], track.omega[:, index], answer[:, index] = attitude, omega, np.eye(6)
     for start, end in _ways(index, n):
         dt = np.full(k, o.t_s[end] - o.t_s[start])
-        made, track.omega[:, end], one = step_with_answer(motion.body, track.omega[:, start], dt, o.wheels(start, end))
+        ends = motion.body.seen(o.wheels(start, end), track.attitude[:, start], o.t_s[start])
+        made, track.omega[:, end], one = step_with_answer(motion.body, track.omega[:, start], dt, ends)
         track.attitude[:, end] = made @ track.attitude[:, start]
         answer[:, end] = one @ answer[:, start]
     each, slope, cost = measured(o, track)

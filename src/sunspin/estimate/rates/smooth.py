@@ -53,6 +53,7 @@ def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, 
     if pair.any() and np.any(motion.body.dipole):
         ends = ends._replace(field=b0, field_end=b1)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
+    ends = motion.body.seen(ends, start, o.t_s[:-1])
     made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
     defect = np.concatenate([turn_between(made, relative), track.omega[:, 1:] - rate], axis=-1)
     white = whitening(dt, motion.noise)

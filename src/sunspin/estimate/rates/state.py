@@ -6,11 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sunspin.environment import unknown
-from sunspin.estimate.rates.motion import Body, Ends
-
-SUN_N = unknown().at(0.0).sun_N[0]
-"""The Sun in the local frame N."""
+from sunspin.estimate.rates.motion import SUN_N, Body, Ends
 
 FIELD_TURN_RATE = 2.2e-3
 """rad/s; a satellite in low orbit sees the Earth's field turn at about twice its own rate of 1.1e-3 rad/s."""

@@ -15,6 +15,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
+from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.estimate.scan.histogram import emd_rows
 from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error
@@ -32,22 +33,32 @@ MAX_TARGET = 4096
 
 @dataclass(frozen=True)
 class Start:
-    """Initial states: a grid of body rates (three axes, rad/s), one direction to the Sun (3), wheel speeds (n_wheel) rad/s."""
+    """Initial states: a grid of body rates (three axes, rad/s), one direction to the Sun (3), wheel speeds (n_wheel) rad/s.
+
+    Under torques (`acting`) also one attitude `B_from_N` (4), scalar last.
+    """
 
     omega_x: np.ndarray
     omega_y: np.ndarray
     omega_z: np.ndarray
     sun_B: np.ndarray
     wheel_speed_rad_s: np.ndarray
+    acting: Acting = NOTHING
+    B_from_N: np.ndarray | None = None
 
     @classmethod
-    def on_grid(cls, vehicle: Vehicle, axes: list[np.ndarray], sun_B: npt.ArrayLike, wheel_speed_rad_s: Any) -> Start:
-        """Checked: `InputError` for a direction that is none, `MotionError` for speeds that do not fit the wheels."""
+    def on_grid(
+        cls, vehicle: Vehicle, axes: list[np.ndarray], sun_B: npt.ArrayLike, wheel_speed_rad_s: Any, acting: Acting = NOTHING,
+        B_from_N: npt.ArrayLike | None = None,
+    ) -> Start:  # fmt: skip
+        """Checked: `InputError` for a direction that is none, `MotionError` for speeds that do not fit the wheels, or an attitude
+        that does not fit the direction."""
         sun = np.asarray(sun_B, dtype=np.float64)
         if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) <= SUN_LENGTH_TOLERANCE:
             raise InputError(sentence("sun_B must be a unit vector of three components", got=sun_B))
         x, y, z = axes
-        return cls(x, y, z, sun, wheel_speeds(vehicle, wheel_speed_rad_s))
+        attitude = acting.attitude(B_from_N, sun)
+        return cls(x, y, z, sun, wheel_speeds(vehicle, wheel_speed_rad_s), acting, attitude if acting.torques else None)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -62,7 +73,8 @@ class Start:
         axes = (self.omega_x, self.omega_y, self.omega_z)
         omega = np.stack([axis[i] for axis, i in zip(axes, where, strict=True)], axis=-1)
         n = len(index)
-        return k.Rows(omega, np.tile(self.sun_B, (n, 1)), np.tile(self.wheel_speed_rad_s, (n, 1)))
+        attitude = None if self.B_from_N is None else np.tile(self.B_from_N, (n, 1))
+        return k.Rows(omega, np.tile(self.sun_B, (n, 1)), np.tile(self.wheel_speed_rad_s, (n, 1)), B_from_N=attitude)
 
 
 @dataclass(frozen=True)
@@ -124,7 +136,7 @@ class EmdRows:
         """EMD, time (s) that the mask let pass, and outcome of each state (n)."""
         hist, outcome = histograms(
             self.vehicle, states, self.duration_s, self.condition, self.wheel_mode, emd_error=self.emd_error,
-            direction_error=self.direction_error, device=self.device,
+            direction_error=self.direction_error, device=self.device, acting=self.start.acting,
         )  # fmt: skip
         return *distances_to(hist, self.segments), outcome
 
@@ -132,11 +144,12 @@ class EmdRows:
 def histograms(
     vehicle: Vehicle, states: k.Rows, duration_s: float, condition: k.Mask | None, wheel_mode: str | tuple[str, ...] = "coast",
     *, emd_error: float | None = k.EMD_ERROR, direction_error: float | None = None, device: str = "cpu", bins: int = BINS,
+    acting: Acting = NOTHING,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Time (s) by r_z (n, bins) in the run of each state, of directions that the mask lets pass; outcome (n)."""
     result = k.run_rows(
         vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error, emd_error=emd_error,
-        mask=condition, bins=bins, device=device,
+        mask=condition, bins=bins, device=device, acting=acting,
     )  # fmt: skip
     return result.hist, result.outcome
 
@@ -190,6 +203,7 @@ class TrackRows:
             wheel_mode=self.wheel_mode,
             direction_error=self.direction_error,
             device=self.device,
+            acting=self.start.acting,
         )
         simulated = result.sun_B
         return {"E": direction_error(simulated, self.measured), "outcome": result.outcome.astype(np.int8)}

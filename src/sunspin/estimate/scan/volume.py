@@ -18,6 +18,8 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.compute.rows import CHUNK, ensemble
 from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.torques import Torque, acting
+from sunspin.environment import Environment
 from sunspin.estimate.scan.rows import BINS, TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows
 from sunspin.vehicle import Vehicle
 
@@ -55,6 +57,10 @@ def scan(
     scheduler: Any = None,
     device: str = "cpu",
     progress: bool = False,
+    environment: Environment | None = None,
+    torques: Sequence[str | Torque] = (),
+    B_from_N: npt.ArrayLike | None = None,
+    start_s: float = 0.0,
 ) -> xr.DataArray:
     """Distance between simulation and measurement over a grid of initial body rates.
 
@@ -91,6 +97,10 @@ def scan(
         accuracy, not to the same bits.
     progress : bool
         Show a progress bar on a terminal.
+    environment, torques, B_from_N
+        As in :func:`sunspin.propagate`; such a scan runs by series.
+    start_s : float
+        When the motions begin, on the environment's clock.
 
     Returns
     -------
@@ -101,7 +111,8 @@ def scan(
     axes = [_axis(values, name) for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))]
     n_rows = math.prod(len(axis) for axis in axes)
     check_size(*(len(axis) for axis in axes))
-    start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s)
+    forces = acting(torques, environment, start_s)
+    start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s, forces, B_from_N)
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     rows: EmdRows | TrackRows
     if isinstance(target_z, xr.Dataset):
@@ -112,7 +123,7 @@ def scan(
     if scheduler is None:
         k.require_device(device)  # before a store is made
         if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:
-            k.prepare(vehicle, [(rows.condition, BINS)])
+            k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
     chunk = CHUNK if device == "cpu" else GPU_CHUNK
     out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
     return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device)

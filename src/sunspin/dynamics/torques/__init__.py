@@ -1,0 +1,44 @@
+"""Torques from outside on a body, each in a file of its own and with a line in `TORQUES`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sunspin.base.errors import MotionError, sentence
+from sunspin.dynamics.torques.acting import NOTHING, Acting, Torque
+from sunspin.dynamics.torques.gravity_gradient import GravityGradient
+from sunspin.environment import Environment
+
+__all__ = ["NOTHING", "TORQUES", "Acting", "Torque", "acting"]
+
+_ALL: tuple[Torque, ...] = (
+    GravityGradient(),
+)  # fmt: skip
+
+TORQUES: dict[str, Torque] = {torque.name: torque for torque in _ALL}
+"""What may be named as a torque."""
+
+
+def acting(torques: Sequence[str | Torque], environment: Environment | None, t_s: float = 0.0) -> Acting:
+    """The torques, by name or as they are, in their environment, for a motion that begins at `t_s`.
+
+    `MotionError` for a name that is none, and for a torque that needs what the environment does not give.
+    """
+    if isinstance(torques, str):
+        raise MotionError(sentence("torques must be a list", got=torques, do=f"write [{torques!r}]"))
+    found = tuple(_named(torque) if isinstance(torque, str) else torque for torque in torques)
+    here = None if environment is None else environment.at(t_s)
+    for torque in found:
+        if torque.needs and here is None:
+            do = "give one, such as sunspin.environment.circular(...)"
+            raise MotionError(sentence(f"the torque {torque.name!r} needs an environment", do=do))
+        for name in torque.needs:
+            if getattr(here, f"{name}_N") is None:
+                raise MotionError(sentence(f"the torque {torque.name!r} needs the {name}, which the environment does not know"))
+    return Acting(found, environment, float(t_s))
+
+
+def _named(name: str) -> Torque:
+    if name not in TORQUES:
+        raise MotionError(sentence("no such torque", got=name, do=f"choose from {', '.join(TORQUES) or 'none'}"))
+    return TORQUES[name]

@@ -1,0 +1,95 @@
+"""Gravity gradient in all that moves a body: reference, kernel, the step of rates, the posterior's motion."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.torques import acting
+from sunspin.environment import circular
+from sunspin.estimate.posterior.model import State, model, under
+from sunspin.estimate.rates.motion import FREE, Body, step
+from sunspin.vehicle import Panel, Vehicle
+
+N = 1.1e-3
+ROLL, PITCH, YAW = 2.0, 2.5, 1.0
+BODY = Vehicle("body", np.diag([ROLL, PITCH, YAW]), panels=[Panel("z", [0, 0, 1], 1.0)])
+ORBIT = circular(N, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+LIBRATION = np.sqrt(3 * N**2 * (ROLL - YAW) / PITCH)
+AMPLITUDE = 1e-3
+START = Rotation.from_rotvec([0.0, -AMPLITUDE, 0.0])
+OMEGA, SUN = np.array([0.0, N, 0.0]), START.apply([0.0, 0.0, 1.0])
+TIMES = np.linspace(0.0, 12 * 2 * np.pi / LIBRATION, 901)
+
+
+def propagated() -> np.ndarray:
+    run = ss.propagate(BODY, OMEGA, SUN, None, TIMES, environment=ORBIT, torques=["gravity_gradient"], B_from_N=START.as_quat())
+    return run["nadir_B"].values
+
+
+def in_the_kernel() -> np.ndarray:
+    rows = k.Rows(OMEGA[None], SUN[None], np.zeros((1, 0)), B_from_N=START.as_quat()[None])
+    forces = acting(["gravity_gradient"], ORBIT)
+    run = k.run_rows(BODY, rows, TIMES[1:], direction_error=1e-6, acting=forces)
+    return np.vstack([START.apply([[0, 0, 1]]), run.carried[0, :, :3]])
+
+
+def stepped_by_rates() -> np.ndarray:
+    body, attitude, omega = Body.of(BODY, acting=acting(["gravity_gradient"], ORBIT)), START.as_matrix()[None], OMEGA[None]
+    seen = [attitude[0] @ ORBIT.at(0.0).nadir_N[0]]
+    for t, t_next in zip(TIMES[:-1], TIMES[1:], strict=True):
+        made, omega = step(body, omega, np.array([t_next - t]), body.seen(FREE, attitude, np.array([t])))
+        attitude = made @ attitude
+        seen.append(attitude[0] @ ORBIT.at(t_next).nadir_N[0])
+    return np.array(seen)
+
+
+def moved_by_the_posterior() -> np.ndarray:
+    """Begun an orbit late, on a clock that counts from there: the model's Sun of a body at the first sample, without a turn."""
+    unknown = under(model(BODY, {"inertia": 0.0}, 1.0)[0], acting(["gravity_gradient"], ORBIT, 2 * np.pi / N))
+    rows = unknown.rows(State(OMEGA[None], SUN[None], np.zeros((1, len(unknown.unknowns)))))
+    return np.vstack([START.apply([[0, 0, 1]]), unknown.run(rows, TIMES[1:], 1e-6).carried[0, :, :3]])
+
+
+@pytest.mark.evidence("propagate", "verified", "closed form of a small libration under gravity gradient")
+@pytest.mark.parametrize("moved", [propagated, in_the_kernel, stepped_by_rates, moved_by_the_posterior])
+def test_a_body_librates_about_the_nadir_at_the_rate_of_the_closed_form(moved, reached):
+    nadir = moved()
+    angle = np.arctan2(nadir[:, 0], nadir[:, 2])
+    assert np.abs(angle).max() == pytest.approx(AMPLITUDE, rel=1e-3)
+    at = np.flatnonzero(np.diff(np.sign(angle)))
+    crossed = TIMES[at] - angle[at] * (TIMES[at + 1] - TIMES[at]) / (angle[at + 1] - angle[at])
+    found = np.pi * (len(crossed) - 1) / (crossed[-1] - crossed[0])
+    reached("relative error of the libration's rate", abs(found / LIBRATION - 1))
+    assert found == pytest.approx(LIBRATION, rel=1e-6)
+
+
+TENSOR = np.array([[0.042, 0.0005, 0.0], [0.0005, 0.041, -0.001], [0.0, -0.001, 0.009]])
+TUMBLER = Vehicle("tumbler", TENSOR, panels=[Panel("z", [0, 0, 1], 1.0)])
+TILTED = circular(N, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])
+RATE, ATTITUDE = np.array([0.004, -0.003, 0.006]), Rotation.random(random_state=4)
+
+
+@pytest.mark.parametrize("t_end", [3000.0, -3000.0])
+def test_a_tumbling_body_moves_as_scipy_says_and_keeps_jacobis_integral(t_end):
+    def slope(_, y):
+        omega, nadir, orbit = y[:3], y[3:6], y[6:]
+        torque = 3 * N**2 * np.cross(nadir, TENSOR @ nadir)
+        change = np.linalg.solve(TENSOR, torque - np.cross(omega, TENSOR @ omega))
+        return np.concatenate([change, -np.cross(omega - orbit, nadir), -np.cross(omega, orbit)])
+
+    here = TILTED.at(0.0)
+    begin = np.concatenate([RATE, ATTITUDE.apply(here.nadir_N[0]), ATTITUDE.apply(here.nadir_turn_N[0])])
+    expected = solve_ivp(slope, (0.0, t_end), begin, method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+    run = ss.propagate(TUMBLER, RATE, ATTITUDE.apply([0, 0, 1]), None, [0.0, t_end / 2, t_end], environment=TILTED,
+                       torques=["gravity_gradient"], B_from_N=ATTITUDE.as_quat())  # fmt: skip
+    np.testing.assert_allclose(run["omega_B"].values[-1], expected[:3], atol=1e-11)
+    np.testing.assert_allclose(run["nadir_B"].values[-1], expected[3:6], atol=1e-8)
+    omega, nadir = run["omega_B"].values, run["nadir_B"].values
+    orbit = Rotation.from_quat(run["B_from_N"].values).apply(here.nadir_turn_N[0])
+    energy = ((omega / 2 - orbit) @ TENSOR * omega).sum(axis=1) + 1.5 * N**2 * (nadir @ TENSOR * nadir).sum(axis=1)
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-11)
+    momentum = np.linalg.norm(run["momentum_B"].values, axis=1)
+    assert np.ptp(momentum) > 1e-3 * momentum[0]  # the control: without the torque this would be kept

@@ -1,0 +1,160 @@
+"""Torques from outside: the reference and the kernel under a torque of the test's own, against SciPy; what is refused."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.torques import acting
+from sunspin.environment import circular, unknown
+from sunspin.vehicle import Friction, Vehicle, Wheel
+
+RATE, NORMAL, NADIR = 2e-3, np.array([0.0, 0.6, 0.8]), (1.0, 0.0, 0.0)
+ORBIT = circular(RATE, NORMAL, NADIR)
+START_S = 40.0
+"""The motions begin there, not at zero of the environment's clock."""
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Turns the body's z to where the nadir is, damps it, and grows with time along x: all that a torque may depend on."""
+
+    strength: float = 3e-4
+    name: str = "pull"
+    needs: tuple[str, ...] = ("nadir",)
+    parameters: tuple[str, ...] = ("strength", "damping", "growth")
+
+    def __call__(self, omega_B, directions_B, t_s, parameters):
+        nadir, (strength, damping, growth) = directions_B["nadir"], parameters
+        return [-strength * nadir[1] - damping * omega_B[0] + growth * t_s, strength * nadir[0] - damping * omega_B[1],
+                -damping * omega_B[2]]  # fmt: skip
+
+    def values(self, bodies, here):
+        return np.broadcast_to([self.strength, 2e-3, 2e-6], (*bodies.inertia_kg_m2.shape[:-2], 3))
+
+    def largest(self, values):
+        return np.full(values.shape[:-1], 3e-3)
+
+
+BODY = Vehicle(
+    "body", [[1.0, 0.02, 0.0], [0.02, 1.3, 0.01], [0.0, 0.01, 0.8]],
+    wheels=[Wheel("w", [0.0, 0.6, 0.8], 0.02, 3.0, Friction(1e-4, 1e-4))],
+)  # fmt: skip
+OMEGA, SPEED, ATTITUDE = np.array([0.03, -0.02, 0.05]), 3.0, Rotation.from_euler("xyz", [0.4, -0.3, 1.1])
+SUN = ATTITUDE.apply([0.0, 0.0, 1.0])
+
+
+def by_scipy(t_end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rate, wheel speed and attitude as a matrix from Euler's equations with a wheel, and its friction, typed here."""
+    inertia, axis, j = np.array(BODY.inertia_kg_m2), BODY.wheels[0].axis_B, 0.02
+    inverse = np.linalg.inv(inertia - j * np.outer(axis, axis))
+
+    def slope(t, y):
+        omega, speed, matrix = y[:3], y[3], y[4:].reshape(3, 3)
+        angle = RATE * t
+        nadir = matrix @ (np.cos(angle) * np.array(NADIR) + np.sin(angle) * np.cross(NORMAL, NADIR))
+        torque = 3e-4 * np.array([-nadir[1], nadir[0], 0.0]) - 2e-3 * omega + [2e-6 * t, 0, 0]
+        friction = -1e-4 * np.sign(speed) - 1e-4 * speed
+        momentum = inertia @ omega + j * speed * axis
+        change = inverse @ (torque - np.cross(omega, momentum) - friction * axis)
+        spun = friction / j - axis @ change
+        cross = np.array([[0, omega[2], -omega[1]], [-omega[2], 0, omega[0]], [omega[1], -omega[0], 0]])
+        return np.concatenate([change, [spun], (cross @ matrix).ravel()])
+
+    begin = np.concatenate([OMEGA, [SPEED], ATTITUDE.as_matrix().ravel()])
+    y = solve_ivp(slope, (START_S, t_end), begin, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    return y[:3], y[3], y[4:].reshape(3, 3)
+
+
+def run_once(t_s, **options):
+    given = {"environment": ORBIT, "torques": [Pull()], "B_from_N": ATTITUDE.as_quat()} | options
+    return ss.propagate(BODY, OMEGA, SUN, SPEED, t_s, **given)
+
+
+@pytest.mark.parametrize("t_end", [240.0, -60.0])
+def test_the_reference_moves_as_scipy_does_forward_and_backward(t_end):
+    run = run_once([START_S, t_end])
+    omega, speed, matrix = by_scipy(t_end)
+    np.testing.assert_allclose(run["omega_B"].values[-1], omega, atol=1e-10)
+    np.testing.assert_allclose(run["wheel_speed_rad_s"].values[-1], [speed], atol=1e-8)
+    np.testing.assert_allclose(Rotation.from_quat(run["B_from_N"].values[-1]).as_matrix(), matrix, atol=1e-9)
+    np.testing.assert_allclose(run["sun_B"].values[-1], matrix @ [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(run["nadir_B"].values[-1], matrix @ ORBIT.at(t_end).nadir_N[0], atol=1e-9)
+    assert run.attrs["frame_N"] == ORBIT.frame_N
+
+
+def rows_of(n: int = 1) -> k.Rows:
+    omega, sun, attitude = (np.tile(part, (n, 1)) for part in (OMEGA, SUN, ATTITUDE.as_quat()))
+    return k.Rows(omega, sun, np.full((n, 1), SPEED), B_from_N=attitude)
+
+
+@pytest.mark.parametrize("mode", ["coast", "hold"])
+@pytest.mark.parametrize("wanted", [1e-4, 1e-8])
+def test_the_kernel_moves_as_the_reference_does_through_the_stop_of_the_wheel(wanted, mode):
+    times = np.array([100.0, 900.0])
+    run = run_once([START_S, *(START_S + times)], wheel_mode=mode)
+    assert list(run["event_what"].values) == (["stops"] if mode == "coast" else [])
+    result = k.run_rows(BODY, rows_of(), times, direction_error=wanted, wheel_mode=mode, acting=acting([Pull()], ORBIT, START_S))
+    assert result.outcome[0] == k.Outcome.FINE
+    for name in ("sun_B", "omega_B", "wheel_speed_rad_s", "momentum_B"):
+        np.testing.assert_allclose(getattr(result, name)[0], run[name].values[1:], atol=wanted)
+    np.testing.assert_allclose(result.carried[0, :, :3], run["nadir_B"].values[1:], atol=wanted)
+
+
+def test_the_kernel_comes_back():
+    there = k.run_rows(BODY, rows_of(), 60.0, direction_error=1e-9, acting=acting([Pull()], ORBIT, START_S))
+    attitude = run_once([START_S, START_S + 60.0])["B_from_N"].values[-1:]
+    rows = k.Rows(there.omega_B[:, 0], there.sun_B[:, 0], there.wheel_speed_rad_s[:, 0], B_from_N=attitude)
+    home = k.run_rows(BODY, rows, -60.0, direction_error=1e-9, acting=acting([Pull()], ORBIT, START_S + 60.0))
+    np.testing.assert_allclose(home.omega_B[0, 0], OMEGA, atol=1e-9)
+    np.testing.assert_allclose(home.sun_B[0, 0], SUN, atol=1e-8)
+
+
+def test_a_torque_is_refused_without_the_environment_that_it_needs():
+    with pytest.raises(ss.MotionError, match="the torque 'pull' needs an environment; give one"):
+        run_once([0.0, 1.0], environment=None, B_from_N=None)
+    with pytest.raises(ss.MotionError, match="the torque 'pull' needs the nadir, which the environment does not know"):
+        run_once([0.0, 1.0], environment=unknown())
+    with pytest.raises(ss.MotionError, match="no such torque .found magic."):
+        run_once([0.0, 1.0], torques=["magic"])
+    with pytest.raises(ss.MotionError, match="torques must be a list"):
+        run_once([0.0, 1.0], torques="pull")
+
+
+def test_an_attitude_and_a_sun_that_contradict_each_other_are_refused():
+    with pytest.raises(ss.MotionError, match="sun_B is not where B_from_N shows the environment's Sun .found 0.49 rad away"):
+        run_once([0.0, 1.0], B_from_N=[0.0, 0.0, 0.0, 1.0])
+    with pytest.raises(ss.MotionError, match="B_from_N must be a unit quaternion"):
+        run_once([0.0, 1.0], B_from_N=[0.0, 0.0, 1.0])
+    with pytest.raises(ss.MotionError, match="B_from_N is the attitude in an environment"):
+        ss.propagate(BODY, OMEGA, SUN, SPEED, [0.0, 1.0], B_from_N=ATTITUDE.as_quat())
+
+
+def test_the_split_method_refuses_torques_and_rows_need_their_attitude():
+    with pytest.raises(ss.InputError, match="the split method keeps the momentum, which torques change .found pull.; run by"):
+        k.structure_of(BODY, None, 8, "split", torques=(Pull(),))
+    with pytest.raises(ss.InputError, match="torques that depend on directions need the attitude of each row; give B_from_N"):
+        k.run_rows(BODY, k.Rows(OMEGA[None], SUN[None], np.array([[SPEED]])), 1.0, acting=acting([Pull()], ORBIT))
+
+
+def test_a_scan_runs_under_torques():
+    times = START_S + np.array([20.0, 40.0])
+    track = run_once([START_S, *times])["sun_B"].isel(time=[1, 2]).assign_coords(time=[20.0, 40.0]).to_dataset()
+    grid = [[rate, rate + 0.02] for rate in OMEGA]
+    found = ss.scan(BODY, track, SUN, *grid, SPEED, direction_error=1e-8, environment=ORBIT, torques=[Pull()],
+                    B_from_N=ATTITUDE.as_quat(), start_s=START_S)  # fmt: skip
+    assert found.values[0, 0, 0] < 1e-12 < found.values.ravel()[1:].min()
+    other = ss.scan(BODY, track, SUN, *grid, SPEED, direction_error=1e-8)
+    assert other.values[0, 0, 0] > 1e-7  # the control: without the torque it is another motion
+
+
+def test_distributions_under_torques_run_by_series():
+    result = k.run_rows(BODY, rows_of(3), 300.0, emd_error=1e-3, bins=32, acting=acting([Pull()], ORBIT, START_S))
+    assert set(result.method) == {"series"}
+    z = run_once(START_S + np.linspace(0.0, 300.0, 40001))["sun_B"].values[:, 2]
+    expected = np.histogram(z, 32, (-1, 1))[0] / len(z)
+    assert np.abs(np.cumsum(result.hist[0] / 300.0 - expected)).max() < 2e-3
