@@ -21,6 +21,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import directions_of, outside
 from sunspin.environment import unknown
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
+from sunspin.solve.rotations import cross_matrix, turn, turn_between
 from sunspin.vehicle import Vehicle
 
 SUN_N = unknown().at(0.0).sun_N[0]
@@ -133,19 +134,6 @@ FREE = Ends()
 """Nothing acts."""
 
 
-def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
-    """Attitudes (..., 3, 3), B_from_N, turned by small or large rotation vectors (..., 3) of the body, in body axes."""
-    shape = np.broadcast_shapes(matrix.shape[:-2], angle_B.shape[:-1])
-    flat = Rotation.from_rotvec(-np.broadcast_to(angle_B, (*shape, 3)).reshape(-1, 3)).as_matrix()
-    return flat.reshape(*shape, 3, 3) @ matrix
-
-
-def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3) of the body that :func:`turn` needs to go from attitude `start` to `end`."""
-    relative = end @ np.swapaxes(start, -1, -2)
-    return -Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec().reshape(*relative.shape[:-2], 3)
-
-
 def step(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray]:
     """Relative attitude (..., 3, 3) and rate (..., 3) after `dt` (...) s, from rates `omega` (..., 3) rad/s."""
     if body.spherical:
@@ -221,8 +209,7 @@ def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> t
 def nutation(body: Body, momentum: np.ndarray) -> float:
     """rad/s at which the largest of the wheels' momenta (..., 3) turns a rate of the body round."""
     flat = np.reshape(momentum, (-1, 3))
-    x, y, z = flat[np.argmax((flat**2).sum(axis=1))]
-    turning = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turning = cross_matrix(flat[np.argmax((flat**2).sum(axis=1))])
     return float(np.abs(np.linalg.eigvals(np.linalg.solve(body.inertia, turning))).max())
 
 
