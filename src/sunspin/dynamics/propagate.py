@@ -15,6 +15,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.base.errors import MotionError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.taylor import integrator, parameter_values
@@ -377,7 +378,7 @@ def _dataset(vehicle, t, y, omega, speeds, events, rtol) -> xr.Dataset:
             "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs={
+        attrs=provenance("trajectory") | {
             "vehicle": vehicle.name, "rtol": rtol, "frame_N": BODY_AT_START,
             "source": "paper, eqs. 3-7; Taylor integration by heyoka",
         },

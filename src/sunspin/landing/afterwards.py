@@ -7,6 +7,8 @@ beside a blow from anywhere.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -53,6 +55,12 @@ def predicted(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed:
         said += f"{speed:g} m/s in any direction with a part along -z"
     found = xr.concat(parts, "predicted_s", data_vars="minimal").assign_coords(after_collision=("predicted_s", behind))
     return found.assign_attrs(carried(tree), collision=said)
+
+
+def with_predictions(vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], seed: int = 0) -> None:
+    """Add the group `predictions` to a posterior: :func:`predicted` at `times`, s from the epoch -> as asked for."""
+    found = predicted(vehicle, tree, list(times), seed)
+    tree["predictions"] = xr.DataTree(found.assign_coords(asked=("predicted_s", list(times.values()))))
 
 
 def _scenario(vehicle: Vehicle) -> sc.Scenario:
