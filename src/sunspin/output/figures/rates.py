@@ -17,7 +17,7 @@ SHOWN = 8
 def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Figure:
     """Rate components (deg/s) of the best motion of each pass with one sigma, and the gyro where the telemetry has one."""
     passes = _chosen(result)
-    figure = Figure(figsize=(max(5.0, 2.1 * len(passes)), 6.4), layout="constrained")
+    figure = Figure(figsize=(max(7.5, 2.1 * len(passes)), 6.4), layout="constrained")
     grid = figure.subplots(3, len(passes), sharey="row", squeeze=False)
     gyro = None if telemetry is None or "gyro_B" not in telemetry else telemetry["gyro_B"]
     for column, number in enumerate(passes):
@@ -38,7 +38,7 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Fig
         axes.legend(fontsize=7, loc="best")
     seen = {"panels": "panel signals", "sun_sensor": "Sun sensors", "directions": "Sun directions"}[result.attrs["source"]]
     figure.suptitle(_title(f"Body rates of {named(result.attrs['vehicle'])} from {seen}, best motion of each pass",
-                           result.attrs.get("synthetic")), fontsize=10)  # fmt: skip
+                           result.attrs.get("synthetic")), fontsize=10, wrap=True)  # fmt: skip
     return figure
 
 

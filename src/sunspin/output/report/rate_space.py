@@ -289,32 +289,3 @@ def _flat(results: Results) -> list[Plot]:
             + (" Synthetic telemetry." if results.synthetic else ""), 420, narrow={"margin.l": 58, "font.size": 11},
         ))  # fmt: skip
     return found
-
-
-def picture(results: Results) -> Plot | None:
-    """First picture of a scan: where the good motions are, with the set that fits nearly as well as the best."""
-    volumes = _volumes(results)
-    if not volumes:
-        return None
-    _, scan, volume = volumes[0]
-    points, factor = _set(scan, volume)
-    least = volume.min("omega_z")
-    metric = "EMD" if volume.name == "emd" else "E"
-    data = [
-        {"type": "heatmap", "x": packed(least["omega_x"].values), "y": packed(least["omega_y"].values), "z": packed(least.values.T),
-         "colorscale": SEQUENTIAL, "reversescale": True, "colorbar": {"title": {"text": f"{metric} (1)"}, "thickness": 14},
-         "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f}<br>" + metric + " %{z:.4f}<extra></extra>"},
-        {"type": "scatter", "mode": "markers", "x": packed(points[:, 0]), "y": packed(points[:, 1]), "name": "motions that fit",
-         "marker": {"size": 6, "symbol": "circle-open", "color": "@orange", "line": {"width": 1.5}},
-         "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f} rad/s<extra></extra>"},
-    ]  # fmt: skip
-    layout = {
-        "xaxis": {"title": {"text": "ωx (rad/s)"}}, "yaxis": {"title": {"text": "ωy (rad/s)"}}, "margin": {"l": 70, "r": 10,
-        "t": 10, "b": 54},
-    }  # fmt: skip
-    return Plot(
-        "scan", data, layout, f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit "
-        "nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: all {len(points)} motions within {factor:g} times the smallest {metric}: any of "
-        "them may be the true one." + (" Synthetic telemetry." if results.synthetic else ""), 430, narrow={"margin.l": 56},
-    )  # fmt: skip

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 COLOURS = ("@blue", "@orange", "@green", "@pink", "@gold", "@sky", "@ink", "@grey")
 """Colour-blind safe (Okabe and Ito), in a light and a dark shade each: page.js puts in the numbers. "@blue:0.2" is translucent."""
@@ -47,6 +48,18 @@ class Plot:
     narrow: dict[str, Any] = field(default_factory=dict)
     numbers: Table | None = None
     kind: str = "plot"
+
+
+@dataclass
+class Drawn:
+    """A figure of `sunspin.output.figures` as SVG, what it shows in words, its caption."""
+
+    id: str
+    svg: Markup
+    alt: str
+    caption: str
+    numbers: Table | None = None
+    kind: str = "drawn"
 
 
 @dataclass
