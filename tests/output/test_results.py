@@ -134,7 +134,8 @@ def test_the_accessor_comes_with_the_first_public_name_and_draws_nothing():
     code = (
         "import sys, sunspin as ss; bare = [m for m in sys.modules if m.startswith('sunspin.')]; ss.load_vehicle;"
         "import xarray as xr; kinds = (xr.Dataset, xr.DataArray, xr.DataTree);"
-        "print(bare, all(hasattr(k, 'sunspin') for k in kinds), [m for m in ('matplotlib', 'plotly', 'heyoka') if m in sys.modules])"
+        "drawing = [m for m in ('matplotlib', 'plotly', 'heyoka') if m in sys.modules];"
+        "print(bare, all(hasattr(k, 'sunspin') for k in kinds), drawing)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[] True []"

@@ -45,7 +45,8 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     """What a tumbling motion leads to: collision, first contact, antenna, rest, for one or more wheel strategies.
 
     A built-in case (philae) knows its times, speeds and, as candidates, its published lines. For another vehicle give at
-    least --omega (or --scan), --sun and --after. With --out, writes outcomes-STRATEGY.nc, strategies.nc and figures.
+    least --omega (or --scan), --sun and --after; a timeline.toml beside the vehicle file gives the times as well. With --out,
+    writes outcomes-STRATEGY.nc, strategies.nc and figures.
 
     \b
     Examples:
@@ -64,7 +65,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
         "wheel_speed_rad_s": numbers(wheel_speed, "--wheel-speed") if wheel_speed else None,
         "sun_B": numbers(sun_B, "--sun", 3) if sun_B else None, "vertical": _vertical(vertical),
     }  # fmt: skip
-    scenario = _scenario(craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
+    scenario = _scenario(vehicle, craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
     candidates = _candidates(craft, scan, factor, omega)
     claim(out, "outcomes")
     options = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
@@ -102,15 +103,18 @@ def _vertical(text: str | None) -> Any:
     raise InputError(sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text))
 
 
-def _scenario(craft, given: dict[str, Any], collision_speed: float | None):
-    """The case's own scenario with what the options say instead, or one made of the options alone."""
-    from sunspin.landing.scenario import Scenario, case_scenario
-    from sunspin.telemetry.case import case_names, load_case
+def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float | None):
+    """The case's own scenario with what the options say instead, or one made of the options and the timeline beside the vehicle."""
+    from sunspin.landing.scenario import Scenario, case_scenario, times_of
+    from sunspin.telemetry.case import case_names, load_case, timeline_of
 
+    timeline = timeline_of(vehicle)
     if collision_speed is not None:
         given["collision_speed_m_s"] = collision_speed or None
-    if craft.name in case_names() and load_case(craft.name).timeline is not None:
-        return replace(case_scenario(load_case(craft.name)), **given)
+    case = load_case(craft.name) if craft.name in case_names() else None
+    if case is not None and case.timeline is not None:
+        return replace(case_scenario(replace(case, timeline=timeline or case.timeline)), **given)
+    given = times_of(timeline) | given
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in given:
             raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))

@@ -60,6 +60,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     """
     from sunspin.estimate.posterior.estimate import posterior as run
     from sunspin.landing.afterwards import with_predictions
+    from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
 
@@ -74,7 +75,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
         wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet), device=device,
     )  # fmt: skip
     if times is not None:
-        with_predictions(craft, tree, times, seed)
+        with_predictions(craft, tree, times, seed, timeline_of(vehicle))
     deliver(tree, out, as_json, quiet, vehicle, samples)
 
 

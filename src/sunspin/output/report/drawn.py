@@ -48,7 +48,7 @@ def drawings(results: Results, *kinds: str) -> Iterator[Drawing]:
 
 def drawn(results: Results, *kinds: str) -> list[Drawn]:
     """The same as parts of the page; a figure that is on it already is not drawn again."""
-    return [_item(results, drawing) for drawing in drawings(results, *kinds) if drawing.name not in results.drawn]
+    return [item(results, drawing) for drawing in drawings(results, *kinds) if drawing.name not in results.drawn]
 
 
 def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
@@ -56,10 +56,11 @@ def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
     found = {d.name: d for d in drawings(results, "posterior", "rates", "strategies", "outcomes", "scan", "trajectory",
                                           "sun_directions")}  # fmt: skip
     name = next((name for name in names if name in found), None)
-    return None if name is None else _item(results, found[name])
+    return None if name is None else item(results, found[name])
 
 
-def _item(results: Results, drawing: Drawing) -> Drawn:
+def item(results: Results, drawing: Drawing) -> Drawn:
+    """A figure as a part of the page."""
     svg = inline_svg(drawing.make(), f"s{len(results.drawn)}-")
     results.drawn.add(drawing.name)
     return Drawn(drawing.name, Markup(svg), drawing.alt, drawing.caption)

@@ -33,14 +33,14 @@ def write_report(folder: str | Path, ours: bool = False) -> Path:
     results = read_results(folder, ours)
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers: they are shown as they are
         page = sections.page(results)
-        data = _json(_data(page))
+        data = _data(page)
+    turned = bool(data["plots"]) or len(data) > 1  # else nothing on the page needs the library
     redrawn = REDRAWN if results.command == "reproduce" else results.drawn
     pictures, left_out = _pictures([picture for picture in results.pictures if picture.path.stem not in redrawn])
     text = _template().render(
         page=page, pictures=pictures, left_out=left_out, problems=results.problems,
-        style=Markup(_asset("page.css")), scripts=[Markup(_script(text)) for text in (_plotly(), _asset("page.js"),
-        _asset("lander.js"))],
-        data=Markup(data), licence=_licence(),
+        style=Markup(_asset("page.css")), data=Markup(_json(data)), licence=_licence() if turned else "",
+        scripts=[Markup(_script(text)) for text in (*([_plotly()] if turned else []), _asset("page.js"), _asset("lander.js"))],
     )  # fmt: skip
     return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
 

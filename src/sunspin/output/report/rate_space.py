@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,11 @@ import xarray as xr
 
 from sunspin.dynamics.gyrostat import total_momentum
 from sunspin.estimate.scan.volume import near_minimum
+from sunspin.output.figures.scan import map_figure
+from sunspin.output.kinds.kind import Drawing
+from sunspin.output.report.drawn import item
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import COLOURS, SEQUENTIAL, SYMBOLS, Plot, Section, Special, Table, packed, thin
+from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, packed, thin
 from sunspin.output.text import number_text
 
 PRINTED = "scan_published_lines"
@@ -258,34 +262,18 @@ def _volume(name: str, scan: xr.Dataset, volume: xr.DataArray) -> dict[str, Any]
     }  # fmt: skip
 
 
-AXES = {
-    "omega_x": ("ωx (rad/s)", 1.0), "omega_y": ("ωy (rad/s)", 1.0), "omega_z": ("ωz (rad/s)", 1.0),
-    "mu_0": ("dry friction of the wheel (mN m)", 1e3), "theta_xx": ("moment of inertia θxx (kg m²)", 1.0),
-}  # fmt: skip
-"""Dimension of a map -> title of its axis, factor from SI."""
-
-
-def _flat(results: Results) -> list[Plot]:
+def _flat(results: Results) -> list[Drawn]:
     found = []
     for name, data in results.having("E"):
         field = data["E"].squeeze()
         if field.ndim != 2:
             continue
         x, y = (str(d) for d in field.dims)
-        (xt, xf), (yt, yf) = AXES.get(x, (x, 1.0)), AXES.get(y, (y, 1.0))
-        trace = {
-            "type": "heatmap", "x": packed(data[x].values * xf), "y": packed(data[y].values * yf), "z": packed(field.values.T),
-            "colorscale": SEQUENTIAL, "reversescale": True, "colorbar": {"title": {"text": "E (1)"}, "thickness": 14},
-            "hovertemplate": f"{xt} %{{x:.4f}}<br>{yt} %{{y:.4f}}<br>E %{{z:.3f}}<extra></extra>",
-        }  # fmt: skip
-        layout = {
-            "xaxis": {"title": {"text": xt}}, "yaxis": {"title": {"text": yt}}, "margin": {"l": 70, "r": 10, "t": 10, "b": 54},
-        }  # fmt: skip
         low, high = float(np.nanmin(field)), float(np.nanmax(field))
-        found.append(Plot(
-            f"map-{name}", [trace], layout,
+        found.append(item(results, Drawing(
+            f"map-{name}", partial(map_figure, field),
             f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: in valleys a motion fits better than its neighbours.",
-            f"E over {xt} and {yt}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
-            + (" Synthetic telemetry." if results.synthetic else ""), 420, narrow={"margin.l": 58, "font.size": 11},
-        ))  # fmt: skip
+            f"E over {x} and {y}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
+            + (" Synthetic telemetry." if results.synthetic else ""),
+        )))  # fmt: skip
     return found

@@ -17,8 +17,6 @@ COLOURS = ("@blue", "@orange", "@green", "@pink", "@gold", "@sky", "@ink", "@gre
 SYMBOLS = ("circle", "square", "diamond", "cross", "x", "circle-open", "square-open", "diamond-open")
 """A second sign beside colour."""
 
-SEQUENTIAL = "Cividis"
-
 MOTIONS = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastest candidate")
 """Motions of a study in the order in which they are offered; others follow by name, the descent last."""
 
