@@ -54,7 +54,9 @@ class Kind:
     tables: Callable[[Any, Path, Beside], Any] = lambda *_: None
 
     def write(self, data: Any, folder: Path, beside: Beside) -> None:
-        """The result as NetCDF, and its tables."""
+        """The result as NetCDF, and its tables; a DataArray as the Dataset that knows its kind when it is read again."""
+        if isinstance(data, xr.DataArray):
+            data = data.to_dataset().assign_attrs({key: value for key, value in data.attrs.items() if key != "units"})
         if self.main:
             write_netcdf(folder / self.main, data)
         self.tables(data, folder, beside)

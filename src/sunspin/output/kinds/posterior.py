@@ -73,11 +73,12 @@ def posterior_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
         "Draws of the components of the body rate and its size against each other, by region.",
         "Draws of the rate at the first sample, body axes: every pair of components, one colour to a region." + note,
     )  # fmt: skip
-    yield Drawing(
-        "search", lambda: search_figure(tree), "Hypotheses before and after each window, and the log evidence of each round.",
-        "How the search went: hypotheses fitted and kept over growing windows; and the sampling: log evidence of each round with "
-        "the share of effective draws and Pareto's k." + note,
-    )  # fmt: skip
+    if {"search", "sampling"} <= set(tree.children):
+        yield Drawing(
+            "search", lambda: search_figure(tree), "Hypotheses before and after each window, and the log evidence of each round.",
+            "How the search went: hypotheses fitted and kept over growing windows; and the sampling: log evidence of each round "
+            "with the share of effective draws and Pareto's k." + note,
+        )  # fmt: skip
     if "predictions" in tree.children:
         yield from predictions_drawings(tree["predictions"].to_dataset(), beside)
 

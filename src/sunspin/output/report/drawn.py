@@ -48,7 +48,15 @@ def drawings(results: Results, *kinds: str) -> Iterator[Drawing]:
 
 def drawn(results: Results, *kinds: str) -> list[Drawn]:
     """The same as parts of the page; a figure that is on it already is not drawn again."""
-    return [item(results, drawing) for drawing in drawings(results, *kinds) if drawing.name not in results.drawn]
+    found = []
+    for drawing in drawings(results, *kinds):
+        if drawing.name not in results.drawn:
+            try:
+                found.append(item(results, drawing))
+            # data of any origin: tables without a figure are worth more than no section
+            except Exception as error:
+                results.problems.append(f"A figure could not be drawn: {drawing.name} ({type(error).__name__}: {error}).")
+    return found
 
 
 def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:

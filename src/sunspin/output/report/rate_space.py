@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.dynamics.gyrostat import total_momentum
-from sunspin.estimate.scan.volume import near_minimum
 from sunspin.output.figures.scan import map_figure
 from sunspin.output.kinds.kind import Drawing
+from sunspin.output.kinds.scan import DIMS, chosen
 from sunspin.output.report.drawn import item
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, packed, thin
@@ -22,9 +22,7 @@ PRINTED = "scan_published_lines"
 
 MEASURED = "scan_telemetry"
 
-DIMS = ("omega_x", "omega_y", "omega_z")
 MOST_POINTS = 6000
-DEFAULT_FACTOR = 1.1
 STEPS = 255
 """Values of a volume are drawn in so many steps of their logarithm."""
 
@@ -49,17 +47,16 @@ def lines(results: Results) -> Section | None:
     data, views, tables = [], [], []
     for name, scan, volume in _volumes(results):
         first = len(data)
-        points, factor = _set(scan, volume)
+        points, by = chosen(scan)
         if not len(points):
             continue
         fits, told = _candidates(results) if name == MEASURED else ([], "")
         if name == MEASURED and not _all_found(results, scan):
             scan = scan.drop_vars(FITTED, errors="ignore")
         data += [*fits, *_cloud(scan, points), *_line_traces(scan), *_marks(results, scan)]
-        text = (
-            f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {factor:g} times the smallest, "
-            f"{float(np.nanmin(volume)):.4f}."
-        )
+        least = f"the smallest, {float(np.nanmin(volume)):.4f}"
+        near = f"{by['threshold']:g} ({least})" if "threshold" in by else f"{by.get('factor', np.nan):g} times {least}"
+        text = f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {near}."
         views.append({
             "label": _label(name, scan), "show": list(range(first, len(data))),
             "text": " ".join(part for part in (text, told, _said(results, name)) if part),
@@ -139,12 +136,6 @@ def _candidates(results: Results) -> tuple[list[dict[str, Any]], str]:
         "marker": {"size": 2, "color": "@grey", "opacity": 0.25}, "name": "candidates", "hoverinfo": "skip",
     }  # fmt: skip
     return [cloud], f"Pale: {len(at)} of the motions from which all else on this page follows, {about}."
-
-
-def _set(scan: xr.Dataset, volume: xr.DataArray) -> tuple[np.ndarray, float]:
-    if "near_minimum" in scan:
-        return scan["near_minimum"].values, float(scan["near_minimum"].attrs.get("factor", np.nan))
-    return near_minimum(volume, DEFAULT_FACTOR), DEFAULT_FACTOR
 
 
 def _cloud(scan: xr.Dataset, points: np.ndarray) -> list[dict[str, Any]]:
