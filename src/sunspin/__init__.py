@@ -102,6 +102,7 @@ def __getattr__(name: str) -> Any:
         return metadata.version("sunspin")
     if name not in _HOME:
         raise AttributeError(f"module 'sunspin' has no attribute {name!r}")
+    import_module("sunspin.output.result")  # results get their accessor: the class only, nothing that draws
     return getattr(import_module(_HOME[name]), name)
 
 

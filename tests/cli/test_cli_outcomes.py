@@ -47,3 +47,39 @@ def test_a_vehicle_without_legs_and_hull(tmp_path):
 )
 def test_bad_input_is_one_sentence(arguments, text, tmp_path):
     assert text in sunspin("outcomes", *arguments, cwd=tmp_path, code=2).err
+
+
+def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
+    """`sunspin reproduce` writes both: a collision ten minutes later gives other times, and a damaged file one sentence."""
+    from sunspin.telemetry.case import load_case
+
+    folder, wanted = load_case("philae").folder, ("--runs", 20, "--strategy", "off", "--json", "--out")
+    for name in ("vehicle.toml", "timeline.toml"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+
+    def scenario(vehicle, out):
+        sunspin("outcomes", vehicle, *wanted, tmp_path / out)
+        with xr.open_dataset(tmp_path / out / "outcomes-off.nc", engine="h5netcdf") as runs:
+            return json.loads(runs.attrs["scenario"])
+
+    own = scenario("philae", "own")
+    assert scenario(tmp_path / "vehicle.toml", "same") == own
+    text = (tmp_path / "timeline.toml").read_text("utf-8")
+    assert '"2014-11-12T16:20:00"' in text
+    (tmp_path / "timeline.toml").write_text(text.replace('"2014-11-12T16:20:00"', '"2014-11-12T16:30:00"'), "utf-8")
+    later = scenario(tmp_path / "vehicle.toml", "later")
+    assert (later["before_s"] - own["before_s"], later["after_s"] - own["after_s"]) == pytest.approx((600, -600), abs=1e-6)
+    for damaged in ("event = 3", "epoch_utc = 3\nevent = 3", text.replace("utc = ", "utc = [") + "]", "", "\0"):
+        (tmp_path / "timeline.toml").write_text(damaged, "utf-8")
+        assert "timeline.toml" in sunspin("outcomes", tmp_path / "vehicle.toml", *wanted, tmp_path / "never", code=2).err
+
+
+def test_times_of_another_vehicle_come_from_its_timeline(tmp_path):
+    sunspin("init", tmp_path / "mine")
+    event = '[[event]]\nname = "{}"\nutc = "2026-01-01T00:0{}:00Z"\nsource = "ours"\n'
+    text = 'epoch_utc = "2026-01-01T00:00:00Z"\n' + event.format("collision", 1) + event.format("second_touchdown", 5)
+    (tmp_path / "mine" / "timeline.toml").write_text(text, "utf-8")
+    given = ("--omega", "0.1,0,0.2", "--sun", "0,0,1", "--runs", 20, "--collision-speed", 0)
+    sunspin("outcomes", tmp_path / "mine" / "vehicle.toml", *given, "--out", tmp_path / "out")
+    with xr.open_dataset(tmp_path / "out" / "outcomes-off.nc", engine="h5netcdf") as runs:
+        assert json.loads(runs.attrs["scenario"])["after_s"] == pytest.approx(240.0, abs=1e-9)

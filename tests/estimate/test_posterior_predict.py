@@ -97,15 +97,18 @@ def test_another_vehicle_is_refused(craft):
 
 
 def test_it_is_written_drawn_and_told(craft, tmp_path):
-    from sunspin.cli.posterior import _predicted, _times
+    from sunspin.cli.posterior import _times
+    from sunspin.landing.afterwards import with_predictions
     from sunspin.output.figures.predicted import predicted_figure
+    from sunspin.output.kinds.posterior import predictions_summary
 
     tree, _ = philae_draws(50, 0.003)
     times = _times("16:20,2014-11-12T17:25, 25300", tree.attrs["epoch_utc"])
     assert list(times) == [25300.0, COLLISION, LATER]
-    table, lines = _predicted(craft, tree, times, 0)
-    assert len(table) == 30 and json.dumps(table)
-    text = "\n".join(lines)
+    with_predictions(craft, tree, times, 0)
+    told = predictions_summary(tree["predictions"].to_dataset())
+    assert len(told["predicted"]) == 30 and json.dumps(told)
+    text = str(told)
     assert "at 2014-11-12T17:25 UTC, after the collision" in text and "angular speed 0.48" in text
     figure = predicted_figure(tree["predictions"].to_dataset(), list(times.values()))
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 12

@@ -241,14 +241,15 @@ def test_in_a_narrow_window_no_word_is_broken_or_cut(browser, study):
         }).map((label) => label.firstChild.textContent)"""
     )
     assert broken == []  # "Volume" stood in two lines, as "Volu" and "me"
-    browser.show("#figure-strategy-grid [data-plot]")
-    outside = browser.js(
-        """[...document.querySelectorAll('#figure-strategy-grid .annotation-text')].filter((text) => {
-          const box = text.getBoundingClientRect();
-          return box.left < 0 || box.right > innerWidth;
-        }).map((text) => text.textContent)"""
+    wide = browser.js(
+        """[...document.querySelectorAll('figure.drawn > div')].filter((box) => {
+          const drawing = box.querySelector('svg').getBoundingClientRect();
+          return box.getBoundingClientRect().right > innerWidth || drawing.width < box.clientWidth - 1 && drawing.width < 300
+            || getComputedStyle(box).overflowX !== 'auto';
+        }).length"""
     )
-    assert outside == []
+    assert wide == 0 and browser.js("document.querySelectorAll('figure.drawn svg').length") >= 4
+    assert browser.js("document.documentElement.scrollWidth <= innerWidth")
 
 
 @pytest.mark.long

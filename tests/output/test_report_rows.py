@@ -134,7 +134,7 @@ def test_texts_of_rows_and_of_the_first_screen_stay_text(tmp_path):
         tmp_path / "bad", title=HOSTILE, figures=rows, carries=HOSTILE, score=[HOSTILE], headline=[HOSTILE] * 3, noise=HOSTILE,
         calibration=HOSTILE, chain=HOSTILE, missing={"candidates": HOSTILE}, conclusions=[HOSTILE], cite=HOSTILE, command=HOSTILE,
     )  # fmt: skip
-    assert [attrs.get("id") for tag, attrs in page.tags if tag == "script"] == ["data", None, None, None]
+    assert [attrs.get("id") for tag, attrs in page.tags if tag == "script"] == ["data", None, None]
     assert page.text.count(" ".join(HOSTILE.split())) > 30
     rows = [attrs["data-row"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs]
     assert rows == [f"{HOSTILE}0", f"{HOSTILE}1", "rate_at_touchdown_bound"]

@@ -6,7 +6,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -24,10 +24,10 @@ COMMANDS = {
     "init": "sunspin.cli.files:init",
     "check": "sunspin.cli.files:check",
     "decode": "sunspin.cli.files:decode",
-    "sun": "sunspin.cli.measured:sun",
+    "sun": "sunspin.cli.sun:sun",
     "rates": "sunspin.cli.rates:rates",
-    "simulate": "sunspin.cli.motion:simulate",
-    "scan": "sunspin.cli.motion:scan",
+    "simulate": "sunspin.cli.simulate:simulate",
+    "scan": "sunspin.cli.scan:scan",
     "posterior": "sunspin.cli.posterior:posterior",
     "outcomes": "sunspin.cli.outcomes:outcomes",
     "report": "sunspin.cli.study:report_page",
@@ -61,6 +61,9 @@ SUMMARIES = {
     "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
     "compare": "Rates against somebody's SPICE attitude kernels.",
 }
+
+WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."
+"""Help of the option that both `simulate` and `scan` have."""
 
 
 def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
@@ -202,15 +205,28 @@ def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool
             click.echo(line if line.isprintable() else line[: len(line) - len(line.lstrip(" "))] + printable(line))
 
 
-def store_run(folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None) -> str:
-    """Write what repeats a run and what its report needs; the line to print."""
-    from sunspin.output.folder import write_run
+def claim(out: Path | None, command: str) -> None:
+    """Refuse a results folder before the work, not after it."""
+    if out is not None:
+        from sunspin.output.folder import results_folder
 
-    command = shlex.join(["sunspin", *sys.argv[1:]])
-    said = {} if telemetry is None else telemetry.attrs
-    inputs = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}] if "sha256" in said else []
-    write_run(folder, summary | {"command": command, "inputs": inputs}, vehicle, telemetry)
-    return f"A page to look into it: sunspin report {folder}"
+        results_folder(out, command)
+
+
+def deliver(
+    result: Any, out: Path | None, as_json: bool, quiet: bool, vehicle: Any, telemetry: Any = None,
+    also: Mapping[str, Any] | None = None, lines: Sequence[str] = (), drawings: Sequence[Any] = (),
+    main: str = "",
+) -> None:  # fmt: skip
+    """Save a result where a folder is given, and print what it says of itself; `also` and `lines`: more of it; `main`: its file."""
+    import_module("sunspin.output.result")
+    summary = result.sunspin.summary()
+    told = [*summary.lines, *lines, *summary.notes]
+    if out is not None:
+        command = shlex.join(["sunspin", *sys.argv[1:]])
+        folder = result.sunspin.save(out, vehicle=vehicle, telemetry=telemetry, command=command, also=also, drawings=drawings)
+        told += [f"Results: {folder / main}", f"A page to look into it: sunspin report {folder}"]
+    report({**summary, **(also or {})}, told, as_json, quiet)
 
 
 def on_terminal(quiet: bool) -> bool:

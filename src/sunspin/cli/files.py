@@ -142,7 +142,7 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
 
 
 def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    from sunspin.cli.measured import counts, status_lines
+    from sunspin.output.kinds.seen import status_counts, status_lines
     from sunspin.telemetry.health import panel_health
     from sunspin.telemetry.quality import lit_threshold
     from sunspin.telemetry.sun import sun_directions
@@ -152,7 +152,7 @@ def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
     health = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
     summary = {
-        "status": counts(sun),
+        "status": status_counts(sun),
         "noise_from": str(sun.attrs["noise_from"]),
         "impossible": {"-".join(pattern): n for pattern, n in health["impossible"].items()},
         "explanations": [list(lost) for lost in health["explanations"]],

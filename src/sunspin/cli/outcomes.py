@@ -10,22 +10,7 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import numbers, on_terminal, output_options, report, run_options, store_run
-
-SHOWN = (
-    ("touch_leg", "a leg touches first"),
-    ("touch_panel", "a panel touches first"),
-    ("touch_body", "the bare body touches first"),
-    ("rest_leg", "comes to rest on its legs"),
-    ("rest_panel", "comes to rest on a panel"),
-    ("leg_tip_speed", "fastest leg tip at first contact, m/s"),
-    ("antenna_share", "antenna holds the orbiter, share of the time"),
-    ("antenna_at_rest", "antenna holds the orbiter at rest"),
-    ("rz_time_below_-0.5", "r_z below -0.5, share of the time"),
-    ("rate_before", "rate before the collision, rad/s"),
-    ("rate_after", "rate after it, rad/s"),
-)
-"""What is printed of a tally, in this order."""
+from sunspin.cli.common import claim, deliver, numbers, on_terminal, output_options, run_options
 
 
 @click.command()
@@ -60,7 +45,8 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     """What a tumbling motion leads to: collision, first contact, antenna, rest, for one or more wheel strategies.
 
     A built-in case (philae) knows its times, speeds and, as candidates, its published lines. For another vehicle give at
-    least --omega (or --scan), --sun and --after. With --out, writes outcomes-STRATEGY.nc, strategies.nc and figures.
+    least --omega (or --scan), --sun and --after; a timeline.toml beside the vehicle file gives the times as well. With --out,
+    writes outcomes-STRATEGY.nc, strategies.nc and figures.
 
     \b
     Examples:
@@ -69,8 +55,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     """
     from sunspin.landing.scenario import strategy_of
     from sunspin.landing.strategies import best_delay as search
-    from sunspin.landing.strategies import compare
-    from sunspin.output.folder import results_folder
+    from sunspin.landing.strategies import compare, compared
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -80,45 +65,31 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
         "wheel_speed_rad_s": numbers(wheel_speed, "--wheel-speed") if wheel_speed else None,
         "sun_B": numbers(sun_B, "--sun", 3) if sun_B else None, "vertical": _vertical(vertical),
     }  # fmt: skip
-    scenario = _scenario(craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
+    scenario = _scenario(vehicle, craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
     candidates = _candidates(craft, scan, factor, omega)
-    folder = None if out is None else results_folder(out, "outcomes")
+    claim(out, "outcomes")
     options = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
     table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
-    summary: dict[str, Any] = {"runs": runs, "seed": seed, "candidates": len(candidates), "not_told": table.attrs["not_told"]}
-    summary["strategies"], lines = {}, []
-    for name in table["strategy"].values:
-        summary["strategies"][str(name)], more = _told(table, name, found[str(name)])
-        lines += more
-    best = search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options) if best_delay else None
-    if best is not None:
-        summary["best_delay"] = {"delay_s": best.best_s, "as_good_s": best.as_good_s, "spread_s": best.spread_s}
-        lines.append(
-            f"a leg touches first most often if the wheel is switched off {best.best_s:g} s after the touchdown "
-            f"({best.value.max():.3f}); not worse by two errors: {', '.join(f'{t:g}' for t in best.as_good_s)} s"
-        )
-    weighted = _condition(craft, next(iter(found.values())), data) if condition else None
-    if weighted is not None:
-        summary["collision"], more = _weighted(weighted)
-        lines += more
-    lines += [table.attrs["not_told"]] if table.attrs["not_told"] else []
-    if folder is not None:
-        lines += [f"Results: {_write(folder, table, found, best, weighted)}", store_run(folder, summary, vehicle)]
-    report(summary, lines, as_json, quiet)
+    parts = []
+    if best_delay:
+        parts.append(_best(search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options)))
+    if condition:
+        parts.append(_weighted(_condition(craft, next(iter(found.values())), data)))
+    also = {key: value for numbers, _, _ in parts for key, value in numbers.items()}
+    lines, drawings = [line for _, told, _ in parts for line in told], [drawing for _, _, drawing in parts]
+    deliver(compared(table, found), out, as_json, quiet, vehicle, also=also, lines=lines, drawings=drawings)
 
 
-def _told(table, name: str, runs) -> tuple[dict[str, Any], list[str]]:
-    """Estimates of one strategy for the summary, and lines for a person."""
-    at = table.sel(strategy=name)
-    told = {
-        str(q): {"value": float(v), "error": float(e)}
-        for q, v, e in zip(at["quantity"].values, at["value"].values, at["error"].values, strict=True)
-        if np.isfinite(v)
-    }
-    failed = int((runs["outcome"].values != 0).sum())
-    head = f"wheels {name}: {runs.sizes['run']} runs" + (f", {failed} of them could not be computed" if failed else "")
-    body = [f"  {text}: {told[q]['value']:.4f} +- {told[q]['error']:.4f}" for q, text in SHOWN if q in told]
-    return told, [head, *body]
+def _best(best) -> tuple[dict[str, Any], list[str], Any]:
+    """The search for the delay in numbers, in words and as a figure."""
+    from sunspin.output.kinds.outcomes import delay_drawing
+
+    numbers = {"best_delay": {"delay_s": best.best_s, "as_good_s": best.as_good_s, "spread_s": best.spread_s}}
+    line = (
+        f"a leg touches first most often if the wheel is switched off {best.best_s:g} s after the touchdown "
+        f"({best.value.max():.3f}); not worse by two errors: {', '.join(f'{t:g}' for t in best.as_good_s)} s"
+    )
+    return numbers, [line], delay_drawing(best)
 
 
 def _vertical(text: str | None) -> Any:
@@ -132,15 +103,18 @@ def _vertical(text: str | None) -> Any:
     raise InputError(sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text))
 
 
-def _scenario(craft, given: dict[str, Any], collision_speed: float | None):
-    """The case's own scenario with what the options say instead, or one made of the options alone."""
-    from sunspin.landing.scenario import Scenario, case_scenario
-    from sunspin.telemetry.case import case_names, load_case
+def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float | None):
+    """The case's own scenario with what the options say instead, or one made of the options and the timeline beside the vehicle."""
+    from sunspin.landing.scenario import Scenario, case_scenario, times_of
+    from sunspin.telemetry.case import case_names, load_case, timeline_of
 
+    timeline = timeline_of(vehicle)
     if collision_speed is not None:
         given["collision_speed_m_s"] = collision_speed or None
-    if craft.name in case_names() and load_case(craft.name).timeline is not None:
-        return replace(case_scenario(load_case(craft.name)), **given)
+    case = load_case(craft.name) if craft.name in case_names() else None
+    if case is not None and case.timeline is not None:
+        return replace(case_scenario(replace(case, timeline=timeline or case.timeline)), **given)
+    given = times_of(timeline) | given
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in given:
             raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))
@@ -190,33 +164,19 @@ def _condition(craft, runs, data: Path | None):
     return collision.condition(case, runs, None if there is None else collision.kernel_facts(case, there))
 
 
-def _weighted(found) -> tuple[dict[str, Any], list[str]]:
+def _weighted(found) -> tuple[dict[str, Any], list[str], Any]:
+    """The conditioned collisions in numbers, in words and as a figure."""
+    from sunspin.output.kinds.kind import Drawing
+    from sunspin.philae.figures.collision import collision_figure
+
     head = f"collision: {found.explained} of the runs come near the kernel's jump and speed"
     lines = [
         f"  {line['name']}: worth {line['effective_runs']:.0f} runs, rate before {line['rate_before']}, after {line['rate_after']} "
         f"rad/s, median period after {line['median_period_after']:.1f} s"
         for line in found.table
     ]
-    return {"facts": found.facts, "explained": found.explained, "table": found.table}, [head, *lines]
-
-
-def _write(folder: Path, table, found: dict[str, Any], best, weighted) -> Path:
-    from sunspin.output.figures import outcomes as figures
-    from sunspin.output.figures import save
-    from sunspin.output.folder import write_netcdf
-    from sunspin.philae.figures.collision import collision_figure
-
-    for name, runs in found.items():
-        write_netcdf(folder / f"outcomes-{name.replace(':', '-')}.nc", runs)
-    write_netcdf(folder / "strategies.nc", table)
-    save(figures.sun_height_figure(found), folder, "sun-height")
-    save(figures.strategies_figure(table), folder, "strategies")
-    if all(np.isfinite(runs["up_z"]).any() for runs in found.values()):
-        save(figures.distributions_figure(found), folder, "distributions")
-    if all("point_kind" in runs.coords for runs in found.values()):
-        save(figures.first_contact_figure(found), folder, "first-contact")
-    if weighted is not None:
-        save(collision_figure(weighted), folder, "collision")
-    if best is not None:
-        save(figures.delay_figure(best), folder, "delay")
-    return folder
+    drawing = Drawing(
+        "collision", lambda: collision_figure(found), "Simulated collisions against the speeds of the trajectory kernel.",
+        "Simulated collisions and what the trajectory shows; angular speeds after it as drawn and weighted by the kernel's speeds.",
+    )  # fmt: skip
+    return {"collision": {"facts": found.facts, "explained": found.explained, "table": found.table}}, [head, *lines], drawing

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.dynamics.gyrostat import free_inertia
 from sunspin.dynamics.wheel_modes import COMMANDS
 from sunspin.solve.rotations import cross_matrix
@@ -152,5 +153,5 @@ def _dataset(vehicle, batch, omega, velocity, impulse, speeds) -> xr.Dataset:
             "impulse_B": ((*runs, "axis"), np.broadcast_to(impulse, (*batch, 3)).copy(), {"units": "N s"}),
         },
         coords={"axis": ["x", "y", "z"], "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_)},
-        attrs={"vehicle": vehicle.name, "source": "paper, eqs. 8-11: inelastic sticking impact at one point"},
+        attrs=provenance("impact", vehicle=vehicle.name, source="paper, eqs. 8-11: inelastic sticking impact at one point"),
     )

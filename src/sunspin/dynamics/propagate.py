@@ -16,6 +16,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import MotionError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.bodies import Bodies
@@ -415,7 +416,7 @@ def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
             "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs={
+        attrs=provenance("trajectory") | {
             "vehicle": vehicle.name, "rtol": rtol, "frame_N": BODY_AT_START if environment is None else environment.frame_N,
             "source": "paper, eqs. 3-7; Taylor integration by heyoka",
         },

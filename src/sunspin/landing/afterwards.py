@@ -7,6 +7,8 @@ beside a blow from anywhere.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -18,19 +20,25 @@ from sunspin.estimate.posterior.predict import carried, checked_times, drawn_row
 from sunspin.landing import scenario as sc
 from sunspin.telemetry.case import case_names, load_case
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.timeline import Timeline
 
 
-def collision_s(vehicle: Vehicle, epoch_utc: str | None) -> float | None:
-    """s from the epoch to the collision that a built-in case knows of; None where it knows none or the epoch is another."""
+def collision_s(vehicle: Vehicle, epoch_utc: str | None, timeline: Timeline | None = None) -> float | None:
+    """s from the epoch to the collision of a built-in case, by its timeline or the one given; None where there is none.
+
+    Nor is there one if the epoch is another.
+    """
     if vehicle.name not in case_names():
         return None
-    case = load_case(vehicle.name)
-    if case.timeline is None or epoch_utc is None or case.timeline.epoch_utc.rstrip("Z") != str(epoch_utc).rstrip("Z"):
+    timeline = timeline or load_case(vehicle.name).timeline
+    if timeline is None or epoch_utc is None or timeline.epoch_utc.rstrip("Z") != str(epoch_utc).rstrip("Z"):
         return None
-    return next((event.t_s for event in case.timeline.events if event.name == "collision"), None)
+    return next((event.t_s for event in timeline.events if event.name == "collision"), None)
 
 
-def predicted(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed: int = 0) -> xr.Dataset:
+def predicted(
+    vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed: int = 0, timeline: Timeline | None = None
+) -> xr.Dataset:
     """As :func:`sunspin.estimate.posterior.predict.predict`, through the collision where the built-in case has one.
 
     At the instant of the collision it is the motion before. Coordinate `after_collision (predicted_s)` says which times
@@ -38,7 +46,7 @@ def predicted(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed:
     """
     first = float(tree.attrs["t_first_s"])
     times = checked_times(times_s, first)
-    blow = collision_s(vehicle, tree.attrs.get("epoch_utc"))
+    blow = collision_s(vehicle, tree.attrs.get("epoch_utc"), timeline)
     unknown, rows = drawn_rows(vehicle, tree)
     behind = np.zeros(times.size, dtype=bool) if blow is None else times > blow
     parts = []
@@ -53,6 +61,14 @@ def predicted(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed:
         said += f"{speed:g} m/s in any direction with a part along -z"
     found = xr.concat(parts, "predicted_s", data_vars="minimal").assign_coords(after_collision=("predicted_s", behind))
     return found.assign_attrs(carried(tree), collision=said)
+
+
+def with_predictions(
+    vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], seed: int = 0, timeline: Timeline | None = None
+) -> None:
+    """Add the group `predictions` to a posterior: :func:`predicted` at `times`, s from the epoch -> as asked for."""
+    found = predicted(vehicle, tree, list(times), seed, timeline)
+    tree["predictions"] = xr.DataTree(found.assign_coords(asked=("predicted_s", list(times.values()))))
 
 
 def _scenario(vehicle: Vehicle) -> sc.Scenario:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from sunspin.base.provenance import provenance
 from sunspin.compute.identity import plain
 from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
 from sunspin.landing.contact import KINDS, Shape
@@ -105,8 +105,7 @@ def _with_shape(result: xr.Dataset, vehicle: Vehicle, shape: Shape | None) -> xr
 
 def _attrs(rows: Any) -> dict[str, Any]:
     vehicle, scenario = rows.vehicle, rows.scenario
-    return {
-        "sunspin_version": metadata.version("sunspin"),
+    return provenance("outcomes") | {
         "vehicle": vehicle.name,
         "seed": rows.seed,
         "strategy": rows.strategy.name,

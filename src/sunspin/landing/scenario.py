@@ -13,6 +13,7 @@ from sunspin.dynamics.wheel_modes import Schedule, schedules
 from sunspin.landing.contact import Shape, legs_down, shape_of
 from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.timeline import Timeline
 
 SPIRAL = 20_000
 """Directions, evenly over the sphere, among which the local vertical is drawn: 1.5 degrees apart."""
@@ -124,6 +125,21 @@ def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     )
 
 
+def times_of(timeline: Timeline | None) -> dict[str, float]:
+    """The times of a `Scenario`, as far as the timeline has both events of each."""
+    if timeline is None:
+        return {}
+    named = {event.name for event in timeline.events}
+    return {key: timeline.seconds(*ends) for key, ends in TIMES.items() if named.issuperset(ends)}
+
+
+TIMES = {
+    "lead_s": ("first_touchdown", "first_sample_after_touchdown"), "before_s": ("first_sample_after_touchdown", "collision"),
+    "after_s": ("collision", "second_touchdown"),
+}  # fmt: skip
+"""Time of a scenario -> the events between which it is."""
+
+
 def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     """The case with the times of its timeline and the speeds of its trajectory kernel; candidates as in the paper.
 
@@ -131,16 +147,16 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     """
     if case.timeline is None or "kernel_speed_before" not in case.published:
         raise InputError(sentence(f"case {case.name!r} knows of no landing", do="give a Scenario of your own"))
-    between, published = case.timeline.seconds, case.published
+    published, times = case.published, {key: case.timeline.seconds(*ends) for key, ends in TIMES.items()}
+    if rebound is not None:
+        times |= {"lead_s": rebound.lead_s, "before_s": rebound.window_s}
     return Scenario(
         sun_B=_first_sun(case) if rebound is None else tuple(rebound.sun_B),
         wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
-        lead_s=between("first_touchdown", "first_sample_after_touchdown") if rebound is None else rebound.lead_s,
-        before_s=between("first_sample_after_touchdown", "collision") if rebound is None else rebound.window_s,
-        after_s=between("collision", "second_touchdown"),
         collision_speed_m_s=published["kernel_speed_before"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
-    )
+        lead_s=times["lead_s"], before_s=times["before_s"], after_s=times["after_s"],
+    )  # fmt: skip
 
 
 def _first_sun(case: Case) -> tuple[float, ...]:

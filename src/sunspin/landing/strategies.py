@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,9 +82,15 @@ def compare(
             "gain_error": (dims, [[x.error for x in row] for row in gains]),
         },
         coords={"strategy": names, "quantity": quantities, "level": list(LEVELS)},
-        attrs=runs[names[0]].attrs | {"strategy": "compared", "runs": n},
+        attrs=runs[names[0]].attrs | {"kind": "strategies", "strategy": "compared", "runs": n},
     )
     return table, runs
+
+
+def compared(table: xr.Dataset, runs: Mapping[str, xr.Dataset]) -> xr.DataTree:
+    """Both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy."""
+    nodes = {"strategies": table} | {f"runs/{name}": found for name, found in runs.items()}
+    return xr.DataTree.from_dict({"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes})
 
 
 def _quantiles(values: np.ndarray | None) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,6 +12,7 @@ import xarray as xr
 from sunspin.output import figures as fig
 from sunspin.output.figures import outcomes as figures_outcomes
 from sunspin.output.folder import Picture
+from sunspin.output.kinds.kind import Drawing
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.coverage import CONFIDENCE, Worth
@@ -25,15 +26,6 @@ from sunspin.philae.figures import sensitivity as figures_sensitivity
 from sunspin.philae.level_set import LevelSet
 from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.study import Reproduction
-
-
-class Sheet(NamedTuple):
-    """A figure to draw: file name, function that makes it, what it shows in words, caption."""
-
-    name: str
-    make: Callable[[], Any]
-    alt: str
-    caption: str
 
 
 def draw(result: Reproduction, folder: Path) -> list[Picture]:
@@ -51,15 +43,15 @@ def _note(result: Reproduction) -> str:
     return " Synthetic telemetry." if result.synthetic else ""
 
 
-def _measured(result: Reproduction, _: Any) -> Iterator[Sheet]:
+def _measured(result: Reproduction, _: Any) -> Iterator[Drawing]:
     note = _note(result)
-    yield Sheet(
+    yield Drawing(
         "fig03_measured", lambda: fig.sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
         "Panel powers, components of the Sun direction and Delta against time",
         "Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no "
         "direction, by reason." + note,
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "fig04_phases", lambda: fig.descent_and_rebound_figure(_phases(result.sun), result.synthetic),
         "Sun directions on the unit sphere in four phases", "Directions in each phase (paper, Fig. 4). Orange: "
         "best fits to sets of lit panels that the Sun alone cannot light." + note,
@@ -75,34 +67,34 @@ def _events(result: Reproduction) -> dict[str, float]:
     return {name: second for name, second in at.items() if first - 600 <= second <= last}
 
 
-def _mechanics(_: Reproduction, part: Any) -> Iterator[Sheet]:
+def _mechanics(_: Reproduction, part: Any) -> Iterator[Drawing]:
     fall = part.spin_down
     curves = {
         "published fit, which gives the default friction": fall["record"],
         "rounded friction as printed": fall["printed"],
     }
-    yield Sheet(
+    yield Drawing(
         "fig05_spin_down", lambda: fig.spin_down_figure(fall["t_s"], curves), "Wheel speed falling to zero",
         "Spin-down of the wheel (paper, Fig. 5), drawn from the published coefficients.",
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "fig06_examples", lambda: fig.examples_figure(part.examples),
         "Tracks of the Sun on the sphere and its components against time for three initial rates",
         "Simulated tracks of the Sun in body axes (paper, Fig. 6).",
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "fig07_histograms", lambda: fig.histograms_figure(part.examples), "Three histograms of the Sun's z component",
         "Distribution of the z component in those simulations (paper, Fig. 7).",
     )  # fmt: skip
 
 
-def _sensitivity(result: Reproduction, part: Any) -> Iterator[Sheet]:
-    yield Sheet(
+def _sensitivity(result: Reproduction, part: Any) -> Iterator[Drawing]:
+    yield Drawing(
         "fig08_maps", lambda: figures_sensitivity.draw_maps(part), "Two maps of E with many slanted valleys",
         "E over initial rates and over parameters (paper, Fig. 8), with the direction at the start as the paper quotes it." +
         _note(result),
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "growth", lambda: figures_sensitivity.draw_growth(part),
         "Growth of direction errors, valleys of E in three windows, E and EMD under changes of one percent, width of the valley",
         "Why a direct fit fails: errors grow with the window, the valley of E narrows below the scan's step, EMD hardly moves. "
@@ -110,10 +102,10 @@ def _sensitivity(result: Reproduction, part: Any) -> Iterator[Sheet]:
     )  # fmt: skip
 
 
-def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Sheet]:
+def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
     lines, note, near = rb.published_lines(part.case), _note(result), part.near
     synthetic = " (synthetic)" if part.synthetic else ""
-    yield Sheet(
+    yield Drawing(
         "fig09_telemetry", lambda: fig.level_set_figure(
             near.points, near.lines, lines,
             f"EMD < {near.factor:g} EMD_min, target: this telemetry{synthetic}", part.truth.get("omega_B")),
@@ -124,7 +116,7 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Sheet]:
     measured = "measured" + (" (synthetic telemetry)" if part.synthetic else "")
     pooled = result.parts["published_lines"].pooled
     shown = {f"L{k + 1} as published": z for k, z in enumerate(pooled)}
-    yield Sheet(
+    yield Drawing(
         "distributions", lambda: fig.distributions_figure(part.measured_z, measured, shown, "What the EMD compares"),
         "Cumulative distributions of the z component",
         "Measured z components, and motions begun on the printed lines: these four are nearly one distribution (EMD to "
@@ -133,9 +125,9 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Sheet]:
     )  # fmt: skip
 
 
-def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
+def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]:
     lines, clean = rb.published_lines(part.case), part.clean
-    yield Sheet(
+    yield Drawing(
         "fig09_lines", lambda: fig.level_set_figure(
             clean.points, clean.lines, lines,
             f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines"),
@@ -144,19 +136,19 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
         f"points at {clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of "
         f"points, the minimum against so clean a target being {float(clean.emd.min()):.4f}.",
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "thresholds", lambda: fig.thresholds_figure(part.thresholds, clean.factor),
         "Size of the near-minimum set and distance of its lines against the factor",
         "What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor "
         "used above. Fewer points than four lines need have no line.",
     )  # fmt: skip
     smallest = float(np.linalg.norm(part.on_lines_touchdown, axis=1).min())
-    yield Sheet(
+    yield Drawing(
         "fig12_lines", lambda: fig.backward_figure(part.near_touchdown, part.on_lines_touchdown, smallest),
         "Body rates at the first touchdown of motions on the printed lines",
         "No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).",
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "fig13_lines", lambda: figures_outcomes.sun_height_figure(part.runs),
         "Densities of the z component after the collision for motions on the printed lines, wheel off and held",
         f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated "
@@ -164,8 +156,8 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Sheet]:
     )  # fmt: skip
 
 
-def _descent(result: Reproduction, part: Any) -> Iterator[Sheet]:
-    yield Sheet(
+def _descent(result: Reproduction, part: Any) -> Iterator[Drawing]:
+    yield Drawing(
         "fig10_11_descent", lambda: figures_descent.draw(part),
         "Measured and fitted directions of the descent, the fitted rate, E against the rate",
         "The descent: measured and fitted directions (paper, Fig. 10), E against the rate (Fig. 11), here over all aliases of "
@@ -173,8 +165,8 @@ def _descent(result: Reproduction, part: Any) -> Iterator[Sheet]:
     )  # fmt: skip
 
 
-def _precession(_: Reproduction, part: Any) -> Iterator[Sheet]:
-    yield Sheet(
+def _precession(_: Reproduction, part: Any) -> Iterator[Drawing]:
+    yield Drawing(
         "precession", lambda: figures_precession.draw(part),
         "Height of the Sun, nutation angle and swing of the z axis along the four published lines",
         "What section 3.2 says of the amplitude of precession: the Sun's height ranges as published, the z axis swings further "
@@ -182,8 +174,8 @@ def _precession(_: Reproduction, part: Any) -> Iterator[Sheet]:
     )  # fmt: skip
 
 
-def _touchdown(result: Reproduction, part: Chain) -> Iterator[Sheet]:
-    yield Sheet(
+def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
+    yield Drawing(
         "fig12_touchdown", lambda: figures_candidates.draw(part, result.synthetic),
         "Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box",
         "What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the "
@@ -191,44 +183,44 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Sheet]:
     )  # fmt: skip
 
 
-def _landing(result: Reproduction, part: Any) -> Iterator[Sheet]:
+def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
     runs = next(iter(part.chosen.paper.values())).sizes["run"]
     about = part.chain.chosen.about
-    yield Sheet(
+    yield Drawing(
         "fig13_after_collision", lambda: figures_outcomes.sun_height_figure(part.chosen.paper),
         "Densities of the z component between collision and second touchdown, wheel off and held",
         f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1." +
         _note(result),
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "strategies", lambda: figures_outcomes.strategies_figure(part.strategies),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
         f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}." + _note(result),
     )  # fmt: skip
-    yield Sheet(
+    yield Drawing(
         "collision", lambda: figures_collision.collision_figure(part.collision),
         "Simulated collisions against the trajectory kernel's speeds",
         "The simulated collisions against what the trajectory kernel and the magnetometer say of them." + _note(result),
     )  # fmt: skip
 
 
-def _health(result: Reproduction, part: Any) -> Iterator[Sheet]:
-    yield Sheet(
+def _health(result: Reproduction, part: Any) -> Iterator[Drawing]:
+    yield Drawing(
         "health", lambda: figures_health.draw(part), "Lit panels sample by sample and the probability of forbidden patterns",
         "Which panels are lit, which patterns the Sun alone cannot make, and how improbable noise makes them (paper, section 4)."
         + _note(result),
     )  # fmt: skip
 
 
-def _worth(_: Reproduction, part: Any) -> Iterator[Sheet]:
+def _worth(_: Reproduction, part: Any) -> Iterator[Drawing]:
     case, worth = part
     yield worth_sheet(worth, case.published)
 
 
-def worth_sheet(worth: Worth, published: Mapping[str, Any], confidence: float = CONFIDENCE) -> Sheet:
+def worth_sheet(worth: Worth, published: Mapping[str, Any], confidence: float = CONFIDENCE) -> Drawing:
     """The figure of :mod:`sunspin.philae.coverage`; `published` of the case."""
     known = {key: published[key].value for key in ("emd_min", "rate_at_touchdown_min")}
-    return Sheet(
+    return Drawing(
         "worth", lambda: figures_coverage.draw(worth, known, confidence),
         "EMD of the truth, coverage of the level set, scatter of the lines and of the lower bound over many twins",
         "What the answer is worth: the paper's method repeated on synthetic rebounds whose truth is known. Bands: 95 % sampling "
@@ -236,7 +228,7 @@ def worth_sheet(worth: Worth, published: Mapping[str, Any], confidence: float = 
     )  # fmt: skip
 
 
-SHEETS: tuple[tuple[str, Callable[[Reproduction, Any], Iterator[Sheet]]], ...] = (
+SHEETS: tuple[tuple[str, Callable[[Reproduction, Any], Iterator[Drawing]]], ...] = (
     ("phases", _measured),
     ("mechanics", _mechanics),
     ("sensitivity", _sensitivity),

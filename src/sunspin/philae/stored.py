@@ -62,7 +62,7 @@ def _scans(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
         data["published_direction"] = (("published_line", "rate_axis"), np.array([d for _, d in lines]), {"units": "1"})
         if name == "scan_telemetry" and scan is not None and scan.truth:
             data["truth"] = ("rate_axis", scan.truth["omega_B"], {"units": "rad s-1"})
-        found.append((name, data.assign_attrs(about=about)))
+        found.append((name, data.assign_attrs(kind="scan", about=about)))
     return found
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError, sentence
+from sunspin.base.untrusted import read_bytes
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
 from sunspin.vehicle.notebook import case_html
@@ -34,6 +35,9 @@ class Published:
     unit: str
     what: str
     place: str
+
+
+MAX_TIMELINE_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,32 @@ def load_case(name: str) -> Case:
         timeline=parse_timeline(timeline.read_text("utf-8"), str(timeline)) if timeline.is_file() else None,
         published=parse_published(published.read_text("utf-8"), str(published)) if published.is_file() else _frozen({}),
     )
+
+
+def timeline_of(vehicle: object) -> Timeline | None:
+    """The `timeline.toml` beside a vehicle file, as `sunspin reproduce` writes both; of a built-in vehicle that of its case.
+
+    None where there is none.
+
+    Raises
+    ------
+    InputError
+        With what is wrong in the file.
+    """
+    if isinstance(vehicle, str) and vehicle in case_names():
+        return load_case(vehicle).timeline
+    path = Path(str(vehicle)).parent / "timeline.toml"
+    if not path.is_file():
+        return None
+    try:
+        text = read_bytes(path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again").decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(sentence("the file is not UTF-8 text", do="save it as UTF-8", where=str(path))) from None
+    try:
+        return parse_timeline(text, str(path))
+    except (TypeError, AttributeError) as error:
+        what = f"an entry has not the form of a timeline's ({error})"
+        raise InputError(sentence(what, do="correct it", where=str(path))) from None
 
 
 def parse_published(text: str, where: str) -> Mapping[str, Published]:

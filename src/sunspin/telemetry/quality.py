@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
 from sunspin.telemetry.sun import LIT_SIGMAS, signals
 from sunspin.vehicle import Vehicle
@@ -155,7 +156,8 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "dead": ("panel", dead),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs={"full_sun": float(full), "albedo": float(albedo),
+        attrs=provenance("panel_quality", telemetry, vehicle=vehicle.name) | {
+               "full_sun": float(full), "albedo": float(albedo),
                "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
                "earth_light": earth,
                "noise": float(noise), "spread": np.nan if told.spread is None else told.spread},

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime, timedelta
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.sensors import ABSURD, read_sensors, unwrapped
@@ -248,7 +248,7 @@ def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dat
     if "phase" in table.header:
         at = table.header.index("phase")
         coords["phase"] = ("time", np.array([row[at].strip() for row in table.rows], dtype=np.str_))
-    attrs = {
+    attrs = provenance("telemetry") | {
         "vehicle": vehicle.name,
         "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
         "quantity": form.quantity,
@@ -256,7 +256,6 @@ def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dat
         "sha256": table.sha256,
         "comments": "\n".join(table.comments),
         "synthetic": int(any(comment.lower().startswith("synthetic") for comment in table.comments)),
-        "sunspin_version": metadata.version("sunspin"),
     }
     flags = {"flag_masks": [k for k in FLAGS if k], "flag_meanings": " ".join(v for k, v in FLAGS.items() if k)}
     panels = {form.quantity: (("time", "panel"), values, {"units": UNITS[form.quantity]})} if values.shape[1] else {}

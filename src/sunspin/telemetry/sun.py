@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import dark_noise
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.cosine import (
@@ -289,7 +290,7 @@ def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, l
     if base is not None:
         coords |= {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
     attrs = {} if base is None else dict(base.attrs)
-    attrs |= {
+    attrs |= provenance("sun_directions") | {
         "vehicle": vehicle.name,
         "noise": float(noise),
         "noise_from": noise_from,

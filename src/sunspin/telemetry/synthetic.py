@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import OutputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.vehicle import Vehicle
 
 TIME_STEP_S = 1e-3
@@ -59,14 +59,10 @@ def telemetry_dataset(
     }
     if phase is not None:
         coords["phase"] = ("time", np.asarray(phase, dtype=np.str_))
-    attrs = {
-        "vehicle": vehicle.name,
-        "epoch_utc": epoch_utc if epoch_utc.endswith("Z") else epoch_utc + "Z",
-        "quantity": quantity,
-        "synthetic": 1,
-        "sunspin_version": metadata.version("sunspin"),
-        **{f"truth_{key}": value for key, value in truth.items()},
-    }
+    attrs = provenance(
+        "telemetry", vehicle=vehicle.name, epoch_utc=epoch_utc if epoch_utc.endswith("Z") else epoch_utc + "Z", quantity=quantity,
+        synthetic=1, **{f"truth_{key}": value for key, value in truth.items()},
+    )  # fmt: skip
     long_name = "true direction to the Sun, body axes"
     return xr.Dataset(
         {

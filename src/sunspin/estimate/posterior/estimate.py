@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import xarray as xr
 from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
@@ -238,14 +238,13 @@ def chi_square(likelihood: Likelihood, state: State) -> tuple[float, int]:
 
 
 def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Model, data: Readings) -> dict[str, Any]:
-    carried = ("epoch_utc", "synthetic", "file", "sha256", "comments")
-    about = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
-    return about | {
+    comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
+    return provenance("posterior", telemetry, **comments) | {
         "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
         "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,
-        "searched_rate_rad_s": float(chosen.limit), "device": unknown.device, "sunspin_version": metadata.version("sunspin"),
+        "searched_rate_rad_s": float(chosen.limit), "device": unknown.device,
         "torques": json.dumps([torque.name for torque in unknown.acting.torques]),
     }  # fmt: skip
 

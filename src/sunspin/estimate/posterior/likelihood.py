@@ -17,7 +17,7 @@ from sunspin.dynamics import ensemble as k
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.tags import LOG_2PI, power_slope, tagged
-from sunspin.solve.rotations import tangents
+from sunspin.solve.rotations import moved, tangents
 
 OUTLIERS = 0.02
 """Probability beforehand that a reading has nothing to do with the Sun."""

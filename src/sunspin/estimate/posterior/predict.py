@@ -10,6 +10,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
 from sunspin.estimate.posterior.data import group
@@ -131,7 +132,7 @@ def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike) -> xr.D
 
 def carried(tree: xr.DataTree) -> dict[str, Any]:
     """What predictions take over from the posterior's attributes."""
-    return {key: tree.attrs[key] for key in ("synthetic", "vehicle", "epoch_utc", "verdict_word") if key in tree.attrs}
+    return provenance("predictions", tree, **{key: tree.attrs[key] for key in ("vehicle", "verdict_word") if key in tree.attrs})
 
 
 def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import metadata
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
@@ -302,15 +302,13 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
-    carried = ("epoch_utc", "synthetic", "file", "sha256")
-    attrs: dict[str, Any] = {key: telemetry.attrs[key] for key in carried if key in telemetry.attrs}
-    attrs |= {
+    attrs: dict[str, Any] = provenance("rates", telemetry) | {
         "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
         "attitude_used": int(np.isfinite(o.attitude[index]).any()), "earth_light": o.earth_light if is_told(o) else 0.0,
-        "sunspin_version": metadata.version("sunspin"), "frame_N": SUN_Z_LOCAL,
+        "frame_N": SUN_Z_LOCAL,
     }  # fmt: skip
     result = xr.Dataset(
         {

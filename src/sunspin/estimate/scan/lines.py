@@ -16,6 +16,7 @@ import xarray as xr
 from scipy.optimize import linear_sum_assignment
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 
 Line = tuple[np.ndarray, np.ndarray]
 """A point of it and its direction, (3) each."""
@@ -81,7 +82,7 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
         cost = _total(cloud, *lines)
         if cost < best_cost * (1 - TOLERANCE):
             best_cost, best = cost, lines
-    return _dataset(np.asarray(points, dtype=np.float64), *best)
+    return _dataset(np.asarray(points, dtype=np.float64), *best).assign_attrs(provenance("lines", seed=seed))
 
 
 def _total(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> float:

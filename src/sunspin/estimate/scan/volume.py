@@ -16,6 +16,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.compute.rows import CHUNK, ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import Torque, acting
@@ -126,7 +127,8 @@ def scan(
             k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
     chunk = CHUNK if device == "cpu" else GPU_CHUNK
     out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
-    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device)
+    count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
+    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device).assign_attrs(directions=count)
 
 
 def volume(
@@ -147,7 +149,7 @@ def volume(
         dims=dims,
         coords={dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)},
         name=name,
-        attrs={
+        attrs=provenance("scan") | {
             "units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode),
             "vector_bits": k.vector_bits(), "device": device,
         },

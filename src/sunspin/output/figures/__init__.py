@@ -33,27 +33,71 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     return paths
 
 
+def named(name: Any) -> str:
+    """A name from outside as text and never as a formula."""
+    return str(name).replace("$", r"\$")
+
+
 def _title(text: str, synthetic: Any) -> str:
     return f"{text} (synthetic telemetry)" if synthetic else text
 
 
-def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset, events: Mapping[str, float] | None = None) -> Figure:
-    """Panel signals, Sun direction components and Delta against time; samples without a direction by their reason.
+def signals_figure(telemetry: xr.Dataset) -> Figure:
+    """Signals of the panels against time."""
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    axes = figure.subplots()
+    _signals(axes, telemetry)
+    axes.set_xlabel(_since(telemetry))
+    axes.set_title(_title("Panel signals", telemetry.attrs.get("synthetic")))
+    return figure
 
-    `events`: name -> s of the telemetry's clock, marked by lines across all three.
-    """
+
+def _signals(axes: Any, telemetry: xr.Dataset) -> None:
     name = "power_W" if "power_W" in telemetry else "current_A"
     values, hours = telemetry[name], telemetry["time"].values / 3600
-    figure = Figure(figsize=(10, 8.5), layout="constrained")
-    top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.6))
     gaps = _long_gaps(hours)
     for k, panel in enumerate(values["panel"].values):
         broken = np.insert(values.sel(panel=panel).values, gaps, np.nan)
-        top.plot(np.insert(hours, gaps, np.nan), broken, ".:", ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {panel}")
-    top.set_ylabel("power (W)" if name == "power_W" else "current (A)")
-    top.legend(ncols=8, fontsize=8, loc="upper right")
-    top.set_ylim(top=1.18 * float(np.nanmax(values)))
-    top.set_title(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
+        axes.plot(np.insert(hours, gaps, np.nan), broken, ".:", ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {named(panel)}")
+    axes.set_ylabel("power (W)" if name == "power_W" else "current (A)")
+    axes.legend(ncols=8, fontsize=8, loc="upper right")
+    axes.set_ylim(top=1.18 * float(np.nanmax(values)))
+
+
+def _since(data: xr.Dataset) -> str:
+    return f"time (h) since {data.attrs.get('epoch_utc', 'the first sample')}"
+
+
+def gains_figure(quality: xr.Dataset) -> Figure:
+    """Gain of each panel with one sigma; dead panels crossed."""
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    axes = figure.subplots()
+    place = np.arange(quality.sizes["panel"])
+    gain, dead = quality["gain"].values, quality["dead"].values.astype(bool)
+    axes.errorbar(place, gain, yerr=quality["gain_sigma"].values, fmt="o", color=COLOURS[0], capsize=3)
+    axes.plot(place[dead], gain[dead], "x", ms=10, color=COLOURS[1])
+    axes.set_xticks(place, [named(name) for name in quality["panel"].values])
+    axes.set_xlabel("panel")
+    axes.set_ylabel("gain (unit of the vehicle's gains)")
+    axes.set_title(_title("Gains of the panels", quality.attrs.get("synthetic")))
+    return figure
+
+
+def sun_directions_figure(
+    sun: xr.Dataset, telemetry: xr.Dataset | None = None, events: Mapping[str, float] | None = None
+) -> Figure:
+    """Panel signals where they are given, Sun direction components and Delta against time; samples without a direction by reason.
+
+    `events`: name -> s of the telemetry's clock, marked by lines across all three.
+    """
+    hours = (sun["time"].values if "time" in sun.coords else np.arange(sun.sizes["time"])) / 3600
+    figure = Figure(figsize=(10, 8.5 if telemetry is not None else 5.6), layout="constrained")
+    parts = figure.subplots(3 if telemetry is not None else 2, 1, sharex=True,
+                            height_ratios=(3, 3, 1.6)[0 if telemetry is not None else 1 :])  # fmt: skip
+    middle, low = parts[-2:]
+    if telemetry is not None:
+        _signals(parts[0], telemetry)
+    parts[0].set_title(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
     told = np.isfinite(sun["sun_B"].values[:, 0])
     error = sun["sigma_rad"].values
     for k, axis in enumerate("xyz"):
@@ -78,9 +122,9 @@ def sun_directions_figure(sun: xr.Dataset, telemetry: xr.Dataset, events: Mappin
     if unchecked.any():
         low.legend(fontsize=8, loc="lower right")
     low.set_ylabel(r"$\Delta$ (1)")
-    low.set_xlabel(f"time (h) since {sun.attrs.get('epoch_utc', 'the first sample')}")
+    low.set_xlabel(_since(sun))
     for k, (event, second) in enumerate((events or {}).items()):
-        for axes in (top, middle, low):
+        for axes in parts:
             axes.axvline(second / 3600, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
         low.text(second / 3600, 20 / 4 ** (k % 3), f" {event}", fontsize=7, va="center", ha="right" if k % 2 == 0 and k else "left")
     return figure

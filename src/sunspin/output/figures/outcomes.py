@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from sunspin.landing.strategies import BestDelay
 from sunspin.landing.tally import Estimate, density, tally
-from sunspin.output.figures import COLOURS
+from sunspin.output.figures import COLOURS, named
 
 DOTS = (
     (
@@ -46,11 +46,10 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure
         curve = density(found, merge=FINER)
         width = 2.0 / curve.sizes["rz"]
         edges = np.append(curve["rz"].values - width / 2, 1.0)
-        label = f"{name}: {found.sizes['run']:,} runs".replace(",", " ")
-        axes.stairs(curve["density"].values, edges, color=COLOURS[k], lw=1.6, fill=k == 0, alpha=0.45 if k == 0 else 1, label=label)
-        axes.errorbar(
-            curve["rz"].values, curve["density"].values, yerr=curve["error"].values, fmt="none", ecolor=COLOURS[k], elinewidth=1.0
-        )
+        said = f"{named(name)}: {found.sizes['run']:,} runs".replace(",", " ")
+        colour, alpha = COLOURS[k % 8], 0.45 if k == 0 else 1
+        axes.stairs(curve["density"].values, edges, color=colour, lw=1.6, fill=k == 0, alpha=alpha, label=said)
+        axes.errorbar(curve["rz"].values, curve["density"].values, curve["error"].values, fmt="none", ecolor=colour, elinewidth=1.0)
     axes.set_xlim(-1, 1)
     axes.set_ylim(bottom=0)
     axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis (1)")
@@ -90,7 +89,7 @@ def strategies_figure(table: xr.Dataset) -> Figure:
 def _short(name: str) -> str:
     if name.startswith("delay:"):
         return f"off after\n{float(name[6:]) / 60:g} min"
-    return {"off": "off at\ntouchdown", "held": "held", "brake": "braked", "after_rest": "off after\nrest"}.get(name, name)
+    return {"off": "off at\ntouchdown", "held": "held", "brake": "braked", "after_rest": "off after\nrest"}.get(name, named(name))
 
 
 def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[str]) -> None:
@@ -187,8 +186,8 @@ def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
         labels = list(values)
         place = np.arange(len(labels)) + 0.8 / len(runs) * (k - (len(runs) - 1) / 2)
         axes.bar(
-            place, [v.value for v in values.values()], 0.8 / len(runs), yerr=[v.error for v in values.values()], color=COLOURS[k],
-            hatch=HATCHES[k % 4], ec="white", label=_short(name).replace("\n", " "), capsize=2,
+            place, [v.value for v in values.values()], 0.8 / len(runs), yerr=[v.error for v in values.values()],
+            color=COLOURS[k % 8], hatch=HATCHES[k % 4], ec="white", label=_short(name).replace("\n", " "), capsize=2,
         )  # fmt: skip
     axes.set_xticks(range(len(labels)), labels, fontsize=9)
     axes.set_ylabel("probability of touching first (1)")
@@ -204,5 +203,5 @@ def _parts(runs: xr.Dataset) -> dict[str, Estimate]:
     for leg in range(int(runs["point_leg"].max()) + 1):
         share = float(np.mean(runs["point_leg"].values[point][point >= 0] == leg))
         parts[f"leg {leg + 1}"] = Estimate(share, float(np.sqrt(share * (1 - share) / n)))
-    parts |= {f"panel {p}": found[f"touch_panel_{p}"] for p in runs["panel"].values if f"touch_panel_{p}" in found}
+    parts |= {f"panel {named(p)}": found[f"touch_panel_{p}"] for p in runs["panel"].values if f"touch_panel_{p}" in found}
     return parts | ({"bare body": found["touch_body"]} if "touch_body" in found else {})

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title
+from sunspin.output.figures import COLOURS, _title, named
 
 SHOWN_DRAWS = 3000
 
@@ -44,8 +44,9 @@ def corner_figure(tree: Any, truth: Any = None) -> Figure:
             if j == 0 and i > 0:
                 axes.set_ylabel(f"{names[i]} (rad/s)")
             axes.tick_params(axis="y", labelsize=7)
-    figure.suptitle(_title(f"Body rate of {tree.attrs['vehicle']} at the first sample: {tree.attrs['verdict_word']}",
-                           tree.attrs.get("synthetic")), fontsize=10)  # fmt: skip
+    word = f": {named(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
+    text = f"Body rate of {named(tree.attrs.get('vehicle', 'the body'))} at the first sample{word}"
+    figure.suptitle(_title(text, tree.attrs.get("synthetic")), fontsize=10)
     return figure
 
 

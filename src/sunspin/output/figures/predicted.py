@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title
+from sunspin.output.figures import COLOURS, _title, named
 
 
 def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | None = None) -> Figure:
@@ -19,12 +19,12 @@ def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | N
     count = found.sizes["predicted_s"]
     figure = Figure(figsize=(13, 2.7 * count + 0.6), layout="constrained")
     grid = figure.subplots(count, 4, squeeze=False)
-    for i, label in enumerate(labels):
+    for i, moment in enumerate(labels):
         at = found.isel(predicted_s=i, chain=0)
         true = None if truth is None else truth.isel(predicted_s=i, chain=0, draw=0)
         speed, parts, sky, angles = grid[i]
         _spread(speed, at["rate"].values, COLOURS[0], None, None if true is None else float(true["rate"]))
-        speed.set_ylabel(f"{label}\ndraws", fontsize=9)
+        speed.set_ylabel(f"{moment}\ndraws", fontsize=9)
         for k, axis in enumerate("xyz"):
             value = None if true is None else float(true["omega_B"].values[k])
             _spread(parts, at["omega_B"].values[:, k], COLOURS[k], rf"$\omega_{axis}$", value)
@@ -40,7 +40,7 @@ def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | N
             sky.set_xlabel("azimuth of the Sun about z (deg)")
             angles.set_xlabel("angle (deg)")
     marks = "; dashed: the truth" if truth is not None else ""
-    text = f"What {found.attrs.get('vehicle', 'the body')} did: draws of the posterior{marks}"
+    text = f"What {named(found.attrs.get('vehicle', 'the body'))} did: draws of the posterior{marks}"
     figure.suptitle(_title(text, found.attrs.get("synthetic")), fontsize=11)
     return figure
 

@@ -8,18 +8,18 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title
+from sunspin.output.figures import COLOURS, _title, named
 
 SHOWN = 8
 """Passes drawn; more would not be legible."""
 
 
-def rates_figure(result: xr.Dataset, telemetry: xr.Dataset) -> Figure:
-    """Rate components (deg/s) of the best motion of each pass with one sigma, and the gyro where the file has one."""
+def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Figure:
+    """Rate components (deg/s) of the best motion of each pass with one sigma, and the gyro where the telemetry has one."""
     passes = _chosen(result)
-    figure = Figure(figsize=(max(5.0, 2.1 * len(passes)), 6.4), layout="constrained")
+    figure = Figure(figsize=(max(7.5, 2.1 * len(passes)), 6.4), layout="constrained")
     grid = figure.subplots(3, len(passes), sharey="row", squeeze=False)
-    gyro = telemetry["gyro_B"] if "gyro_B" in telemetry else None
+    gyro = None if telemetry is None or "gyro_B" not in telemetry else telemetry["gyro_B"]
     for column, number in enumerate(passes):
         at = np.flatnonzero(result["pass_of"].values == number)
         t = result["time"].values[at]
@@ -29,16 +29,16 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset) -> Figure:
             axes.fill_between((t - t[0]) / 60, mean - sigma, mean + sigma, color=COLOURS[k], alpha=0.25, lw=0)
             axes.plot((t - t[0]) / 60, mean, ".-", color=COLOURS[k], ms=4, lw=1, label="from the Sun, one sigma")
             if gyro is not None:
-                _gyro(axes, telemetry, gyro.values[:, k], t)
+                _gyro(axes, gyro["time"].values, gyro.values[:, k], t)
             axes.axhline(0, color=COLOURS[7], lw=0.5)
         grid[0, column].set_title(f"{_clock(result, t[0])}\nweight {result['weight'].values[number, 0]:.2f}", fontsize=8)
         grid[2, column].set_xlabel("time (min)")
     for k, axes in enumerate(grid[:, 0]):
         axes.set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
         axes.legend(fontsize=7, loc="best")
-    label = {"panels": "panel signals", "sun_sensor": "Sun sensors", "directions": "Sun directions"}[result.attrs["source"]]
-    figure.suptitle(_title(f"Body rates of {result.attrs['vehicle']} from {label}, best motion of each pass",
-                           result.attrs.get("synthetic")), fontsize=10)  # fmt: skip
+    seen = {"panels": "panel signals", "sun_sensor": "Sun sensors", "directions": "Sun directions"}[result.attrs["source"]]
+    figure.suptitle(_title(f"Body rates of {named(result.attrs['vehicle'])} from {seen}, best motion of each pass",
+                           result.attrs.get("synthetic")), fontsize=10, wrap=True)  # fmt: skip
     return figure
 
 
@@ -48,10 +48,10 @@ def _chosen(result: xr.Dataset) -> np.ndarray:
     return np.sort(np.argsort(-count, kind="stable")[:SHOWN])
 
 
-def _gyro(axes: Any, telemetry: xr.Dataset, value: np.ndarray, t: np.ndarray) -> None:
-    near = (telemetry["time"].values >= t[0] - 1) & (telemetry["time"].values <= t[-1] + 1) & np.isfinite(value)
+def _gyro(axes: Any, time: np.ndarray, value: np.ndarray, t: np.ndarray) -> None:
+    near = (time >= t[0] - 1) & (time <= t[-1] + 1) & np.isfinite(value)
     if near.any():
-        axes.plot((telemetry["time"].values[near] - t[0]) / 60, np.degrees(value[near]), "x", color=COLOURS[6], ms=4, label="gyro")
+        axes.plot((time[near] - t[0]) / 60, np.degrees(value[near]), "x", color=COLOURS[6], ms=4, label="gyro")
 
 
 def _clock(result: xr.Dataset, t: float) -> str:

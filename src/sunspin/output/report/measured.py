@@ -10,8 +10,6 @@ import xarray as xr
 from sunspin.output.report.passes import dense
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import (
-    COLOURS,
-    SYMBOLS,
     Plot,
     Section,
     Table,
@@ -23,7 +21,6 @@ from sunspin.output.report.section import (
     time_axis,
 )
 from sunspin.output.text import capital
-from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle.response.cosine import panel_power
 
 MOST_SAMPLES = 4000
@@ -204,30 +201,3 @@ def _power_numbers(names: list[str], values: xr.DataArray, unit: str) -> Table:
     return Table(
         ["panel", f"mean ({unit})", f"largest ({unit})", "share of samples at or below zero"], rows, "In numbers", closed=True
     )
-
-
-def picture(results: Results) -> Plot | None:
-    """First picture of a folder with directions only: the three components with their errors against time."""
-    sun = results.first("sun_B", "status", "sigma_rad")
-    if sun is None:
-        return None
-    told = np.flatnonzero(is_reconstructed(sun["status"].values))
-    told = told[thin(told.size, MOST_SAMPLES)]
-    if not told.size:
-        return None
-    sigma = np.nan_to_num(sun["sigma_rad"].values[told], posinf=0.0)
-    data = [
-        {"type": "scatter", "mode": "markers", "x": clock(sun["time"].values[told], results.epoch_utc),
-         "y": packed(sun["sun_B"].values[told, k]), "error_y": {"type": "data", "array": packed(sigma), "width": 0, "thickness": 1},
-         "marker": {"size": 6, "color": COLOURS[k], "symbol": SYMBOLS[k]}, "name": f"n<sub>{axis}</sub>"}
-        for k, axis in enumerate("xyz")
-    ]  # fmt: skip
-    layout = {
-        "xaxis": time_axis(results.epoch_utc, sun["time"].values[told]),
-        "yaxis": {"title": {"text": "direction to the Sun, body axes (1)"}, "range": [-1.1, 1.1]},
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
-    }  # fmt: skip
-    return Plot(
-        "sun", data, layout, "Components of the direction to the Sun against time, with error bars.",
-        "Direction to the Sun in body axes; bars: one sigma." + (" Synthetic telemetry." if results.synthetic else ""), 380,
-    )  # fmt: skip

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.output.report import landing, measured, posterior, rate_space, runs
+from sunspin.output.report import drawn
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import Plot, Section, Special, Table, clock, epoch_ms, packed, utc_text
+from sunspin.output.report.section import Drawn, Plot, Section, Special, Table, clock, epoch_ms, packed, utc_text
 from sunspin.output.text import turn_text
 from sunspin.telemetry.case import load_case
 
@@ -25,19 +25,14 @@ TURNS = ((600, "10 min"), (120, "2 min"), (60, "1 min"), (30, "30 s"), (13, "13 
 """Marks on the axis of angular speed: time of one turn in s."""
 
 
-def hero(results: Results) -> Plot | None:
+def hero(results: Results) -> Plot | Drawn | None:
     """The picture of the first screen: the angular speed through the landing, or the main result of another command."""
     if results.why_nothing:  # no picture of a motion where none is concluded
-        return measured.picture(results)
+        return drawn.first(results, ("sun",))
     speed = results.first("speed", "speed_after_collision")
     if speed is not None and results.timeline is not None:
         return _speed(results, speed)
-    for make in (posterior.picture, runs.rates_picture, landing.picture, rate_space.picture, runs.motion_picture, measured.picture):
-        plot = make(results)
-        if plot is not None:
-            plot.id = f"first-{plot.id}"
-            return plot
-    return None
+    return drawn.first(results)
 
 
 def _speed(results: Results, speed: xr.Dataset) -> Plot:

@@ -23,11 +23,9 @@ MAX_PICTURES = 5_000_000
 
 
 REDRAWN = {
-    "fig03_measured", "fig04_phases", "fig08_maps", "fig09_lines", "fig09_telemetry", "fig13_after_collision", "strategies", "sun",
-    "rates",
-    "sun-height", "first-contact",
+    "fig03_measured", "fig04_phases", "fig08_maps", "fig09_lines", "fig09_telemetry", "fig13_after_collision", "strategies",
 }  # fmt: skip
-"""Figures that the page draws itself, to be turned and looked into; the files stay in the folder."""
+"""Figures of the study that the page has in another form, most of them to be turned; the files stay in the folder."""
 
 
 def write_report(folder: str | Path, ours: bool = False) -> Path:
@@ -35,13 +33,14 @@ def write_report(folder: str | Path, ours: bool = False) -> Path:
     results = read_results(folder, ours)
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers: they are shown as they are
         page = sections.page(results)
-        data = _json(_data(page))
-    pictures, left_out = _pictures(results.pictures)
+        data = _data(page)
+    turned = bool(data["plots"]) or len(data) > 1  # else nothing on the page needs the library
+    redrawn = REDRAWN if results.command == "reproduce" else results.drawn
+    pictures, left_out = _pictures([picture for picture in results.pictures if picture.path.stem not in redrawn])
     text = _template().render(
         page=page, pictures=pictures, left_out=left_out, problems=results.problems,
-        style=Markup(_asset("page.css")), scripts=[Markup(_script(text)) for text in (_plotly(), _asset("page.js"),
-        _asset("lander.js"))],
-        data=Markup(data), licence=_licence(),
+        style=Markup(_asset("page.css")), data=Markup(_json(data)), licence=_licence() if turned else "",
+        scripts=[Markup(_script(text)) for text in (*([_plotly()] if turned else []), _asset("page.js"), _asset("lander.js"))],
     )  # fmt: skip
     return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
 
@@ -103,8 +102,6 @@ def _licence() -> str:
 def _pictures(pictures: list[Any]) -> tuple[list[dict[str, str]], list[str]]:
     shown, left_out, total = [], [], 0
     for picture in pictures:
-        if picture.path.stem in REDRAWN:
-            continue
         size = picture.path.stat().st_size
         if total + size > MAX_PICTURES:
             left_out.append(picture.path.name)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.estimate.posterior.predict import intervals
+from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, packed, thin, utc_text
 
@@ -59,7 +60,8 @@ def section(results: Results) -> Section | None:
     if draws is None:
         return None
     tables = [_regions(draws, results), _judged(results), _predicted(results)]
-    return Section("posterior", "The posterior", [], [_cloud(draws), *(table for table in tables if table is not None)])
+    known = [table for table in tables if table is not None]
+    return Section("posterior", "The posterior", [], [_cloud(draws), *drawn(results, "posterior"), *known])
 
 
 def _regions(draws: Draws, results: Results) -> Table:
@@ -123,31 +125,4 @@ def _cloud(draws: Draws) -> Plot:
         "posterior", data, layout, "Draws of the posterior in the space of the three components of the initial body rate, marked "
         "by region.",
         "Draws of the rate at the first sample, body axes. Drag or use the arrow keys to turn.", 560,
-    )  # fmt: skip
-
-
-def picture(results: Results) -> Plot | None:
-    """Each component of the rate, a box for each region."""
-    draws = Draws.of(results)
-    if draws is None:
-        return None
-    omega, data = np.degrees(draws.omega), []
-    for k, (number, share) in enumerate(draws.regions[:SHOWN]):
-        at = np.flatnonzero(draws.region == number)
-        at = at[thin(at.size, 1000)]
-        for j, axis in enumerate("xyz"):
-            data.append({
-                "type": "box", "x": [f"ω{axis}"] * at.size, "y": packed(omega[at, j]), "showlegend": j == 0,
-                "name": f"region {number + 1}, weight {share:.2g}", "legendgroup": str(number), "marker": {"color": COLOURS[k]},
-                "offsetgroup": str(number), "boxpoints": False,
-            })  # fmt: skip
-    layout = {
-        "boxmode": "group", "yaxis": {"title": {"text": "rate at the first sample (deg/s)"}},
-        "xaxis": {"title": {"text": "component, body axes"}},
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "margin": {"l": 60, "r": 16, "t": 46, "b": 54},
-    }  # fmt: skip
-    return Plot(
-        "rates-by-region", data, layout, "Boxes of each component of the rate for the heaviest regions.",
-        "Rate at the first sample, quartiles and range of the draws of each region."
-        + (" Synthetic telemetry." if results.synthetic else ""), 400,
     )  # fmt: skip

@@ -5,34 +5,15 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from sunspin.output.report.drawn import drawn
 from sunspin.output.report.measured import PHASES
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import (
-    COLOURS,
-    SYMBOLS,
-    Plot,
-    Section,
-    Table,
-    clock,
-    packed,
-    thin,
-    time_axis,
-    utc_text,
-)
+from sunspin.output.report.section import Section, Table, utc_text
 from sunspin.output.text import capital
-from sunspin.telemetry.sun import SunStatus, is_reconstructed
+from sunspin.telemetry.sun import is_reconstructed
 
 MOST_LINES = 1000
 """Samples listed one by one; of longer files the first are, and the counts cover all."""
-
-LEAST_DELTA = 1e-4
-
-SHORT = {
-    "OK": "direction, checked", "UNCHECKED": "direction, unchecked (three panels)", "IMPOSSIBLE": "impossible set of lit panels",
-    "RULE": "excluded by a rule", "ARC": "only an arc", "REGION": "only a region", "DARK": "no panel lit",
-    "MISSING": "missing or flagged",
-}  # fmt: skip
-"""Verdicts in a few words, for the legend."""
 
 
 def section(results: Results) -> Section | None:
@@ -50,36 +31,8 @@ def section(results: Results) -> Section | None:
         "Verdicts on the samples",
     )  # fmt: skip
     lead = [f"{told} of {status.size} samples give a direction to the Sun; for each of the others the reason is named."]
-    return Section("quality", "Data quality, sample by sample", lead, [verdicts, _plot(results, sun), _list(results, sun)])
-
-
-def _plot(results: Results, sun: xr.Dataset) -> Plot:
-    data, status = [], sun["status"].values
-    for k, kind in enumerate(SunStatus):
-        at = np.flatnonzero(status == kind)
-        at = at[thin(at.size, 4000)]
-        if not at.size:
-            continue
-        delta = np.maximum(np.nan_to_num(sun["delta"].values[at], nan=LEAST_DELTA), LEAST_DELTA)
-        data.append({
-            "type": "scatter", "mode": "markers", "x": clock(sun["time"].values[at], results.epoch_utc), "y": packed(delta),
-            "marker": {"size": 7, "color": COLOURS[k % 8], "symbol": SYMBOLS[k % 8]}, "name": SHORT.get(kind.name,
-            kind.name.lower().replace("_", " ")),
-            "hovertemplate": "%{x}<br>Delta %{y:.4f}",
-        })  # fmt: skip
-    layout = {
-        "xaxis": time_axis(results.epoch_utc, sun["time"].values),
-        "yaxis": {"type": "log", "title": {"text": "misfit Delta (1)"}, "dtick": 1, "exponentformat": "none",
-        "range": [np.log10(LEAST_DELTA) - 0.2, 0.1]},
-        "legend": {"orientation": "h", "y": -0.24, "yanchor": "top"}, "margin": {"l": 66, "r": 16, "t": 10, "b": 54},
-    }  # fmt: skip
-    return Plot(
-        "delta", data, layout, "Misfit Delta of every sample against time, marked by the verdict on the sample; the table lists "
-        "them.",
-        f"How badly the best direction explains a sample (Delta, no unit; {LEAST_DELTA:g} stands for smaller values and for "
-        "samples in which exactly three lit panels leave nothing to "
-        "check).", 460, narrow={"legend.y": -0.2, "legend.font.size": 10, "margin.l": 52},
-    )  # fmt: skip
+    items = [verdicts, *drawn(results, "sun_directions"), _list(results, sun)]
+    return Section("quality", "Data quality, sample by sample", lead, items)
 
 
 def _list(results: Results, sun: xr.Dataset) -> Table:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from sunspin.dynamics.gyrostat import total_momentum
-from sunspin.estimate.scan.volume import near_minimum
+from sunspin.output.figures.scan import map_figure
+from sunspin.output.kinds.kind import Drawing
+from sunspin.output.kinds.scan import DIMS, chosen
+from sunspin.output.report.drawn import item
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import COLOURS, SEQUENTIAL, SYMBOLS, Plot, Section, Special, Table, packed, thin
+from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, packed, thin
 from sunspin.output.text import number_text
 
 PRINTED = "scan_published_lines"
@@ -18,9 +22,7 @@ PRINTED = "scan_published_lines"
 
 MEASURED = "scan_telemetry"
 
-DIMS = ("omega_x", "omega_y", "omega_z")
 MOST_POINTS = 6000
-DEFAULT_FACTOR = 1.1
 STEPS = 255
 """Values of a volume are drawn in so many steps of their logarithm."""
 
@@ -45,17 +47,16 @@ def lines(results: Results) -> Section | None:
     data, views, tables = [], [], []
     for name, scan, volume in _volumes(results):
         first = len(data)
-        points, factor = _set(scan, volume)
+        points, by = chosen(scan)
         if not len(points):
             continue
         fits, told = _candidates(results) if name == MEASURED else ([], "")
         if name == MEASURED and not _all_found(results, scan):
             scan = scan.drop_vars(FITTED, errors="ignore")
         data += [*fits, *_cloud(scan, points), *_line_traces(scan), *_marks(results, scan)]
-        text = (
-            f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {factor:g} times the smallest, "
-            f"{float(np.nanmin(volume)):.4f}."
-        )
+        least = f"the smallest, {float(np.nanmin(volume)):.4f}"
+        near = f"{by['threshold']:g} ({least})" if "threshold" in by else f"{by.get('factor', np.nan):g} times {least}"
+        text = f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {near}."
         views.append({
             "label": _label(name, scan), "show": list(range(first, len(data))),
             "text": " ".join(part for part in (text, told, _said(results, name)) if part),
@@ -135,12 +136,6 @@ def _candidates(results: Results) -> tuple[list[dict[str, Any]], str]:
         "marker": {"size": 2, "color": "@grey", "opacity": 0.25}, "name": "candidates", "hoverinfo": "skip",
     }  # fmt: skip
     return [cloud], f"Pale: {len(at)} of the motions from which all else on this page follows, {about}."
-
-
-def _set(scan: xr.Dataset, volume: xr.DataArray) -> tuple[np.ndarray, float]:
-    if "near_minimum" in scan:
-        return scan["near_minimum"].values, float(scan["near_minimum"].attrs.get("factor", np.nan))
-    return near_minimum(volume, DEFAULT_FACTOR), DEFAULT_FACTOR
 
 
 def _cloud(scan: xr.Dataset, points: np.ndarray) -> list[dict[str, Any]]:
@@ -258,63 +253,18 @@ def _volume(name: str, scan: xr.Dataset, volume: xr.DataArray) -> dict[str, Any]
     }  # fmt: skip
 
 
-AXES = {
-    "omega_x": ("ωx (rad/s)", 1.0), "omega_y": ("ωy (rad/s)", 1.0), "omega_z": ("ωz (rad/s)", 1.0),
-    "mu_0": ("dry friction of the wheel (mN m)", 1e3), "theta_xx": ("moment of inertia θxx (kg m²)", 1.0),
-}  # fmt: skip
-"""Dimension of a map -> title of its axis, factor from SI."""
-
-
-def _flat(results: Results) -> list[Plot]:
+def _flat(results: Results) -> list[Drawn]:
     found = []
     for name, data in results.having("E"):
         field = data["E"].squeeze()
         if field.ndim != 2:
             continue
         x, y = (str(d) for d in field.dims)
-        (xt, xf), (yt, yf) = AXES.get(x, (x, 1.0)), AXES.get(y, (y, 1.0))
-        trace = {
-            "type": "heatmap", "x": packed(data[x].values * xf), "y": packed(data[y].values * yf), "z": packed(field.values.T),
-            "colorscale": SEQUENTIAL, "reversescale": True, "colorbar": {"title": {"text": "E (1)"}, "thickness": 14},
-            "hovertemplate": f"{xt} %{{x:.4f}}<br>{yt} %{{y:.4f}}<br>E %{{z:.3f}}<extra></extra>",
-        }  # fmt: skip
-        layout = {
-            "xaxis": {"title": {"text": xt}}, "yaxis": {"title": {"text": yt}}, "margin": {"l": 70, "r": 10, "t": 10, "b": 54},
-        }  # fmt: skip
         low, high = float(np.nanmin(field)), float(np.nanmax(field))
-        found.append(Plot(
-            f"map-{name}", [trace], layout,
+        found.append(item(results, Drawing(
+            f"map-{name}", partial(map_figure, field),
             f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: in valleys a motion fits better than its neighbours.",
-            f"E over {xt} and {yt}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
-            + (" Synthetic telemetry." if results.synthetic else ""), 420, narrow={"margin.l": 58, "font.size": 11},
-        ))  # fmt: skip
+            f"E over {x} and {y}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
+            + (" Synthetic telemetry." if results.synthetic else ""),
+        )))  # fmt: skip
     return found
-
-
-def picture(results: Results) -> Plot | None:
-    """First picture of a scan: where the good motions are, with the set that fits nearly as well as the best."""
-    volumes = _volumes(results)
-    if not volumes:
-        return None
-    _, scan, volume = volumes[0]
-    points, factor = _set(scan, volume)
-    least = volume.min("omega_z")
-    metric = "EMD" if volume.name == "emd" else "E"
-    data = [
-        {"type": "heatmap", "x": packed(least["omega_x"].values), "y": packed(least["omega_y"].values), "z": packed(least.values.T),
-         "colorscale": SEQUENTIAL, "reversescale": True, "colorbar": {"title": {"text": f"{metric} (1)"}, "thickness": 14},
-         "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f}<br>" + metric + " %{z:.4f}<extra></extra>"},
-        {"type": "scatter", "mode": "markers", "x": packed(points[:, 0]), "y": packed(points[:, 1]), "name": "motions that fit",
-         "marker": {"size": 6, "symbol": "circle-open", "color": "@orange", "line": {"width": 1.5}},
-         "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f} rad/s<extra></extra>"},
-    ]  # fmt: skip
-    layout = {
-        "xaxis": {"title": {"text": "ωx (rad/s)"}}, "yaxis": {"title": {"text": "ωy (rad/s)"}}, "margin": {"l": 70, "r": 10,
-        "t": 10, "b": 54},
-    }  # fmt: skip
-    return Plot(
-        "scan", data, layout, f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit "
-        "nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: all {len(points)} motions within {factor:g} times the smallest {metric}: any of "
-        "them may be the true one." + (" Synthetic telemetry." if results.synthetic else ""), 430, narrow={"margin.l": 56},
-    )  # fmt: skip

@@ -32,6 +32,7 @@ class Results:
     summary : its `summary.json`, empty where there is none
     data : file (and group) -> Dataset, in order of name
     problems : sentences on what could not be read or shown
+    used, drawn : files, and figures by name, that the page shows
     """
 
     folder: Path
@@ -43,6 +44,7 @@ class Results:
     pictures: list[Picture] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     used: set[str] = field(default_factory=set)
+    drawn: set[str] = field(default_factory=set)
 
     def having(self, *names: str) -> Iterator[tuple[str, xr.Dataset]]:
         """Files whose data hold all these variables."""
@@ -61,6 +63,19 @@ class Results:
             if file.startswith(prefix):
                 self.used.add(file)
                 yield file, data
+
+    def tree(self, stem: str) -> xr.DataTree | None:
+        """The groups of a file as they stand in it; None where there is no such file or it has no groups."""
+        groups = {name.removeprefix(stem): data for name, data in self.named(f"{stem}/")}
+        if not groups:
+            return None
+        attrs = next(iter(groups.values())).attrs
+        return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})
+
+    def runs(self) -> dict[str, xr.Dataset]:
+        """Runs of `sunspin outcomes` by their strategy, what was flown first."""
+        found = [(str(data.attrs.get("strategy", name)), data) for name, data in self.having("rz_share", "omega_after_B")]
+        return dict(sorted(found, key=lambda item: item[0] != "off"))
 
     def row(self, name: str) -> dict[str, Any] | None:
         """The summary's row on this figure of the paper."""

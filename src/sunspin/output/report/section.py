@@ -9,14 +9,13 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 COLOURS = ("@blue", "@orange", "@green", "@pink", "@gold", "@sky", "@ink", "@grey")
 """Colour-blind safe (Okabe and Ito), in a light and a dark shade each: page.js puts in the numbers. "@blue:0.2" is translucent."""
 
 SYMBOLS = ("circle", "square", "diamond", "cross", "x", "circle-open", "square-open", "diamond-open")
 """A second sign beside colour."""
-
-SEQUENTIAL = "Cividis"
 
 MOTIONS = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastest candidate")
 """Motions of a study in the order in which they are offered; others follow by name, the descent last."""
@@ -47,6 +46,18 @@ class Plot:
     narrow: dict[str, Any] = field(default_factory=dict)
     numbers: Table | None = None
     kind: str = "plot"
+
+
+@dataclass
+class Drawn:
+    """A figure of `sunspin.output.figures` as SVG, what it shows in words, its caption."""
+
+    id: str
+    svg: Markup
+    alt: str
+    caption: str
+    numbers: Table | None = None
+    kind: str = "drawn"
 
 
 @dataclass

@@ -21,7 +21,7 @@ from sunspin.output.report import (
     sphere,
 )
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import Plot, Section
+from sunspin.output.report.section import Drawn, Plot, Section
 
 
 @dataclass
@@ -31,7 +31,7 @@ class Page:
     title: str
     synthetic: bool
     headline: list[str]
-    hero: Plot | None
+    hero: Plot | Drawn | None
     facts: list[tuple[str, str, str]]
     sections: list[Section] = field(default_factory=list)
     labels: list[str] = field(default_factory=list)

@@ -1,0 +1,130 @@
+"""`sunspin scan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.cli.common import (
+    WHEEL_MODE,
+    claim,
+    data_option,
+    deliver,
+    device_option,
+    find_telemetry,
+    numbers,
+    on_terminal,
+    output_options,
+    run_options,
+)
+
+MAX_GRID = 100_000
+"""Values of one axis of a scan's grid."""
+
+
+@click.command()
+@click.argument("vehicle")
+@click.argument("telemetry")
+@click.option("--from", "begin", type=float, default=None, help="First time to use, s of the file's clock.")
+@click.option("--to", "end", type=float, default=None, help="Last time to use.")
+@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s: low:high:step, or "
+              "values with commas.")
+@click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y.")
+@click.option("--omega-z", default="-0.3:0.3:0.015", show_default=True, help="Grid of omega_z.")
+@click.option("--wheel-speed", help="Wheel speeds at the first sample used, rad/s; default: the vehicle's.")
+@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
+@click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True, help="emd compares the distributions "
+              "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.")
+@click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
+@click.option("--threshold", type=click.FloatRange(0, min_open=True), help="Take the points below this value instead: one that was "
+              "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
+@click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
+              "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
+@device_option
+@click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
+@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
+              "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
+              "on this machine. Needs pip install \"sunspin[cluster]\".")
+@output_options()
+@run_options
+@data_option
+def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, threshold,
+         direction_error, n_lines, store, scheduler, device, out, as_json, quiet, seed, workers,
+         data) -> None:  # fmt: skip
+    """Scan initial rates: which motions show the Sun at the heights that the panels saw?
+
+    The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
+    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some ten seconds.
+
+    \b
+    Examples:
+      sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x=-0.1:0.1:0.02 --omega-y=-0.1:0.1:0.02 --omega-z=0:0.1:0.02
+      sunspin scan philae philae --from 25140 --to 27900 --omega-x=-0.5:1:0.1 --store scan-rows --out scan-results
+    """
+    from sunspin.estimate.scan.chosen import with_chosen
+    from sunspin.estimate.scan.volume import scan as run_scan
+    from sunspin.telemetry.reader import read_telemetry
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    samples = read_telemetry(find_telemetry(telemetry, data), craft)
+    track = _track(craft, samples, begin, end)
+    speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
+    target = track if metric == "E" else track["sun_B"].values[:, 2]
+    x, y, z = _grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")
+    if not factor > 1:  # nan passes the range of the option
+        raise InputError(sentence("--factor must exceed 1", got=factor))
+    claim(out, "scan")
+    volume = run_scan(
+        craft, target, track["sun_B"].values[0], x, y, z, speeds or None, float(track["time"].values[-1]),
+        wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
+        device=device, progress=on_terminal(quiet),
+    )  # fmt: skip
+    deliver(
+        with_chosen(volume, samples, factor, threshold, n_lines, seed), out, as_json, quiet, vehicle, samples, {"seed": seed},
+        main="scan.nc",
+    )  # fmt: skip
+
+
+def _grid(text: str, name: str) -> np.ndarray:
+    """low:high:step, or values separated by commas."""
+    if ":" not in text:
+        return np.array(numbers(text, name))
+    from sunspin.estimate.scan.volume import check_size
+
+    parts = text.split(":")
+    if len(parts) != 3:
+        raise InputError(sentence(f"{name} must be low:high:step", got=text, do=f"for example {name}=-0.1:0.1:0.02"))
+    low, high, step = numbers(",".join(parts), name, 3)
+    count = (high - low) / step + 1 if step > 0 and high >= low else np.nan
+    if not np.isfinite(count):
+        raise InputError(sentence(f"{name} must be low:high:step, finite and with a positive step", got=text))
+    if count > MAX_GRID:
+        check_size(count, 1, 1)
+        raise InputError(sentence(f"{name} has {count:.3g} values, more than {MAX_GRID}", got=text, do="use a larger step"))
+    return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
+
+
+def _track(craft, samples, begin: float | None, end: float | None):
+    """The directions in the window, time counted from the first."""
+    from sunspin.telemetry.sun import is_reconstructed, sun_directions
+
+    sun = sun_directions(craft, samples)
+    time = sun["time"].values
+    low, high = -np.inf if begin is None else begin, np.inf if end is None else end
+    use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
+    if use.sum() < 2:
+        raise InputError(
+            sentence(
+                "fewer than two samples in this window give a direction of the Sun",
+                got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
+                do="widen --from and --to; `sunspin sun` says why samples give none",
+                where=str(samples.attrs.get("file", "")),
+            )
+        )
+    track = sun[["sun_B"]].isel(time=np.flatnonzero(use))
+    return track.assign_coords(time=track["time"] - track["time"].values[0])

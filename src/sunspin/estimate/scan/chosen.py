@@ -1,0 +1,41 @@
+"""A scan together with the motions chosen from it and the lines that they lie on: what `sunspin scan` keeps."""
+
+from __future__ import annotations
+
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
+from sunspin.estimate.scan.lines import fit_lines
+from sunspin.estimate.scan.volume import below, near_minimum
+
+
+def with_chosen(
+    volume: xr.DataArray, telemetry: xr.Dataset, factor: float, threshold: float | None, n_lines: int, seed: int
+) -> xr.Dataset:
+    """The volume with `near_minimum (near_point, rate_axis)`, rad/s, and the lines of :func:`sunspin.fit_lines` through them.
+
+    Parameters
+    ----------
+    factor, threshold : float
+        Motions within `factor` times the smallest value, or below `threshold` where it is given.
+    n_lines, seed : int
+        Lines, if there are enough points for so many.
+
+    Raises
+    ------
+    InputError
+        No motion below the threshold.
+    """
+    points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
+    if not len(points):
+        raise InputError(
+            sentence("no motion of the grid comes below --threshold", got=threshold,
+                     do=f"the smallest is {float(volume.min()):.4f}")
+        )  # fmt: skip
+    by = {"factor": factor} if threshold is None else {"threshold": threshold}
+    scan = volume.to_dataset().assign(near_minimum=(("near_point", "rate_axis"), points, {"units": "rad s-1"} | by))
+    if n_lines and len(points) >= 2 * n_lines:
+        lines = fit_lines(points, n_lines, seed=seed).rename({"axis": "line_axis", "n": "near_point"})
+        scan = scan.merge(lines, combine_attrs="override")
+    return scan.assign_attrs(provenance("scan", telemetry, vehicle=volume.attrs["vehicle"], seed=seed))

@@ -1,0 +1,53 @@
+"""A scan of rate space."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from sunspin.output.figures import COLOURS, named
+
+LEAST = 1e-6
+"""Smaller misfits are drawn as this: the colours go with the logarithm."""
+
+
+AXES = {
+    "omega_x": (r"$\omega_x$ (rad/s)", 1.0), "omega_y": (r"$\omega_y$ (rad/s)", 1.0), "omega_z": (r"$\omega_z$ (rad/s)", 1.0),
+    "mu_0": ("dry friction of the wheel (mN m)", 1e3), "theta_xx": (r"moment of inertia $\theta_{xx}$ (kg m$^2$)", 1.0),
+}  # fmt: skip
+"""Dimension of a map -> title of its axis, factor from SI."""
+
+
+def map_figure(field: xr.DataArray) -> Figure:
+    """E over the two dimensions of a map; darker is worse."""
+    figure = Figure(figsize=(7.5, 4.8), layout="constrained")
+    axes = figure.subplots()
+    (x, y), titles = field.dims, [AXES.get(str(d), (named(d), 1.0)) for d in field.dims]
+    image = axes.pcolormesh(
+        field[x].values * titles[0][1], field[y].values * titles[1][1], field.values.T, shading="nearest", cmap="cividis_r",
+        rasterized=True,
+    )  # fmt: skip
+    figure.colorbar(image, ax=axes, label="E (1)")
+    axes.set_xlabel(titles[0][0])
+    axes.set_ylabel(titles[1][0])
+    return figure
+
+
+def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Figure:
+    """The smallest misfit over omega_z for every omega_x and omega_y, and `points` (n, 3), the motions near the smallest of all."""
+    figure = Figure(figsize=(7.5, 5.6), layout="constrained")
+    axes = figure.subplots()
+    least = np.maximum(volume.min("omega_z").transpose("omega_y", "omega_x").values, LEAST)
+    low, high = np.nanmin(least), np.nanmax(least)
+    image = axes.pcolormesh(
+        volume["omega_x"].values, volume["omega_y"].values, least, shading="nearest", cmap="cividis_r", rasterized=True,
+        norm=LogNorm(low, max(high, 1.001 * low)),
+    )  # fmt: skip
+    figure.colorbar(image, ax=axes, label=f"smallest {'EMD' if volume.name == 'emd' else 'E'} over $\\omega_z$ (1)")
+    axes.plot(*points[:, :2].T, "o", ms=5, mfc="none", mec=COLOURS[1], mew=1.2, label="motions that fit nearly as well as the best")
+    axes.set_xlabel(r"$\omega_x$ (rad/s)")
+    axes.set_ylabel(r"$\omega_y$ (rad/s)")
+    axes.legend(fontsize=8, loc="upper right")
+    return figure

@@ -1,0 +1,27 @@
+"""What each kind of result can do: its numbers in words, its figures, its files. A new kind, or a figure more, is a line here."""
+
+from __future__ import annotations
+
+from sunspin.output.kinds import motion, outcomes, posterior, rates, scan, seen
+from sunspin.output.kinds.kind import Kind
+
+KINDS: dict[str, Kind] = {
+    "telemetry": Kind("telemetry", "telemetry.nc", seen.telemetry_summary, seen.telemetry_drawings),
+    "sun_directions": Kind("sun", "sun.nc", seen.sun_summary, seen.sun_drawings, seen.sun_tables),
+    "panel_quality": Kind("panel_quality", "panel-quality.nc", seen.quality_summary, seen.quality_drawings),
+    "rates": Kind("rates", "rates.nc", rates.rates_summary, rates.rates_drawings, rates.rates_tables),
+    "trajectory": Kind("simulate", "trajectory.nc", motion.trajectory_summary, motion.trajectory_drawings),
+    "impact": Kind("impact", "impact.nc", motion.impact_summary),
+    "scan": Kind("scan", "scan.nc", scan.scan_summary, scan.scan_drawings),
+    "lines": Kind("lines", "lines.nc", scan.lines_summary),
+    "posterior": Kind(
+        "posterior", "posterior.nc", posterior.posterior_summary, posterior.posterior_drawings, posterior.posterior_tables
+    ),
+    "predictions": Kind(
+        "predictions", "predictions.nc", posterior.predictions_summary, posterior.predictions_drawings, posterior.predictions_tables
+    ),
+    "outcomes": Kind("outcomes", "outcomes.nc", outcomes.outcomes_summary, outcomes.outcomes_drawings),
+    "strategies": Kind("outcomes", "strategies.nc", outcomes.strategies_summary, outcomes.strategies_drawings),
+    "landing": Kind("outcomes", "", outcomes.landing_summary, outcomes.landing_drawings, outcomes.landing_tables),
+}
+"""`attrs["kind"]` -> what can be said, drawn and written of it."""

@@ -1,0 +1,51 @@
+"""Trajectories, impacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.kinds.kind import Beside, Drawing, Summary, vector
+
+MOST_EVENTS = 20
+"""Wheel events that are printed."""
+
+
+def trajectory_summary(run: Any) -> Summary:
+    """The state at the last time, and the wheels' events."""
+    t, end = run["time"].values, run.isel(time=-1)
+    parts = (run["event_time_s"].values, run["event_wheel"].values, run["event_what"].values)
+    events = [{"t_s": float(at), "wheel": str(name), "what": str(what)} for at, name, what in zip(*parts, strict=True)]
+    state = {name: end[name].values.tolist() for name in ("omega_B", "sun_B", "wheel_speed_rad_s")}
+    lines = [
+        f"at t = {t[-1]:g} s: rate {vector(state['omega_B'])} rad/s, Sun {vector(state['sun_B'])}, "
+        f"wheels {vector(state['wheel_speed_rad_s'])} rad/s",
+        *(f"  {event['wheel']} {event['what']} at {event['t_s']:.3f} s" for event in events[:MOST_EVENTS]),
+    ]
+    if len(events) > MOST_EVENTS:
+        lines.append(f"  and {len(events) - MOST_EVENTS} more wheel events")
+    return Summary({"t_s": float(t[-1]), **state, "events": events}, lines)
+
+
+def trajectory_drawings(run: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures.motion import trajectory_figure
+
+    yield Drawing(
+        "trajectory", lambda: trajectory_figure(run), "Components and size of the body rate and the wheels' speeds against time.",
+        "Simulated body rate, body axes, and wheel speeds relative to the body. A simulation has no error bar: it is as sure as "
+        "the state that it was started from.",
+    )  # fmt: skip
+
+
+def impact_summary(hit: Any) -> Summary:
+    """Rates, speed and impulse just after the impact, in the middle of the cases where there are many."""
+    numbers = {}
+    for name in ("omega_B", "wheel_speed_rad_s", "velocity_B", "impulse_B"):
+        values = hit[name].values.reshape(-1, hit[name].shape[-1])
+        numbers[name] = np.median(values, axis=0).tolist()
+    cases = int(np.prod(hit["omega_B"].shape[:-1]))
+    head = "after the impact" if cases == 1 else f"after {cases} impacts, medians"
+    units = {name: str(hit[name].attrs["units"]) for name in numbers}
+    return Summary({"cases": cases, **numbers}, [head, *(f"  {n} {vector(v)} {units[n]}" for n, v in numbers.items())])

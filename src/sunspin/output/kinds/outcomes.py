@@ -1,0 +1,137 @@
+"""What a motion leads to: runs of one strategy, strategies side by side, both as one tree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.landing.tally import tally
+from sunspin.output.folder import write_netcdf
+from sunspin.output.kinds.kind import Beside, Drawing, Summary
+
+SHOWN = (
+    ("touch_leg", "a leg touches first"),
+    ("touch_panel", "a panel touches first"),
+    ("touch_body", "the bare body touches first"),
+    ("rest_leg", "comes to rest on its legs"),
+    ("rest_panel", "comes to rest on a panel"),
+    ("leg_tip_speed", "fastest leg tip at first contact, m/s"),
+    ("antenna_share", "antenna holds the orbiter, share of the time"),
+    ("antenna_at_rest", "antenna holds the orbiter at rest"),
+    ("rz_time_below_-0.5", "r_z below -0.5, share of the time"),
+    ("rate_before", "rate before the collision, rad/s"),
+    ("rate_after", "rate after it, rad/s"),
+)
+"""What is printed of a tally, in this order."""
+
+
+def outcomes_summary(runs: Any) -> Summary:
+    """Estimates over the runs of one strategy."""
+    found = {q: {"value": float(e.value), "error": float(e.error)} for q, e in tally(runs).items() if np.isfinite(e.value)}
+    return Summary({"runs": runs.sizes["run"], "estimates": found}, _lines(runs, found), _not_told(runs))
+
+
+def _lines(runs: Any, found: Mapping[str, Mapping[str, float]]) -> list[str]:
+    failed = int((runs["outcome"].values != 0).sum())
+    head = f"wheels {runs.attrs['strategy']}: {runs.sizes['run']} runs"
+    head += f", {failed} of them could not be computed" if failed else ""
+    return [head, *(f"  {text}: {found[q]['value']:.4f} +- {found[q]['error']:.4f}" for q, text in SHOWN if q in found)]
+
+
+def _not_told(data: Any) -> list[str]:
+    return [data.attrs["not_told"]] if data.attrs.get("not_told") else []
+
+
+def strategies_summary(table: Any) -> Summary:
+    """Estimates of each strategy."""
+    found, lines = {}, []
+    for name in table["strategy"].values:
+        at = table.sel(strategy=name)
+        parts = (at["quantity"].values, at["value"].values, at["error"].values)
+        found[str(name)] = {
+            str(q): {"value": float(v), "error": float(e)} for q, v, e in zip(*parts, strict=True) if np.isfinite(v)
+        }
+        known = found[str(name)]
+        shown = [f"  {text}: {known[q]['value']:.4f} +- {known[q]['error']:.4f}" for q, text in SHOWN if q in known]
+        lines += [f"wheels {name}: {table.attrs['runs']} runs", *shown]
+    keys = ("runs", "seed", "candidates")
+    numbers = {key: int(table.attrs[key]) for key in keys} | {"not_told": table.attrs["not_told"], "strategies": found}
+    return Summary(numbers, lines, _not_told(table))
+
+
+def landing_summary(tree: Any) -> Summary:
+    """The same, with the runs that could not be computed."""
+    told = strategies_summary(tree["strategies"].to_dataset())
+    lines: list[str] = []
+    for name, runs in runs_of(tree).items():
+        lines += _lines(runs, told["strategies"][name])
+    return Summary(told, lines, told.notes)
+
+
+def runs_of(tree: Any) -> dict[str, xr.Dataset]:
+    """The runs of each strategy, in the order of the strategies."""
+    return {str(name): tree[f"runs/{name}"].to_dataset() for name in tree["strategies"]["strategy"].values}
+
+
+def outcomes_drawings(runs: Any, _: Beside) -> Iterator[Drawing]:
+    return runs_drawings({str(runs.attrs["strategy"]): runs})
+
+
+def strategies_drawings(table: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures import outcomes as figures
+
+    yield Drawing(
+        "strategies", lambda: figures.strategies_figure(table),
+        "What touches first, on what it rests, antenna, speeds and height of the Sun for each command to the wheel.",
+        "Means over the runs; bars: one standard error.",
+    )  # fmt: skip
+
+
+def runs_drawings(runs: Mapping[str, xr.Dataset]) -> Iterator[Drawing]:
+    """Figures of the runs of some strategies, those for which the runs tell enough."""
+    from sunspin.output.figures import outcomes as figures
+
+    yield Drawing(
+        "sun-height", lambda: figures.sun_height_figure(runs),
+        "Probability density of the height of the Sun over the lander between collision and landing, one curve per command to the "
+        "wheel.",
+        "How the Sun stood between collision and landing: r_z is 1 with the Sun overhead, -1 underneath; bars: one standard error.",
+    )  # fmt: skip
+    if all(np.isfinite(found["up_z"]).any() for found in runs.values()):
+        yield Drawing(
+            "distributions", lambda: figures.distributions_figure(runs),
+            "Distributions of the z axis against the ground's normal, the fastest leg tip and the antenna's share of the time.",
+            "At the landing and on the way to it, over the runs of each command to the wheel; bars: one standard error.",
+        )  # fmt: skip
+    if all("point_kind" in found.coords for found in runs.values()):
+        yield Drawing(
+            "first-contact", lambda: figures.first_contact_figure(runs),
+            "Probability of each leg and panel to touch the ground first, by command to the wheel.",
+            "What touches the ground first; a corner that panels share counts for each of them; bars: one standard error of the "
+            "simulation.",
+        )  # fmt: skip
+
+
+def delay_drawing(best: Any) -> Drawing:
+    """The search for the best delay of :func:`sunspin.landing.strategies.best_delay`."""
+    from sunspin.output.figures import outcomes as figures
+
+    return Drawing(
+        "delay", lambda: figures.delay_figure(best), "Probability that a leg touches first against the delay of the switch-off.",
+        "When to switch the wheel off: means over the runs, bars: one standard error.",
+    )  # fmt: skip
+
+
+def landing_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
+    yield from strategies_drawings(tree["strategies"].to_dataset(), beside)
+    yield from runs_drawings(runs_of(tree))
+
+
+def landing_tables(tree: Any, folder: Path, _: Beside) -> None:
+    for name, runs in runs_of(tree).items():
+        write_netcdf(folder / f"outcomes-{name.replace(':', '-')}.nc", runs)
+    write_netcdf(folder / "strategies.nc", tree["strategies"].to_dataset())

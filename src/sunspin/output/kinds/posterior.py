@@ -1,0 +1,121 @@
+"""Posteriors, and what they predict."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sunspin.estimate.posterior.predict import intervals
+from sunspin.estimate.posterior.verdict import summary as main_numbers
+from sunspin.output.folder import write_netcdf, write_whole
+from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+
+MOST_MODES = 12
+"""Modes that are printed."""
+
+
+def posterior_summary(tree: Any) -> Summary:
+    """The verdict, the angular speed, the modes, what the verdict rests on, and the predictions where there are any."""
+    numbers = main_numbers(tree)
+    rate = numbers["rate_rad_s"]
+    lines = [numbers["verdict"], *(["  synthetic telemetry: not measured"] if numbers["synthetic_telemetry"] else [])]
+    lines.append(
+        f"  angular speed at the first sample {rate['median']:.4f} rad/s, 90 % in {rate['low_90']:.4f} to {rate['high_90']:.4f}"
+    )
+    for mode in numbers["modes"][:MOST_MODES]:
+        omega, sigma = (", ".join(f"{x:.4f}" for x in mode[key]) for key in ("omega_B", "sigma"))
+        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) rad/s  chi-square {mode['chi_square']:.0f}")
+    worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
+    lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
+    priors = json.loads(tree.attrs["priors"])
+    lines.append("  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items()))
+    if "predictions" in tree.children:
+        predicted = predictions_summary(tree["predictions"].to_dataset())
+        return Summary(numbers | predicted, lines + predicted.lines)
+    return Summary(numbers, lines)
+
+
+def predictions_summary(found: Any) -> Summary:
+    """Medians and intervals at each time."""
+    table, lines = intervals(found), []
+    for i, (t, label) in enumerate(zip(found["predicted_s"].values, labels(found), strict=True)):
+        row = {r["quantity"]: r for r in table if r["t_s"] == t}
+        behind = ", after the collision" if "after_collision" in found and found["after_collision"].values[i] else ""
+        speed = row["rate"]
+        lines.append(f"  at {label}{behind} (90 % of the draws):")
+        lines.append(f"    angular speed {speed['median']:.4f} rad/s ({speed['low_90']:.4f} to {speed['high_90']:.4f})")
+        for name, key in (("z from H", "z_to_momentum"), ("z from the Sun", "z_to_sun")):
+            median, low, high = (np.degrees(row[key][which]) for which in ("median", "low_90", "high_90"))
+            lines.append(f"    {name} {median:.1f} deg ({low:.1f} to {high:.1f})")
+        lines.append(f"    the Sun within {np.degrees(row['sun_off']['high_90']):.1f} deg of its mean direction in the body")
+    collision = str(found.attrs.get("collision", ""))
+    return Summary({"predicted": table}, lines + ([f"    collision: {collision}"] if collision.startswith("a leg") else []))
+
+
+def labels(found: Any) -> list[str]:
+    """The times of predictions as they were asked for."""
+    if "asked" in found.coords:
+        return [str(text) for text in found["asked"].values]
+    return [f"{t:g} s" for t in found["predicted_s"].values]
+
+
+def posterior_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures.posterior import corner_figure, search_figure
+
+    note = synthetic_note(tree)
+    yield Drawing(
+        "corner", lambda: corner_figure(tree),
+        "Draws of the components of the body rate and its size against each other, by region.",
+        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a region." + note,
+    )  # fmt: skip
+    if {"search", "sampling"} <= set(tree.children):
+        yield Drawing(
+            "search", lambda: search_figure(tree), "Hypotheses before and after each window, and the log evidence of each round.",
+            "How the search went: hypotheses fitted and kept over growing windows; and the sampling: log evidence of each round "
+            "with the share of effective draws and Pareto's k." + note,
+        )  # fmt: skip
+    if "predictions" in tree.children:
+        yield from predictions_drawings(tree["predictions"].to_dataset(), beside)
+
+
+def predictions_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures.predicted import predicted_figure
+
+    yield Drawing(
+        "predicted", lambda: predicted_figure(found, labels(found)),
+        "Draws of the angular speed, the components of the rate, the direction of the Sun and the angles of z at each time.",
+        "What the body did at other times; thick and thin bars: 50 and 90 % of the draws." + synthetic_note(found),
+    )  # fmt: skip
+
+
+def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
+    modes = tree["modes"]
+    columns: dict[str, Any] = {"weight": modes["weight"].values, "log_evidence": modes["log_evidence"].values}
+    for k, axis in enumerate("xyz"):
+        columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
+        columns[f"sigma_{axis}_rad_s"] = modes["omega_cov_B"].values[:, k, k] ** 0.5
+    columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
+    _table(folder / "modes.csv", tree, columns)
+    if beside.vehicle is not None:
+        from sunspin.estimate.posterior.motion import best_motions
+        from sunspin.vehicle import Vehicle, load_vehicle
+
+        craft = beside.vehicle if isinstance(beside.vehicle, Vehicle) else load_vehicle(beside.vehicle)
+        for run in best_motions(craft, tree):
+            write_netcdf(folder / f"motion-region-{run.attrs['region']}.nc", run)
+    if "predictions" in tree.children:
+        predictions_tables(tree["predictions"].to_dataset(), folder, beside)
+
+
+def predictions_tables(found: Any, folder: Path, _: Beside) -> None:
+    _table(folder / "predicted.csv", found, intervals(found))
+
+
+def _table(path: Path, data: Any, columns: Any) -> None:
+    text = synthetic_label(data) + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
+    write_whole(path, lambda part: part.write_text(text, "utf-8"))

@@ -1,0 +1,73 @@
+"""Scans of rate space and the lines in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimate.scan.volume import near_minimum
+from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_note, vector
+
+DIMS = ("omega_x", "omega_y", "omega_z")
+DEFAULT_FACTOR = 1.1
+
+
+def misfit(scan: Any) -> xr.DataArray:
+    """The volume of E or EMD over the three rates, of a scan as returned or as stored."""
+    volume = scan if isinstance(scan, xr.DataArray) else scan["emd" if "emd" in scan else "E"]
+    return volume.transpose(*DIMS)
+
+
+def chosen(scan: Any) -> tuple[np.ndarray, dict[str, float]]:
+    """The motions (n, 3) near the smallest misfit, and the factor or threshold by which they were chosen."""
+    if isinstance(scan, xr.Dataset) and "near_minimum" in scan:
+        said = scan["near_minimum"].attrs
+        return scan["near_minimum"].values, {key: float(said[key]) for key in ("factor", "threshold") if key in said}
+    return near_minimum(misfit(scan), DEFAULT_FACTOR), {"factor": DEFAULT_FACTOR}
+
+
+def scan_summary(scan: Any) -> Summary:
+    """The smallest misfit, where it is, how many motions come near it, the lines fitted to them."""
+    volume, (points, by) = misfit(scan), chosen(scan)
+    values = [volume.sel(dict(zip(DIMS, p.tolist(), strict=True)), method="nearest").item() for p in points]
+    best = points[np.argmin(values)].tolist()
+    numbers: dict[str, Any] = {
+        "metric": str(volume.name), "rows": int(volume.size), "minimum": float(volume.min()), "best_omega_B": best,
+        "near_minimum_points": len(points),
+    }  # fmt: skip
+    against = f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
+    lines = [
+        f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {vector(best)} rad/s; "
+        f"{len(points)} points " + (f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}")
+    ]
+    if isinstance(scan, xr.Dataset) and "point" in scan:
+        told = lines_summary(scan)
+        return Summary(numbers | {"lines": told["lines"]}, lines + told.lines)
+    return Summary(numbers, lines)
+
+
+def lines_summary(lines: Any) -> Summary:
+    """Points and directions of fitted lines."""
+    found = [
+        {"point": p.tolist(), "direction": d.tolist(), "points": int(c)}
+        for p, d, c in zip(lines["point"].values, lines["direction"].values, lines["count"].values, strict=True)
+    ]
+    text = [f"  line through {vector(x['point'])} along {vector(x['direction'])}" for x in found]
+    return Summary({"lines": found}, text)
+
+
+def scan_drawings(scan: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures.scan import scan_figure
+
+    volume, (points, by) = misfit(scan), chosen(scan)
+    metric = "EMD" if volume.name == "emd" else "E"
+    near = f"within {by['factor']:g} times the smallest {metric}" if "factor" in by else f"below {by.get('threshold', np.nan):g}"
+    yield Drawing(
+        "scan", lambda: scan_figure(volume, points),
+        f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
+        f"The smallest {metric} over ωz. Circles: all {len(points)} motions {near}: any of them may be the true one."
+        + synthetic_note(scan),
+    )  # fmt: skip

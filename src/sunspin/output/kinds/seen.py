@@ -1,0 +1,117 @@
+"""Telemetry, directions to the Sun, the quality of panels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.folder import write_whole
+from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+from sunspin.telemetry.sun import is_reconstructed
+
+
+def telemetry_summary(samples: Any) -> Summary:
+    """Samples, their time, what is flagged."""
+    time = samples["time"].values
+    numbers: dict[str, Any] = {
+        "samples": int(time.size),
+        "span_s": float(np.ptp(time)) if time.size else 0.0,
+        "epoch_utc": str(samples.attrs.get("epoch_utc", "")),
+        "flagged": int(np.count_nonzero(samples["flag"].values)),
+        "synthetic_telemetry": bool(samples.attrs.get("synthetic", 0)),
+    }
+    kind = "synthetic samples" if numbers["synthetic_telemetry"] else "samples"
+    text = f"{numbers['samples']} {kind} over {numbers['span_s']:.0f} s from {numbers['epoch_utc']}"
+    return Summary(numbers, [f"{text}; {numbers['flagged']} of them flagged"])
+
+
+def telemetry_drawings(samples: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures import signals_figure
+
+    if "panel" in samples.coords:
+        yield Drawing(
+            "telemetry", lambda: signals_figure(samples), "Signals of the panels against time.",
+            "Signals of the panels as read." + synthetic_note(samples),
+        )  # fmt: skip
+
+
+def sun_summary(sun: Any) -> Summary:
+    """How many samples give a direction, and why the others give none."""
+    known = is_reconstructed(sun["status"])
+    sigma = sun["sigma_rad"].values[known]
+    numbers = {
+        "samples": int(known.size),
+        "reconstructed": int(known.sum()),
+        "status": status_counts(sun),
+        "median_sigma_deg": float(np.degrees(np.median(sigma))) if sigma.size and np.isfinite(sigma).all() else None,
+        "noise_from": sun.attrs["noise_from"],
+        "synthetic_telemetry": bool(sun.attrs.get("synthetic", 0)),
+    }
+    lines = [f"{known.sum()} of {known.size} samples give a direction to the Sun", *status_lines(sun)]
+    if numbers["median_sigma_deg"] is not None:
+        lines.append(f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg (noise: {numbers['noise_from']})")
+    return Summary(numbers, lines)
+
+
+def status_counts(sun: Any) -> dict[str, int]:
+    """Number of samples per status sentence."""
+    texts, numbers = np.unique(sun["status_text"].values, return_counts=True)
+    return dict(sorted(zip(texts.tolist(), numbers.tolist(), strict=True), key=lambda item: -item[1]))
+
+
+def status_lines(sun: Any) -> list[str]:
+    return [f"  {number:6d}  {text}" for text, number in status_counts(sun).items()]
+
+
+def sun_drawings(sun: Any, beside: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures import sun_directions_figure
+
+    if "time" not in sun.coords:
+        return
+    yield Drawing(
+        "sun", lambda: sun_directions_figure(sun, beside.telemetry),
+        "Panel signals, components of the direction to the Sun with error bars, and the misfit Delta of every sample against time.",
+        "Panel signals; direction to the Sun in body axes, bars: one sigma; grey marks: samples that give no direction, by reason; "
+        "how badly the best direction explains a sample (Delta, no unit)." + synthetic_note(sun),
+    )  # fmt: skip
+
+
+def sun_tables(sun: Any, folder: Path, _: Beside) -> None:
+    table = sun[["sun_B", "delta", "sigma_rad", "status_text"]]
+    flat = table.drop_vars("sun_B").drop_vars([name for name in ("panel", "axis") if name in table.coords], errors="ignore")
+    frame = flat.to_dataframe()
+    for k, axis in enumerate("xyz"):
+        frame.insert(k, f"sun_{axis}_B", sun["sun_B"].values[:, k])
+    frame.index.name = "time_s"
+    epoch = sun.attrs.get("epoch_utc")
+    head = f"{synthetic_label(sun)}# time_s from {epoch}; body axes; sigma_rad is the rms angle of the error\n"
+    write_whole(folder / "sun.csv", lambda part: part.write_text(head + frame.to_csv(float_format="%.9g"), "utf-8"))
+
+
+def quality_summary(quality: Any) -> Summary:
+    """What is used of the samples, and the gain of each panel."""
+    texts, counts = np.unique(quality["why"].values.astype(str), return_counts=True)
+    names = [str(name) for name in quality["panel"].values]
+    gain, sigma = quality["gain"].values, quality["gain_sigma"].values
+    dead = [name for name, is_dead in zip(names, quality["dead"].values, strict=True) if is_dead]
+    numbers = {
+        "samples": {str(text): int(count) for text, count in zip(texts, counts, strict=True)}, "dead": dead,
+        "gain": dict(zip(names, gain.tolist(), strict=True)), "gain_sigma": dict(zip(names, sigma.tolist(), strict=True)),
+    }  # fmt: skip
+    lines = [f"  {count:6d}  {text}" for text, count in numbers["samples"].items()]
+    lines += [f"  panel {n}: gain {g:.4g} +- {s:.2g}" for n, g, s in zip(names, gain, sigma, strict=True)]
+    lines += [f"  panels that never see light: {', '.join(dead)}"] if dead else []
+    return Summary(numbers, [f"quality of {len(quality['use'])} samples of {len(names)} panels", *lines])
+
+
+def quality_drawings(quality: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures import gains_figure
+
+    yield Drawing(
+        "panel-quality", lambda: gains_figure(quality), "Gain of each panel with its error bar.",
+        "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light."
+        + synthetic_note(quality),
+    )  # fmt: skip

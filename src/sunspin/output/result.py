@@ -1,0 +1,114 @@
+"""The accessor of every result: ``.sunspin.summary()``, ``.sunspin.plot()``, ``.sunspin.save(folder)``.
+
+A result is known by ``attrs["kind"]``; :mod:`sunspin.output.kinds` holds what each kind can do and is loaded when first asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+
+if TYPE_CHECKING:
+    from sunspin.output.kinds.kind import Drawing, Kind, Summary
+
+
+@xr.register_dataset_accessor("sunspin")
+@xr.register_dataarray_accessor("sunspin")
+@xr.register_datatree_accessor("sunspin")
+class Result:
+    """What can be done with a result of sunspin."""
+
+    def __init__(self, data: Any) -> None:
+        self._data = data
+
+    @property
+    def _kind(self) -> Kind:
+        from sunspin.output.kinds import KINDS
+
+        name = self._data.attrs.get("kind")
+        if not isinstance(name, str) or name not in KINDS:
+            what = f'attrs["kind"] is {name!r}' if name is not None else 'it has no attrs["kind"]'
+            do = f"use a result as sunspin returns it, of kind {', '.join(KINDS)}"
+            raise InputError(sentence(f"this {type(self._data).__name__} is no result of sunspin: {what}", do=do))
+        return KINDS[name]
+
+    def summary(self) -> Summary:
+        """The main numbers as a dict of plain data; printed, the sentences that the command line prints."""
+        return self._kind.summary(self._data)
+
+    def plot(self, name: str | None = None, *, telemetry: xr.Dataset | None = None) -> Any:
+        """A figure of the result.
+
+        Parameters
+        ----------
+        name : str, optional
+            Which of its figures; default: the first.
+        telemetry : Dataset of `read_telemetry`, optional
+            The samples that the result was made from, drawn beside it where the figure has a place for them.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        InputError
+            Where the kind has no figure, or none of this name.
+        """
+        from sunspin.output.kinds.kind import Beside
+
+        known = {drawing.name: drawing for drawing in self._kind.drawings(self._data, Beside(telemetry))}
+        if not known:
+            raise InputError(sentence(f"a result of kind {self._data.attrs['kind']!r} has no figure", do="print its summary()"))
+        if name is not None and name not in known:
+            raise InputError(sentence("there is no figure of this name", got=name, do=f"known: {', '.join(known)}"))
+        return known[name or next(iter(known))].make()
+
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        vehicle: Any = None,
+        telemetry: xr.Dataset | None = None,
+        command: str = "",
+        also: Mapping[str, Any] | None = None,
+        drawings: Iterable[Drawing] = (),
+    ) -> Path:
+        """Write a results folder: NetCDF, tables, figures as PNG and SVG, `summary.json`; `sunspin report` makes a page of it.
+
+        Parameters
+        ----------
+        folder : path
+            Made if needed; refused if it holds anything but earlier results of the same kind.
+        vehicle : name of a built-in vehicle or path of a vehicle file, optional
+            Copied into the folder, for the page.
+        telemetry : Dataset of `read_telemetry`, optional
+            The same.
+        command : str
+            The line that repeats the run.
+        also : dict, optional
+            More entries of `summary.json`.
+        drawings : Drawings, optional
+            More figures.
+        """
+        from sunspin.output.figures import save
+        from sunspin.output.folder import Picture, results_folder, write_run
+        from sunspin.output.kinds.kind import Beside
+
+        kind, beside = self._kind, Beside(telemetry, vehicle)
+        path = results_folder(folder, kind.command)
+        kind.write(self._data, path, beside)
+        pictures = [
+            Picture(save(drawing.make(), path, drawing.name)[0], drawing.alt, drawing.caption)
+            for drawing in [*kind.drawings(self._data, beside), *drawings]
+        ]
+        said = {} if telemetry is None else telemetry.attrs
+        inputs = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}] if "sha256" in said else []
+        summary = {**self.summary(), **(also or {}), "command": command, "inputs": inputs}
+        write_run(path, summary, vehicle, telemetry, pictures)
+        return path

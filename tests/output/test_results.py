@@ -1,0 +1,139 @@
+"""What a user holds: every result knows its kind and where it comes from, and says, draws and saves itself."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+import sunspin as ss
+from sunspin.output.kinds import KINDS
+
+NO_FIGURE = {"impact", "lines"}
+
+
+def vehicle():
+    return ss.load_vehicle("philae")
+
+
+def telemetry():
+    return ss.load_case("philae").telemetry
+
+
+def motion():
+    return ss.propagate(vehicle(), [0.1, 0.0, 0.2], [0.0, 0.6, 0.8], vehicle().wheels[0].speed_rad_s, np.linspace(0.0, 60.0, 61))
+
+
+def scan():
+    axis = [-0.1, 0.0, 0.1]
+    return ss.scan(vehicle(), [0.1, 0.3, 0.6], [0.0, 0.6, 0.8], axis, axis, [0.0, 0.1], vehicle().wheels[0].speed_rad_s, 300.0)
+
+
+def rates():
+    t = np.arange(0.0, 300.0, 30.0)
+    turn = np.radians(0.6) * t
+    sun = np.stack([np.cos(turn), np.sin(turn) * 0.8, np.sin(turn) * 0.6], axis=1)
+    return ss.rates(ss.load_vehicle("skcube"), directions(t, sun), max_rate_rad_s=np.radians(2.0))
+
+
+def directions(t, sun):
+    covariance = np.tile(1e-4 * np.eye(3), (t.size, 1, 1))
+    data = {"sun_sensor_B": (("time", "axis"), sun), "sun_sensor_cov_B": (("time", "axis", "axis2"), covariance)}
+    flag = ("time", np.zeros(t.size, dtype=np.uint8))
+    return xr.Dataset(data | {"flag": flag}, {"time": t, "axis": ["x", "y", "z"]}, {"epoch_utc": "2024-01-01T00:00:00Z"})
+
+
+def impact():
+    return ss.impact(vehicle(), [0.1, 0.0, 0.2], vehicle().wheels[0].speed_rad_s, [0.0, 0.0, -0.3], 0)
+
+
+def outcomes():
+    return ss.outcomes(vehicle(), [[0.1, 0.0, 0.2]], "off", 20, 0)
+
+
+MADE = {
+    "telemetry": telemetry,
+    "sun_directions": lambda: ss.sun_directions(vehicle(), telemetry()),
+    "panel_quality": lambda: ss.panel_quality(vehicle(), telemetry()),
+    "rates": rates,
+    "trajectory": motion,
+    "impact": impact,
+    "scan": scan,
+    "lines": lambda: ss.fit_lines(np.random.default_rng(1).normal(size=(30, 3)), 2),
+    "outcomes": outcomes,
+}
+"""Kind -> how a public function makes it, small."""
+
+
+@pytest.mark.parametrize("kind", MADE)
+def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_path):
+    result = MADE[kind]()
+    assert result.attrs["kind"] == kind and result.attrs["sunspin_version"] == ss.__version__
+    summary = result.sunspin.summary()
+    assert isinstance(summary, dict) and json.dumps(summary) and str(summary).strip()
+    if kind in NO_FIGURE:
+        with pytest.raises(ss.InputError, match="has no figure; print its summary"):
+            result.sunspin.plot()
+    else:
+        assert isinstance(result.sunspin.plot(), Figure)
+        with pytest.raises(ss.InputError, match="no figure of this name"):
+            result.sunspin.plot("nonsense")
+    folder = result.sunspin.save(tmp_path / "saved")
+    names = {path.name for path in folder.iterdir()}
+    assert {KINDS[kind].main, "summary.json"} <= names and (kind in NO_FIGURE) is not any(n.endswith(".svg") for n in names)
+    stored = xr.load_dataset(folder / KINDS[kind].main, engine="h5netcdf")
+    assert stored.attrs["kind"] == kind and stored.sunspin.summary() == summary
+    assert json.loads((folder / "summary.json").read_text("utf-8"))["version"] == ss.__version__
+
+
+def test_a_posterior_and_its_predictions(user_runs, tmp_path):
+    tree = xr.load_datatree(user_runs["posterior"] / "posterior.nc")
+    assert tree.attrs["kind"] == "posterior" and tree["predictions"].attrs["kind"] == "predictions"
+    summary = tree.sunspin.summary()
+    printed = json.loads((user_runs["posterior"] / "summary.json").read_text("utf-8"))
+    assert summary["verdict"] == printed["verdict"] and len(summary["predicted"]) == len(printed["predicted"]) == 20
+    for name in ("corner", "search", "predicted"):
+        assert isinstance(tree.sunspin.plot(name), Figure)
+    found = tree["predictions"].to_dataset()
+    assert isinstance(found.sunspin.plot(), Figure) and "at 600 s" in str(found.sunspin.summary())
+    tree.sunspin.save(tmp_path / "saved")
+    names = {path.name for path in (tmp_path / "saved").iterdir()}
+    assert {"posterior.nc", "modes.csv", "corner.svg", "predicted.csv"} <= names
+
+
+def test_strategies_side_by_side(user_runs):
+    table = xr.load_dataset(user_runs["outcomes"] / "strategies.nc")
+    assert table.attrs["kind"] == "strategies" and isinstance(table.sunspin.plot(), Figure)
+    printed = json.loads((user_runs["outcomes"] / "summary.json").read_text("utf-8"))
+    assert table.sunspin.summary()["strategies"] == printed["strategies"]
+    runs = xr.load_dataset(user_runs["outcomes"] / "outcomes-held.nc")
+    assert runs.attrs["kind"] == "outcomes" and runs.attrs["seed"] == 0 and "wheels held: 20 runs" in str(runs.sunspin.summary())
+
+
+def test_twins_are_telemetry():
+    truth = {"omega_B": [0.1, 0.0, 0.2], "sun_B": [0.0, 0.6, 0.8], "t_s": np.arange(0.0, 300.0, 60.0)}
+    assert ss.twin(vehicle(), truth, seed=1).attrs["kind"] == "telemetry"
+
+
+@pytest.mark.parametrize("attrs", [{}, {"kind": "house"}, {"kind": 3}])
+def test_what_is_no_result_is_refused_in_one_sentence(attrs, tmp_path):
+    data = xr.Dataset(attrs=attrs)
+    for use in (data.sunspin.summary, data.sunspin.plot, lambda: data.sunspin.save(tmp_path / "never")):
+        with pytest.raises(ss.InputError, match="this Dataset is no result of sunspin") as told:
+            use()
+        assert "\n" not in str(told.value)
+    assert not (tmp_path / "never").exists()
+
+
+def test_the_accessor_comes_with_the_first_public_name_and_draws_nothing():
+    code = (
+        "import sys, sunspin as ss; bare = [m for m in sys.modules if m.startswith('sunspin.')]; ss.load_vehicle;"
+        "import xarray as xr; kinds = (xr.Dataset, xr.DataArray, xr.DataTree);"
+        "drawing = [m for m in ('matplotlib', 'plotly', 'heyoka') if m in sys.modules];"
+        "print(bare, all(hasattr(k, 'sunspin') for k in kinds), drawing)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] True []"
