@@ -11,10 +11,11 @@ import pytest
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.likelihood import Likelihood, moved
+from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.verdict import Found, verdict
 from sunspin.estimate.posterior.widths import pareto_tail
+from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}

@@ -11,8 +11,9 @@ from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit
-from sunspin.estimate.posterior.likelihood import Likelihood, moved
+from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
+from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import NEAR_SIGMAS
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.estimate.posterior.likelihood import moved
 from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State
 from sunspin.estimate.posterior.widths import BLOCK, DEFENCE, pooled, regions
+from sunspin.solve.rotations import moved
 
 UNKNOWNS = 4
 SHEET = Sheet.of(5 + UNKNOWNS, softs=2, moving=(1, 2), brightness=(0,))

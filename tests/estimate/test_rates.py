@@ -7,11 +7,11 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimate.rates.motion import Body, Ends, step, step_with_answer, turn, turn_between
+from sunspin.estimate.rates.motion import Body, Ends, step, step_with_answer
 from sunspin.estimate.rates.observe import thinned
-from sunspin.estimate.rates.smooth import solve
 from sunspin.estimate.rates.start import facing, rates_between
 from sunspin.estimate.rates.state import SUN_N
+from sunspin.solve.rotations import turn, turn_between
 from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
@@ -151,24 +151,6 @@ def test_a_step_agrees_with_the_reference_propagator(reached):
     assert np.abs(rate[0] - run["omega_B"].values[1]).max() < 1e-6
     assert np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]).max() < 1e-4
     reached("difference of the direction", np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]), "", 1e-4)
-
-
-@pytest.mark.evidence("rates", "verified", "NumPy's solution of the whole matrix")
-def test_the_tridiagonal_solution_is_that_of_the_whole_matrix():
-    rng = np.random.default_rng(7)
-    n, size = 4, 6
-    factor = rng.normal(size=(n * size, n * size))
-    block = np.kron(np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1), np.ones((size, size)))
-    whole = 0.05 * (factor @ factor.T) * block + 30 * np.eye(n * size)
-    parts = whole.reshape(n, size, n, size)
-    slope = rng.normal(size=(n, size))
-    diagonal = np.array([parts[i, :, i] for i in range(n)])
-    upper = np.array([parts[i, :, i + 1] for i in range(n - 1)])
-    change, covariance, log_size = solve(diagonal[None], upper[None], slope[None])
-    inverse = np.linalg.inv(whole).reshape(n, size, n, size)
-    assert np.abs(change[0].ravel() + np.linalg.solve(whole, slope.ravel())).max() < 1e-10
-    assert np.abs(covariance[0] - np.array([inverse[i, :, i] for i in range(n)])).max() < 1e-10
-    assert log_size[0] == pytest.approx(np.linalg.slogdet(whole)[1])
 
 
 def test_thinned_samples_leave_from_the_file_s_own_interval():

@@ -16,10 +16,11 @@ from coverage_twins import CUBE, albedo, twin
 from sunspin.estimate.rates import estimate, field, observe, torque
 from sunspin.estimate.rates.earth import differing, with_beam
 from sunspin.estimate.rates.light import earth_lit, sun_measured
-from sunspin.estimate.rates.motion import Body, Ends, step, turn, turn_between
+from sunspin.estimate.rates.motion import Body, Ends, step
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import between
 from sunspin.estimate.rates.state import FIELD_TURN_RATE, Motion, Observations, Track
+from sunspin.solve.rotations import turn, turn_between
 
 EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
 """rad; that of the Earth's disk from 550 km."""

@@ -20,6 +20,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.gyrostat import free_inertia
 from sunspin.dynamics.wheel_modes import COMMANDS
+from sunspin.solve.rotations import cross_matrix
 from sunspin.vehicle import Vehicle
 
 
@@ -82,18 +83,10 @@ def impact(
 
 def _impulse(inverse: np.ndarray, mass: float, omega: np.ndarray, velocity: np.ndarray, tip: np.ndarray) -> np.ndarray:
     """F (..., 3) in N s from K F = -(v + omega x l)."""
-    lever = _cross_matrix(tip)
+    lever = cross_matrix(tip)
     mobility = np.eye(3) / mass - lever @ inverse @ lever
     contact_velocity = velocity + np.cross(omega, tip)
     return -np.linalg.solve(mobility, contact_velocity[..., None])[..., 0]
-
-
-def _cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """The matrix [v] (..., 3, 3) with [v] b = v x b."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _vectors(value: npt.ArrayLike, name: str) -> np.ndarray:

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.solve.rotations import seen_turned
 
 PHASE_STEP = 0.7
 """rad; between neighbours of the scan the phase at either end of the window differs by half of this at most."""
@@ -99,7 +99,7 @@ def phase(coefficients: npt.ArrayLike, t_s: npt.ArrayLike) -> np.ndarray:
 
 def turned(sun_B: npt.ArrayLike, axis_B: npt.ArrayLike, angle: np.ndarray) -> np.ndarray:
     """The Sun's direction (n, 3) in body axes when the body has turned by each angle (n) about the axis."""
-    return Rotation.from_rotvec(-np.asarray(angle)[:, None] * np.asarray(axis_B)).apply(sun_B)
+    return seen_turned(np.asarray(sun_B, dtype=np.float64), np.asarray(angle)[:, None] * np.asarray(axis_B))
 
 
 def error_of_rate(coefficients: npt.ArrayLike, t_s: np.ndarray, sun_B: np.ndarray, axis_B: npt.ArrayLike = (0, 0, 1)) -> float:

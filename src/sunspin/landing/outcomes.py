@@ -26,6 +26,7 @@ from sunspin.landing import scenario as sc
 from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of, support
 from sunspin.landing.flight import carry, fly, sun_height_shares
 from sunspin.landing.outcome_data import dataset
+from sunspin.solve.rotations import smallest_turn
 from sunspin.telemetry.case import case_names, load_case
 from sunspin.vehicle import Antenna, Vehicle
 
@@ -270,7 +271,7 @@ class OutcomeRows:
             facet = rest_facet(shape, contact.up_B)
             out["rest_facet"][:] = facet
             if antenna is not None:
-                out["antenna_at_rest"][:] = _served(antenna, _turn(contact.up_B, -shape.normals_B[facet], seen))
+                out["antenna_at_rest"][:] = _served(antenna, smallest_turn(contact.up_B, -shape.normals_B[facet], seen))
 
 
 def _served(antenna: Antenna, orbiter_B: np.ndarray) -> np.ndarray:
@@ -312,12 +313,6 @@ def _at(t: np.ndarray, values: np.ndarray, when: np.ndarray) -> np.ndarray:
     part = ((when - t[after - 1]) / (t[after] - t[after - 1]))[:, None]
     between = (1 - part) * values[rows, after - 1] + part * values[rows, after]
     return between / np.linalg.norm(between, axis=1, keepdims=True)
-
-
-def _turn(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """x (n, 3) under the smallest rotation that takes the unit vectors a to b."""
-    v, c = np.cross(a, b), np.sum(a * b, axis=1, keepdims=True)
-    return x + np.cross(v, x) + np.cross(v, np.cross(v, x)) / np.maximum(1 + c, 1e-9)
 
 
 def outcomes(

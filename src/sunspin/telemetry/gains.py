@@ -1,8 +1,9 @@
 """Gains of the panels from their readings: in full Sun all samples have one brightness, whichever panels are lit.
 
 The brightness of a sample is the factor by which its readings exceed the model at the direction that fits them best. Gains that
-are wrong make it depend on the direction; those with which it does not are found by damped least squares under a prior about the
-vehicle file's values. Where the panels do not look all around, a Sun that stands aside looks like a dim one, and nothing is told.
+are wrong make it depend on the direction; those with which it does not are found by reweighted least squares under a prior about
+the vehicle file's values. Where the panels do not look all around, a Sun that stands aside looks like a dim one, and nothing is
+told.
 """
 
 from __future__ import annotations

@@ -13,12 +13,15 @@ import xarray as xr
 from scipy.stats import chi2, norm
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.solve.least_squares import least_squares
+from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.cosine import arrangement, lit_patterns, observable_patterns
 
-STEPS = 60
-"""Damped Gauss-Newton steps of the search for the Sun that contradicts the readings least; a dozen are usually enough."""
+STEPS, ROUNDING = 60, 1e-12
+"""Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma
+squared, at which it ends."""
 
 CHUNK = 2000
 """Samples searched at once: each from every cell of the sphere."""
@@ -168,29 +171,23 @@ def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_thresh
 def _nearest_sun(rows: np.ndarray, cells: np.ndarray, readings: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance.
 
-    Inside a cell the squared distance is a convex piece; damped Gauss-Newton runs from each cell and the best end is taken.
+    Inside a cell the squared distance is a convex piece; a search runs from each cell and the best end is taken.
     """
     light = np.maximum(0.0, cells @ rows.T)
     bright = np.maximum(readings @ light.T, 0.0) / np.maximum((light**2).sum(axis=1), 1e-300)
-    sun = bright[:, :, None] * cells[None]
-    lit = (readings > threshold)[:, None, :]
-    value, jacobian = _distance(rows, sun, readings[:, None, :], lit, threshold)
-    square, damping = (value**2).sum(axis=-1), np.full(sun.shape[:2], 1e-3)
-    for _ in range(STEPS):
-        normal = np.einsum("...ki,...kj->...ij", jacobian, jacobian) + damping[..., None, None] * np.eye(3)
-        slope = np.einsum("...ki,...k->...i", jacobian, value)
-        trial = sun - np.linalg.solve(normal, slope[..., None])[..., 0]
-        trial_value, trial_jacobian = _distance(rows, trial, readings[:, None, :], lit, threshold)
-        trial_square = (trial_value**2).sum(axis=-1)
-        better = trial_square < square
-        sun = np.where(better[..., None], trial, sun)
-        value = np.where(better[..., None], trial_value, value)
-        jacobian = np.where(better[..., None, None], trial_jacobian, jacobian)
-        square = np.where(better, trial_square, square)
-        damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e12)
-    best = np.argmin(square, axis=1)
-    each = np.arange(len(readings))
-    return sun[each, best], square[each, best]
+    starts = (bright[:, :, None] * cells[None]).reshape(-1, 3)
+    each = np.repeat(readings, len(cells), axis=0)
+
+    def linearise(state: tuple[np.ndarray, np.ndarray]) -> Dense:
+        value, jacobian = _distance(rows, *state, state[1] > threshold, threshold)
+        return Dense.of(value, jacobian, np.ones_like(state[0]))
+
+    found = least_squares(
+        linearise, lambda state, step: (state[0] + step, state[1]), dense, (starts, each), steps=STEPS, tolerance=ROUNDING
+    )
+    cost = found.system.cost.reshape(len(readings), -1)
+    best = np.argmin(cost, axis=1) + len(cells) * np.arange(len(readings))
+    return found.state[0][best], 2 * found.system.cost[best]
 
 
 def _distance(

@@ -23,8 +23,8 @@ from sunspin.compute.compiler import njit
 from sunspin.dynamics import gyrostat as g
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.fit import asked
-from sunspin.estimate.posterior.likelihood import moved, tangents
 from sunspin.estimate.posterior.model import Model, State
+from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response.cosine import panel_power, sphere
 
 TURN = 1.6

@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from sunspin.estimate.posterior.likelihood import moved, tangents
 from sunspin.estimate.posterior.model import State
+from sunspin.solve.rotations import moved, tangents
 
 APART = 0.4
 """rad at the end of the next window: hypotheses nearer to each other are one."""

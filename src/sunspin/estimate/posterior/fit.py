@@ -1,4 +1,4 @@
-"""Many starts to their best fits at once: damped least squares with weights that let go of outliers."""
+"""Many starts to their best fits at once: least squares with weights that let go of outliers."""
 
 from __future__ import annotations
 
@@ -10,20 +10,24 @@ import numpy as np
 
 from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.posterior.likelihood import Likelihood, moved
+from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State
+from sunspin.solve.least_squares import least_squares, shortened, take
+from sunspin.solve.linear import Dense, dense
+from sunspin.solve.rotations import moved
 
 FILES = (
     "estimate/posterior/data.py", "estimate/posterior/model.py", "estimate/posterior/likelihood.py", "estimate/posterior/fit.py",
     "estimate/posterior/cells.py", "estimate/posterior/widths.py", "estimate/posterior/tags.py", "estimate/inertia.py",
+    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
-FIRST_DAMPING, LESS, MORE = 1e-3, 0.2, 8.0
-"""Of a step, as a part of the curvature; after a step that helped it falls, after one that did not it grows."""
+FLOOR = 1e-9
+"""Part of the largest curvature that is added to all: directions that nothing tells are left alone."""
 
-ARRIVED = 1e-3
-"""Fall of the objective in a step below which a row has arrived, and waits for the next noise."""
+FAR = 8.0
+"""No unknown is farther from the centre of its prior, in its sigmas."""
 
 LARGEST_TURN = 0.5
 """rad by which one step may turn the Sun within the window."""
@@ -84,8 +88,7 @@ class Fit:
         return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None)
-        search.free = self.free
+        search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None, self.free)
         (factor, steps), *others = self.levels
         search.go(factor, steps)
         on, left = np.arange(len(index)), None
@@ -101,8 +104,7 @@ class Fit:
         if self.curved:
             for _ in range(2):
                 search.fit_noise()
-                search.step()
-                search.step()
+                search.steps(2)
         found = self._told(search)
         if left is None:
             return found
@@ -115,104 +117,87 @@ class Fit:
         out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": np.array(search.objective)}
         if self.normal:
             out["normal"] = search.curvature().astype(np.float32)
-        return {**out, "hessian": search.curvature(), "readings": search.cost} if self.curved else out
+        return {**out, "hessian": search.curvature(), "readings": search.readings} if self.curved else out
 
 
 class _Search:
     """A batch of starts on its way; every row by itself."""
 
-    def __init__(self, likelihood: Likelihood, state: State, still: bool) -> None:
-        self.likelihood, self.state, self.still = likelihood, state, still
+    def __init__(self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None) -> None:
+        self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
         self._prior = np.concatenate([np.zeros(5), np.ones(state.u.shape[1])])
         self._factor = 1.0
-        self.free: np.ndarray | None = None
-        self._load(state)
+        self._system = self._linearised((state.omega, state.sun, state.u))
 
-    def _load(self, state: State) -> None:
-        _, self._raw, self._extra, self._jacobian = self._look(state)
-        self._set_off()
+    @property
+    def objective(self) -> np.ndarray:
+        """Minus the log posterior density (n), up to a constant, under the present noise."""
+        return self._system.cost
 
-    def _set_off(self) -> None:
-        """All rows are on their way, with the damping of a first step."""
-        self._damping = np.full(len(self.state), FIRST_DAMPING)
-        self._arrived = np.zeros(len(self.state), dtype=bool)
-
-    def _look(self, state: State) -> tuple[Any, ...]:
-        base, raw, extra, jacobian = self.likelihood.linearised(state, self.still)
-        return base.fine & np.isfinite(raw).all(axis=1), raw, extra, jacobian
-
-    def _sigma(self, state: State) -> np.ndarray:
-        return self._factor * self.likelihood.noise(state.u)
+    @property
+    def readings(self) -> np.ndarray:
+        """The same (n) without the priors."""
+        return self.objective - 0.5 * np.sum(self.state.u**2, axis=1)
 
     def go(self, factor: float, steps: int) -> None:
         """Steps under `factor` times the noise."""
-        self.widen(factor)
-        for _ in range(steps):
-            self.step()
+        self._factor = factor
+        self._judge()
+        self.steps(steps)
+
+    def steps(self, count: int) -> None:
+        """Steps of least squares, begun anew."""
+        found = least_squares(
+            self._linearised, self._moved, dense, (self.state.omega, self.state.sun, self.state.u), steps=count,
+            system=self._system, longest=self._longest, limit=self._limited,
+        )  # fmt: skip
+        self.state, self._system = State(*found.state), found.system
 
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
-        self.state = self.state.take(rows)
-        self._raw, self._extra, self._jacobian = self._raw[rows], self._extra[rows], self._jacobian[rows]
-        self._set_off()
-        self._judge()
+        self.state, self._system = self.state.take(rows), take(self._system, rows)
 
-    def widen(self, factor: float) -> None:
-        """Set the noise to `factor` times what it is."""
-        self._factor = factor
-        self._set_off()
-        self._judge()
+    def _linearised(self, state: tuple[np.ndarray, ...]) -> Dense:
+        base, raw, extra, jacobian = self.likelihood.linearised(State(*state), self.still)
+        return self._weighed(state[2], raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1))
 
     def _judge(self) -> None:
-        self.cost, s, w = self.likelihood.weigh(self._raw, self._extra, self._sigma(self.state))
-        self._scaled = np.sqrt(w)[:, :, None] * (self._jacobian / s[:, :, None])
-        self._residual = np.sqrt(w) * self._raw / s
-        self.objective = self.cost + 0.5 * np.sum(self.state.u**2, axis=1)
+        """Weigh the same differences anew, under another noise."""
+        self._system = self._weighed(self.state.u, *self._system.kept)
 
-    def step(self) -> None:
-        """One step of the rows that have not arrived."""
-        on = np.flatnonzero(~self._arrived)
-        if not len(on):
-            return
-        state = self.state.take(on)
-        trial = self._moved(state, self._move(on))
-        fine, raw, extra, jacobian = self._look(trial)
-        cost = self.likelihood.weigh(raw, extra, self._sigma(trial))[0] + 0.5 * np.sum(trial.u**2, axis=1)
-        better = fine & (cost < self.objective[on])
-        self._damping[on] *= np.where(better, LESS, MORE)
-        self._arrived[on] = better & (cost > self.objective[on] - ARRIVED)
-        there = on[better]
-        new, omega, sun, u = trial.take(better), np.array(self.state.omega), np.array(self.state.sun), np.array(self.state.u)
-        omega[there], sun[there], u[there] = new.omega, new.sun, new.u
-        self.state = State(omega, sun, u)
-        self._raw[there], self._extra[there], self._jacobian[there] = raw[better], extra[better], jacobian[better]
-        self._judge()
+    def _scaled(self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Cost (n) of the readings, their residuals (n, R) and derivatives (n, R, D), weighed."""
+        cost, s, w = self.likelihood.weigh(raw, extra, self._factor * self.likelihood.noise(u))
+        return cost, np.sqrt(w) * raw / s, np.sqrt(w)[:, :, None] * (jacobian / s[:, :, None])
 
-    def _move(self, rows: np.ndarray) -> np.ndarray:
-        """Damped step (m, D) of some of the rows."""
-        scaled, u = self._scaled[rows], self.state.u[rows]
+    def _weighed(self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray, fine: np.ndarray) -> Dense:
+        cost, residual, scaled = self._scaled(u, raw, extra, jacobian)
         normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
-        gradient = np.einsum("nri,nr->ni", scaled, self._residual[rows])
+        gradient = np.einsum("nri,nr->ni", scaled, residual)
         gradient[:, 5:] += u
         if self.free is not None:
             normal = np.einsum("ai,nij,jb->nab", self.free.T, normal, self.free)
             gradient = gradient @ self.free
-        diagonal = np.einsum("nii->ni", normal)
-        floor = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
-        damping = self._damping[rows, None] * diagonal + floor
-        damped = normal + np.einsum("ni,ij->nij", damping, np.eye(normal.shape[1]))
-        move = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-        return move if self.free is None else move @ self.free.T
+        scale = np.einsum("nii->ni", normal).copy()
+        floor = FLOOR * scale.max(axis=1) + 1e-12
+        normal = normal + floor[:, None, None] * np.eye(normal.shape[1])
+        cost = np.where(fine, cost + 0.5 * np.sum(u**2, axis=1), np.inf)
+        return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine))
 
-    def _moved(self, state: State, move: np.ndarray) -> State:
-        window = self.likelihood.data.reach_s
+    def _whole(self, step: np.ndarray) -> np.ndarray:
+        return step if self.free is None else step @ self.free.T
+
+    def _longest(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> np.ndarray:
+        move, window = self._whole(step), self.likelihood.data.reach_s
         turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
-        turn = np.maximum(turn / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
-        move = move / np.maximum(turn, 1.0)[:, None]
-        omega = state.omega + move[:, :3]
-        limit = self.likelihood.model.max_rate
-        omega = omega * np.minimum(1.0, limit / np.maximum(np.linalg.norm(omega, axis=1, keepdims=True), 1e-12))
-        return State(omega, moved(state.sun, move[:, 3:5]), np.clip(state.u + move[:, 5:], -8.0, 8.0))
+        return np.maximum(turn / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
+
+    def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
+        move = self._whole(step)
+        return state[0] + move[:, :3], moved(state[1], move[:, 3:5]), state[2] + move[:, 5:]
+
+    def _limited(self, state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        return shortened(state[0], self.likelihood.model.max_rate), state[1], np.clip(state[2], -FAR, FAR)
 
     def fit_noise(self, few: bool = False) -> None:
         """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm.
@@ -225,23 +210,23 @@ class _Search:
         if not places:
             return
         at, lit = places[0], self.likelihood.kinds[1] & self.likelihood.kinds[0]
-        width, u = model.unknowns[at].sigma, np.array(self.state.u)
+        width, u, (raw, extra, *_) = model.unknowns[at].sigma, np.array(self.state.u), self._system.kept
         taken, least = (self._taken_up(), 0.0 if self.still else -5.0) if few else (0.0, -5.0)
         for _ in range(8):
             s = self.likelihood.noise(u)
-            _, each, w = self.likelihood.weigh(self._raw, self._extra, s)
+            _, each, w = self.likelihood.weigh(raw, extra, s)
             share = (s[:, None] / each) ** 2 * w  # time tags' errors do not scale with the noise
-            spread = np.sum(np.where(lit, share * (self._raw / each) ** 2, 0.0), axis=1)
+            spread = np.sum(np.where(lit, share * (raw / each) ** 2, 0.0), axis=1)
             count = np.maximum(np.sum(np.where(lit, share, 0.0), axis=1) - taken, 0.0)
             slope = width * (count - spread) + u[:, at]
             u[:, at] = np.clip(u[:, at] - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1), least, 5)
         self.state = State(self.state.omega, self.state.sun, u)
-        self._set_off()
         self._judge()
 
     def _taken_up(self) -> np.ndarray:
         """How many readings (n) the unknowns of each row answer for, dark ones and priors apart."""
-        told = np.einsum("nri,nrj->nij", self._scaled, self._scaled)
+        scaled = self._scaled(self.state.u, *self._system.kept[:3])[2]
+        told = np.einsum("nri,nrj->nij", scaled, scaled)
         size = np.sqrt(np.einsum("nii->ni", told) + self._prior + 1e-12)  # in these units no number is large
         told /= size[:, :, None] * size[:, None, :]
         whole = told + np.eye(told.shape[1]) * (self._prior / size**2 + 1e-9)[:, :, None]
@@ -249,10 +234,11 @@ class _Search:
 
     def curvature(self) -> np.ndarray:
         """Second derivatives (n, D, D) of minus the log posterior, by Gauss and Newton."""
-        normal = np.einsum("nri,nrj->nij", self._scaled, self._scaled) + np.diag(self._prior)
+        _, residual, scaled = self._scaled(self.state.u, *self._system.kept[:3])
+        normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
         model = self.likelihood.model
         for i in model.where("noise"):
             lit = self.likelihood.kinds[1] & self.likelihood.kinds[0]
-            squares = np.sum(np.where(lit, self._residual**2, 0.0), axis=1)
+            squares = np.sum(np.where(lit, residual**2, 0.0), axis=1)
             normal[:, 5 + i, 5 + i] = 1 + 2 * model.unknowns[i].sigma ** 2 * squares
         return normal

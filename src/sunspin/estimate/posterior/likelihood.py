@@ -17,6 +17,7 @@ from sunspin.dynamics import ensemble as k
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.tags import LOG_2PI, power_slope, tagged
+from sunspin.solve.rotations import tangents
 
 OUTLIERS = 0.02
 """Probability beforehand that a reading has nothing to do with the Sun."""
@@ -38,23 +39,6 @@ DERIVATIVE_ERROR, ROUGH_ERROR = 1e-8, 1e-6
 whose own error is `SEARCH_ERROR` is asked only where steps lead."""
 
 SEARCH_ERROR = 1e-5
-
-
-def tangents(sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (n, 3) that make a right-handed frame with each direction (n, 3)."""
-    other = np.where(np.abs(sun[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(sun, other)
-    first = first / np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(sun, first)
-
-
-def moved(sun: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) moved along great circles by tangent vectors (n, 2) in the frame of `tangents`."""
-    e1, e2 = tangents(sun)
-    angle = np.linalg.norm(step, axis=1, keepdims=True)
-    along = (step[:, :1] * e1 + step[:, 1:] * e2) * np.sinc(angle / np.pi)
-    out = np.cos(angle) * sun + along
-    return out / np.linalg.norm(out, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import gammaln
 
 from sunspin.estimate.posterior.family import coordinates
-from sunspin.estimate.posterior.likelihood import moved
 from sunspin.estimate.posterior.model import State
+from sunspin.solve.rotations import moved
 
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student components."""

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import log_ndtr
 
+from sunspin.solve.rotations import seen_turned
+
 if TYPE_CHECKING:
     from sunspin.estimate.posterior.likelihood import Likelihood, Prediction
 
@@ -29,11 +31,7 @@ LOG_2PI = float(np.log(2 * np.pi))
 
 def turned(sun: np.ndarray, rate: np.ndarray, shift_s: np.ndarray) -> np.ndarray:
     """Directions (..., 3) in body axes `shift_s` (...) later, at the body rate (..., 3) that there is now."""
-    size = np.linalg.norm(rate, axis=-1, keepdims=True)
-    axis = rate / np.maximum(size, 1e-15)
-    angle = size * shift_s[..., None]
-    along = np.sum(axis * sun, axis=-1, keepdims=True)
-    return np.cos(angle) * sun - np.sin(angle) * np.cross(axis, sun) + (1 - np.cos(angle)) * along * axis
+    return seen_turned(sun, rate * shift_s[..., None])
 
 
 def power_slope(likelihood: Likelihood, sun: np.ndarray, rate: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -17,17 +17,12 @@ import numpy as np
 from sunspin.estimate.rates import field, torque
 from sunspin.estimate.rates.earth import begun, lit_by
 from sunspin.estimate.rates.light import student, sun_measured
-from sunspin.estimate.rates.motion import Body, turn
-from sunspin.estimate.rates.smooth import (
-    RATE_LIMIT,
-    between,
-    damping_scale,
-    normal_equations,
-    shortened,
-    solve,
-    whitening,
-)
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.smooth import between, damping_scale, followed, moved, normal_equations, whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.solve.least_squares import least_squares, take
+from sunspin.solve.linear import Bordered, bordered, spread
+from sunspin.solve.rotations import turn
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
 """rad/s^1.5; acceleration noises under which a lateness finds its place."""
@@ -57,39 +52,18 @@ class Clock(NamedTuple):
 
 class Common(NamedTuple):
     """K hypotheses with the common errors (K, m) in units of their sigmas, the covariance of those (K, m, m), the answer of the
-    states to them (K, n, 6, m), and the blocks of the equations; `seen`: the track at the instants of the Sun."""
+    states to them (K, n, 6, m), and the equations; `seen`: the track at the instants of the Sun."""
 
     track: Track
     error: np.ndarray
     covariance: np.ndarray
     answer: np.ndarray
-    diagonal: np.ndarray
-    upper: np.ndarray
-    border: np.ndarray
+    system: Bordered
     seen: Track
 
     def take(self, index: np.ndarray) -> Common:
         """The hypotheses `index`."""
-        arrays = {name: part[index] for name, part in self._asdict().items() if not isinstance(part, Track)}
-        return self._replace(track=self.track.take(index), seen=self.seen.take(index), **arrays)
-
-    def shift(self, slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
-        """Change (K, n, 6) of the states for gradients of states (K, n, 6) and errors (K, m) that are added."""
-        change = solve(self.diagonal, self.upper, slope)[0]
-        downhill = error_slope + np.einsum("knib,kni->kb", self.border, change)
-        error = -np.einsum("kab,kb->ka", self.covariance, downhill)
-        return change + np.einsum("knia,ka->kni", self.answer, error)
-
-
-class _Equations(NamedTuple):
-    diagonal: np.ndarray
-    upper: np.ndarray
-    slope: np.ndarray
-    cost: np.ndarray
-    damping: np.ndarray
-    border: np.ndarray
-    corner: np.ndarray
-    error_slope: np.ndarray
+        return Common(self.track.take(index), *take(self[1:-1], index), self.seen.take(index))
 
 
 def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
@@ -152,34 +126,25 @@ def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = N
 
 
 def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int) -> Common:
-    """Damped Gauss-Newton on K hypotheses and their common errors at once."""
-    parts = _equations(o, track, error, motion, clock)
-    damping = np.full(len(error), 1e-3)
-    each, places = np.arange(6), _places(o, motion, clock)
-    for _ in range(steps):
-        diagonal = parts.diagonal.copy()
-        diagonal[..., each, each] += (damping[:, None] * parts.damping)[:, None]
-        change, step, *_ = _solved(parts._replace(diagonal=diagonal))
-        omega = shortened(track.omega + change[..., 3:], RATE_LIMIT * motion.rate_prior)
-        trial, trial_error = Track(turn(track.attitude, change[..., :3]), omega), error + step
+    """K hypotheses and their common errors fitted at once."""
+    places = _places(o, motion, clock)
+
+    def limit(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        error = state[2].copy()
         for place in (places.inertia, places.gains):
-            trial_error[:, place] = np.clip(trial_error[:, place], -MOST_SIGMAS, MOST_SIGMAS)
-        trial_error[:, places.inertia] = of_a_body(motion.body, trial_error[:, places.inertia])
-        new = _equations(o, trial, trial_error, motion, clock)
-        better = new.cost < parts.cost
-        gained = np.where(better, parts.cost - new.cost, 0.0)
-        track = Track(_choose(better, trial.attitude, track.attitude), _choose(better, trial.omega, track.omega))
-        error = _choose(better, trial_error, error)
-        parts = _Equations(*(_choose(better, a, b) for a, b in zip(new, parts, strict=True)))
-        damping = np.where(better, damping / 5, damping * 8)
-        if np.all(gained < 1e-3) and np.all(better | (damping > 1e4)):
-            break
-    _, _, spread, sizes, answer = _solved(parts)
-    covariance = solve(parts.diagonal, parts.upper, parts.slope)[1]
-    covariance = covariance + np.einsum("knia,kab,knjb->knij", answer, spread, answer)
-    fitted = Track(track.attitude, track.omega, parts.cost, -parts.cost - sizes / 2, covariance)
-    seen = track if clock is None else seen_later(o, track, motion, _late(clock, error))
-    return Common(fitted, error, spread, answer, parts.diagonal, parts.upper, parts.border, seen)
+            error[:, place] = np.clip(error[:, place], -MOST_SIGMAS, MOST_SIGMAS)
+        error[:, places.inertia] = of_a_body(motion.body, error[:, places.inertia])
+        return state[0], followed(state[1], motion), error
+
+    found = least_squares(
+        lambda state: _equations(o, Track(*state[:2]), state[2], motion, clock),
+        lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
+        bordered, (track.attitude, track.omega, error), steps=steps, limit=limit,
+    )  # fmt: skip
+    (attitude, omega, error), system, told = found.state, found.system, spread(found.system)
+    fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)
+    seen = fitted if clock is None else seen_later(o, fitted, motion, _late(clock, error))
+    return Common(fitted, error, told.border, told.answer, system, seen)
 
 
 class _Places(NamedTuple):
@@ -223,26 +188,7 @@ def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
     return clock.late_s + clock.sigma_s * error[:, -1]
 
 
-def _choose(better: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
-
-
-def _solved(p: _Equations) -> tuple[np.ndarray, ...]:
-    """Steps of states (K, n, 6) and errors (K, m), the errors' covariance, the log determinant, the states' answer (K, n, 6, m)."""
-    right = np.concatenate([p.slope[..., None], p.border], axis=-1)  # all at once: most of the time is the loop over samples
-    k, many = len(p.slope), right.shape[-1]
-    each = np.moveaxis(right, -1, 1).reshape(k * many, *p.slope.shape[1:])
-    change, _, size = solve(np.repeat(p.diagonal, many, axis=0), np.repeat(p.upper, many, axis=0), each)
-    both = np.moveaxis(change.reshape(k, many, *p.slope.shape[1:]), 1, -1)
-    change, answer, size = both[..., 0], both[..., 1:], size[::many]
-    schur = p.corner + np.einsum("knia,knib->kab", p.border, answer)
-    right = -p.error_slope - np.einsum("knia,kni->ka", p.border, change)
-    step = np.linalg.solve(schur, right[..., None])[..., 0]
-    change = change + np.einsum("knia,ka->kni", answer, step)
-    return change, step, np.linalg.inv(schur), size + np.linalg.slogdet(schur)[1], answer
-
-
-def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> _Equations:
+def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> Bordered:
     n, places = len(o), _places(o, motion, clock)
     blind = np.full((n, 3, 3), np.nan)
     nothing = replace(o, sun_cov=blind, power=np.zeros((n, 0)), power_sigma=np.zeros((n, 0)), gyro=np.full((n, 3), np.nan))
@@ -261,7 +207,7 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
     slope, border, corner, error_slope = slope + sun.slope, border + sun.border, corner + sun.corner, error_slope + sun.error_slope
     told = sun.matrix
     cost += _add_gyro(o, track, error[:, places.gyro], places.gyro, told, slope, border, corner, error_slope)
-    return _Equations(diagonal + told, upper, slope, cost, damping_scale(told, o.t_s), border, corner, error_slope)
+    return Bordered(cost, diagonal + told, upper, slope, damping_scale(told, o.t_s), border, corner, error_slope)
 
 
 def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -271,7 +217,7 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     inertia = motion.body.inertia + np.tensordot(of_inertia, motion.body.errors, axes=1)
     sphere = motion.body.spherical and not len(of_inertia)
     motion = replace(motion, body=replace(motion.body, inertia=inertia, spherical=sphere))
-    diagonal, upper, slope, cost, _ = normal_equations(o, track, motion)
+    cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion)
     r = len(error)
     border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
     if not r:

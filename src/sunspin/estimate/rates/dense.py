@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.estimate.rates.motion import Ends, step_with_answer, turn, turn_between
+from sunspin.estimate.rates.motion import Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.solve.rotations import turn, turn_between
 
 
 @dataclass(frozen=True)

@@ -5,16 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.estimate.rates.state import Observations, Track
+from sunspin.solve.rotations import cross_matrix
 
 STUDENT = 4.0
 """Degrees of freedom of the Student law of measurements: tails that let one bad sample in ten be outvoted."""
-
-
-def cross_matrix(v: np.ndarray) -> np.ndarray:
-    """[v]x (..., 3, 3): [v]x b = v x b."""
-    zero = np.zeros_like(v[..., 0])
-    rows = [[zero, -v[..., 2], v[..., 1]], [v[..., 2], zero, -v[..., 0]], [-v[..., 1], v[..., 0], zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def sun_measured(o: Observations, track: Track, unknowns: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

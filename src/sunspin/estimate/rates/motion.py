@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import gyrostat as g
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
+from sunspin.solve.rotations import cross_matrix, turn, turn_between
 from sunspin.vehicle import Vehicle
 
 STEP_ANGLE = 0.4
@@ -80,19 +81,6 @@ class Ends(NamedTuple):
 
 FREE = Ends()
 """Nothing acts."""
-
-
-def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
-    """Attitudes (..., 3, 3), B_from_N, turned by small or large rotation vectors (..., 3) of the body, in body axes."""
-    shape = np.broadcast_shapes(matrix.shape[:-2], angle_B.shape[:-1])
-    flat = Rotation.from_rotvec(-np.broadcast_to(angle_B, (*shape, 3)).reshape(-1, 3)).as_matrix()
-    return flat.reshape(*shape, 3, 3) @ matrix
-
-
-def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3) of the body that :func:`turn` needs to go from attitude `start` to `end`."""
-    relative = end @ np.swapaxes(start, -1, -2)
-    return -Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec().reshape(*relative.shape[:-2], 3)
 
 
 def step(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray]:
@@ -164,8 +152,7 @@ def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> t
 def nutation(body: Body, momentum: np.ndarray) -> float:
     """rad/s at which the largest of the wheels' momenta (..., 3) turns a rate of the body round."""
     flat = np.reshape(momentum, (-1, 3))
-    x, y, z = flat[np.argmax((flat**2).sum(axis=1))]
-    turning = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turning = cross_matrix(flat[np.argmax((flat**2).sum(axis=1))])
     return float(np.abs(np.linalg.eigvals(np.linalg.solve(body.inertia, turning))).max())
 
 

@@ -8,13 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.estimate.rates.motion import step, step_with_answer, turn
-from sunspin.estimate.rates.smooth import RATE_LIMIT, TURN_PRIOR, measured, shortened
+from sunspin.estimate.rates.motion import step, step_with_answer
+from sunspin.estimate.rates.smooth import TURN_PRIOR, followed, measured
 from sunspin.estimate.rates.start import facing
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.solve.least_squares import least_squares
+from sunspin.solve.linear import Dense, dense
+from sunspin.solve.rotations import turn
 
 CROWD = 4000
 """Starts moved at once, so that their numbers stay in the processor's cache."""
+
+NEAR = 1e-2
+"""Gain in cost below which a start has been moved far enough: the smoother goes on from there."""
 
 
 def carried(o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, motion: Motion) -> Track:
@@ -31,25 +37,13 @@ def carried(o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, mo
 
 
 def shot(o: Observations, index: int, track: Track, motion: Motion, steps: int) -> Track:
-    """Damped Gauss-Newton on attitude and rate at sample `index` of K hypotheses; returns them with their cost."""
-    damping = np.full(len(track.omega), 1e-3)
-    track, *parts = _equations(o, index, track.attitude[:, index], track.omega[:, index], motion)
-    each = np.arange(6)
-    for _ in range(steps):
-        matrix = parts[0].copy()
-        matrix[:, each, each] *= 1 + damping[:, None]
-        change = np.linalg.solve(matrix, -parts[1][..., None])[..., 0]
-        rate = shortened(track.omega[:, index] + change[:, 3:], RATE_LIMIT * motion.rate_prior)
-        trial, *new = _equations(o, index, turn(track.attitude[:, index], change[:, :3]), rate, motion)
-        better = new[2] < parts[2]
-        done = np.all(better & (parts[2] - new[2] < 1e-2))
-        track = Track(np.where(better[:, None, None, None], trial.attitude, track.attitude),
-                      np.where(better[:, None, None], trial.omega, track.omega))  # fmt: skip
-        parts = [np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(new, parts, strict=True)]
-        damping = np.where(better, damping / 10, damping * 10)
-        if done:
-            break
-    return Track(track.attitude, track.omega, parts[2])
+    """Attitude and rate at sample `index` of K hypotheses, fitted; returns them with their cost."""
+    found = least_squares(
+        lambda state: _equations(o, index, *state, motion),
+        lambda state, step: (turn(state[0], step[:, :3]), followed(state[1] + step[:, 3:], motion)),
+        dense, (track.attitude[:, index], track.omega[:, index]), steps=steps, tolerance=NEAR,
+    )  # fmt: skip
+    return Track(*found.system.kept, found.system.cost)
 
 
 def _ways(index: int, n: int) -> list[tuple[int, int]]:
@@ -57,10 +51,8 @@ def _ways(index: int, n: int) -> list[tuple[int, int]]:
     return [(i, i + 1) for i in range(index, n - 1)] + [(i, i - 1) for i in range(index, 0, -1)]
 
 
-def _equations(
-    o: Observations, index: int, attitude: np.ndarray, omega: np.ndarray, motion: Motion
-) -> tuple[Track, np.ndarray, np.ndarray, np.ndarray]:
-    """Track, normal matrix (K, 6, 6), gradient (K, 6), cost (K) of states at sample `index`."""
+def _equations(o: Observations, index: int, attitude: np.ndarray, omega: np.ndarray, motion: Motion) -> Dense:
+    """Those of turn and rate (6) at sample `index`; kept are attitudes and rates at all samples."""
     k, n = len(omega), len(o)
     track = Track(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
     answer = np.empty((k, n, 6, 6))
@@ -78,4 +70,5 @@ def _equations(
     matrix[:, :3, :3] += sun[:, :, None] * sun[:, None, :] / TURN_PRIOR**2
     matrix[:, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 3:] += omega / motion.rate_prior**2
-    return track, matrix, slope, cost.sum(axis=1) + (omega**2).sum(axis=1) / (2 * motion.rate_prior**2)
+    total = cost.sum(axis=1) + (omega**2).sum(axis=1) / (2 * motion.rate_prior**2)
+    return Dense(total, matrix, slope, kept=(track.attitude, track.omega))

@@ -10,9 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.estimate.rates.light import cross_matrix, student, sun_measured
-from sunspin.estimate.rates.motion import Ends, step_with_answer, turn, turn_between
+from sunspin.estimate.rates.light import student, sun_measured
+from sunspin.estimate.rates.motion import Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.solve.least_squares import least_squares, shortened
+from sunspin.solve.linear import Bordered, bordered, spread
+from sunspin.solve.rotations import cross_matrix, turn, turn_between
 
 RATE_LIMIT = 4.0
 """No trial rate exceeds this many times the prior's sigma (twice the largest rate of the search)."""
@@ -121,9 +124,8 @@ def cost_limit(o: Observations) -> float:
     return BAD_COST * len(o) + THREE_READINGS * sum(int(part.sum()) for part in more)
 
 
-def normal_equations(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, ...]:
-    """Diagonal (K, n, 6, 6) and upper (K, n-1, 6, 6) blocks, gradient (K, n, 6), cost (K) of the whole pass; and what one unit
-    of damping adds to the diagonal (K, 6)."""
+def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
+    """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common."""
     diagonal, slope, cost = measured(o, track)
     damping = damping_scale(diagonal, o.t_s)
     value, first, second = between(o, track, motion)
@@ -137,7 +139,8 @@ def normal_equations(o: Observations, track: Track, motion: Motion) -> tuple[np.
     diagonal[:, 0, :3, :3] += sun[:, :, None] * sun[:, None, :] / TURN_PRIOR**2
     diagonal[:, 0, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 0, 3:] += track.omega[:, 0] / motion.rate_prior**2
-    return diagonal, upper, slope, total + (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2), damping
+    total += (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2)
+    return Bordered(total, diagonal, upper, slope, damping)
 
 
 def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
@@ -150,48 +153,21 @@ def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
     return np.repeat(np.concatenate([turn_size, rate_size], axis=1), 3, axis=1)
 
 
-def solve(diagonal: np.ndarray, upper: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Step (K, n, 6), marginal covariances (K, n, 6, 6) and log determinant (K) of block-tridiagonal normal equations."""
-    n = diagonal.shape[1]
-    pivots, carried = diagonal.copy(), -slope
-    gain = np.zeros_like(upper)
-    for i in range(n - 1):
-        gain[:, i] = np.linalg.solve(pivots[:, i], upper[:, i])
-        pivots[:, i + 1] = pivots[:, i + 1] - np.swapaxes(upper[:, i], -1, -2) @ gain[:, i]
-        carried[:, i + 1] = carried[:, i + 1] - np.einsum("kji,kj->ki", gain[:, i], carried[:, i])
-    inverse = np.linalg.inv(pivots)
-    change, covariance = np.einsum("knij,knj->kni", inverse, carried), inverse.copy()
-    for i in range(n - 2, -1, -1):
-        change[:, i] -= np.einsum("kij,kj->ki", gain[:, i], change[:, i + 1])
-        covariance[:, i] += gain[:, i] @ covariance[:, i + 1] @ np.swapaxes(gain[:, i], -1, -2)
-    return change, covariance, np.linalg.slogdet(pivots)[1].sum(axis=1)
-
-
-def shortened(omega: np.ndarray, limit: float) -> np.ndarray:
-    """Rates (..., 3) shortened to `limit`: a step far out of the basin must not overflow."""
-    size = np.linalg.norm(omega, axis=-1, keepdims=True)
-    return omega * np.minimum(1.0, limit / np.maximum(size, 1e-300))
-
-
 def smooth(o: Observations, track: Track, motion: Motion, steps: int = 8) -> Track:
-    """Damped Gauss-Newton on K hypotheses at once; returns them with cost, weight and covariance."""
-    damping = np.full(len(track.omega), 1e-3)
-    parts = normal_equations(o, track, motion)
-    each = np.arange(6)
-    for _ in range(steps):
-        diagonal = parts[0].copy()
-        diagonal[..., each, each] += (damping[:, None] * parts[4])[:, None]
-        change = solve(diagonal, parts[1], parts[2])[0]
-        omega = shortened(track.omega + change[..., 3:], RATE_LIMIT * motion.rate_prior)
-        trial = Track(turn(track.attitude, change[..., :3]), omega)
-        new = normal_equations(o, trial, motion)
-        better = new[3] < parts[3]
-        track = Track(*(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
-                        for a, b in ((trial.attitude, track.attitude), (trial.omega, track.omega))))  # fmt: skip
-        gained = np.where(better, parts[3] - new[3], 0.0)
-        parts = tuple(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(new, parts, strict=True))
-        damping = np.where(better, damping / 5, damping * 8)
-        if np.all((gained < 1e-3) & (damping < 1e6) & better):
-            break
-    covariance, size = solve(parts[0], parts[1], parts[2])[1:]
-    return Track(track.attitude, track.omega, parts[3], -parts[3] - size / 2, covariance)
+    """K hypotheses fitted at once; returns them with cost, weight and covariance."""
+    found = least_squares(
+        lambda state: normal_equations(o, Track(*state), motion), moved, bordered, (track.attitude, track.omega), steps=steps,
+        limit=lambda state: (state[0], followed(state[1], motion)),
+    )  # fmt: skip
+    told = spread(found.system)
+    return Track(*found.state, found.system.cost, -found.system.cost - told.log_size / 2, told.nodes)
+
+
+def moved(state: tuple[np.ndarray, np.ndarray], step: tuple[np.ndarray, None]) -> tuple[np.ndarray, np.ndarray]:
+    """Attitudes and rates after a step of turns and rates."""
+    return turn(state[0], step[0][..., :3]), state[1] + step[0][..., 3:]
+
+
+def followed(omega: np.ndarray, motion: Motion) -> np.ndarray:
+    """Trial rates (..., 3) no larger than the integration can follow: a step far out of the basin must not overflow."""
+    return shortened(omega, RATE_LIMIT * motion.rate_prior)

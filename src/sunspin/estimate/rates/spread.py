@@ -14,8 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.estimate.rates.common import Clock, Common, sun_part
-from sunspin.estimate.rates.smooth import measured, normal_equations, solve
+from sunspin.estimate.rates.smooth import measured, normal_equations
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.solve.linear import bordered
 
 Shift = Callable[[Observations, np.ndarray], np.ndarray]
 """What other readings change (k, n, 6) in the states of the hypotheses (k)."""
@@ -27,20 +28,17 @@ def with_spread(
     """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates
     over the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors in common, fitted with
     this `clock`."""
-    if common is None:
-        diagonal, upper, *_ = normal_equations(o, track, motion)
+    system = normal_equations(o, track, motion) if common is None else common.system
 
-        def answer(slope: np.ndarray) -> np.ndarray:
-            return solve(diagonal, upper, slope)[0]
+    def answer(slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
+        downhill = None if system.border_slope is None else error_slope + np.zeros_like(system.border_slope)
+        return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[0]
 
-        def slopes(other: Observations) -> tuple[np.ndarray, ...]:
+    def slopes(other: Observations) -> tuple[np.ndarray, ...]:
+        if common is None:
             return (measured(other, track)[1],)
-    else:
-        answer = common.shift
-
-        def slopes(other: Observations) -> tuple[np.ndarray, ...]:
-            part = sun_part(other, track, common.error, motion, clock)
-            return part.slope, part.error_slope
+        part = sun_part(other, track, common.error, motion, clock)
+        return part.slope, part.error_slope
 
     variance = np.empty((len(track.omega), 3))
     for axis in range(3):

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.estimate.rates.motion import turn
 from sunspin.estimate.rates.state import Motion, Track
+from sunspin.solve.rotations import turn
 
 UNKNOWNS = 9
 

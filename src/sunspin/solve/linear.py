@@ -1,0 +1,151 @@
+"""Normal equations of many least-squares problems at once, and their solution: dense, or block-tridiagonal with a border.
+
+A problem minimises a cost whose quadratic model about its present state is cost + slope.step + step.matrix.step / 2. One whose
+matrix is singular or contains non-finite numbers gives a step of NaN and leaves the others alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Dense(NamedTuple):
+    """K problems of D unknowns: `cost` (K), `matrix` (K, D, D), `slope` (K, D); `scale` (K, D) is what one unit of damping adds to
+    the diagonal (None: the diagonal itself); `kept`: arrays (K, ...) of the same state that the caller wants back."""
+
+    cost: np.ndarray
+    matrix: np.ndarray
+    slope: np.ndarray
+    scale: np.ndarray | None = None
+    kept: tuple[np.ndarray, ...] = ()
+
+    @classmethod
+    def of(cls, residual: np.ndarray, jacobian: np.ndarray, scale: np.ndarray | None = None) -> Dense:
+        """Half the sum of squares of residuals (K, R) with the Jacobian (K, R, D)."""
+        turned = np.swapaxes(jacobian, -1, -2)
+        return cls((residual**2).sum(axis=1) / 2, turned @ jacobian, (turned @ residual[..., None])[..., 0], scale)
+
+
+def dense(system: Dense, damping: np.ndarray) -> np.ndarray:
+    """Steps (K, D) under `damping` (K)."""
+    scale = np.einsum("kii->ki", system.matrix) if system.scale is None else system.scale
+    return _each(np.linalg.solve, _damped(system.matrix, damping[:, None] * scale), -system.slope[..., None])[..., 0]
+
+
+class Bordered(NamedTuple):
+    """K chains of n nodes with b unknowns each, of which neighbours meet, and m unknowns that meet all.
+
+    `cost` (K); `diagonal` (K, n, b, b), `upper` (K, n-1, b, b), `slope` (K, n, b); `scale` (K, b) is what one unit of damping adds
+    to the diagonal of each node; `border` (K, n, b, m), `corner` (K, m, m), `border_slope` (K, m), not damped; None without them.
+    """
+
+    cost: np.ndarray
+    diagonal: np.ndarray
+    upper: np.ndarray
+    slope: np.ndarray
+    scale: np.ndarray
+    border: np.ndarray | None = None
+    corner: np.ndarray | None = None
+    border_slope: np.ndarray | None = None
+
+
+class Spread(NamedTuple):
+    """What the inverse of the undamped matrix contains: covariances of the nodes (K, n, b, b) and of the border's unknowns
+    (K, m, m), what the nodes change per unit of each of the latter (K, n, b, m), and the logarithm of the determinant (K)."""
+
+    nodes: np.ndarray
+    border: np.ndarray
+    answer: np.ndarray
+    log_size: np.ndarray
+
+
+def bordered(system: Bordered, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Steps of the nodes (K, n, b) and of the border's unknowns (K, m) under `damping` (K)."""
+    diagonal = _damped(system.diagonal, (damping[:, None] * system.scale)[:, None])
+    factors = _factors(diagonal, system.upper)
+    if system.border is None:
+        return -_substituted(factors, system.slope[..., None])[..., 0], None
+    change, step, _, _ = _with_border(factors, system)
+    return change, step
+
+
+def spread(system: Bordered) -> Spread:
+    """Covariances and determinant of the undamped equations."""
+    factors = _factors(system.diagonal, system.upper)
+    nodes, size = _covariances(factors), np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
+    if system.border is None:
+        k, n, b = system.slope.shape
+        return Spread(nodes, np.zeros((k, 0, 0)), np.zeros((k, n, b, 0)), size)
+    _, _, answer, schur = _with_border(factors, system)
+    border = _each(np.linalg.inv, schur)
+    nodes = nodes + answer @ border[:, None] @ np.swapaxes(answer, -1, -2)
+    return Spread(nodes, border, answer, size + np.linalg.slogdet(schur)[1])
+
+
+class _Factors(NamedTuple):
+    """Block elimination from the first node on: pivots (K, n, b, b), their inverses, and pivot^-1 upper (K, n-1, b, b)."""
+
+    pivots: np.ndarray
+    inverse: np.ndarray
+    gain: np.ndarray
+
+
+def _factors(diagonal: np.ndarray, upper: np.ndarray) -> _Factors:
+    pivots, gain = diagonal.copy(), np.zeros_like(upper)
+    for i in range(upper.shape[1]):
+        gain[:, i] = _each(np.linalg.solve, pivots[:, i], upper[:, i])
+        pivots[:, i + 1] -= np.swapaxes(upper[:, i], -1, -2) @ gain[:, i]
+    return _Factors(pivots, _each(np.linalg.inv, pivots), gain)
+
+
+def _substituted(factors: _Factors, right: np.ndarray) -> np.ndarray:
+    """Solutions (K, n, b, r) for right-hand sides of that shape."""
+    right = right.copy()
+    turned = np.swapaxes(factors.gain, -1, -2)
+    for i in range(right.shape[1] - 1):
+        right[:, i + 1] -= turned[:, i] @ right[:, i]
+    right = factors.inverse @ right
+    for i in range(right.shape[1] - 2, -1, -1):
+        right[:, i] -= factors.gain[:, i] @ right[:, i + 1]
+    return right
+
+
+def _covariances(factors: _Factors) -> np.ndarray:
+    """Blocks (K, n, b, b) on the diagonal of the inverse."""
+    covariance, turned = factors.inverse.copy(), np.swapaxes(factors.gain, -1, -2)
+    for i in range(covariance.shape[1] - 2, -1, -1):
+        covariance[:, i] += factors.gain[:, i] @ covariance[:, i + 1] @ turned[:, i]
+    return covariance
+
+
+def _with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
+    """Steps of nodes and border, what the nodes change per unit of the border's unknowns, and the Schur complement (K, m, m)."""
+    assert system.border is not None and system.corner is not None and system.border_slope is not None
+    right = -np.concatenate([system.slope[..., None], system.border], axis=-1)  # all at once: the loop over nodes is what costs
+    both = _substituted(factors, right)
+    change, answer = both[..., 0], both[..., 1:]
+    k, n, b, m = system.border.shape
+    told = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2) @ both.reshape(k, n * b, 1 + m)
+    schur, downhill = system.corner + told[..., 1:], system.border_slope[..., None] + told[..., :1]
+    step = _each(np.linalg.solve, schur, -downhill)[..., 0]
+    return change + (answer @ step[:, None, :, None])[..., 0], step, answer, schur
+
+
+def _damped(matrix: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """A copy with `more` added to the diagonals."""
+    matrix, each = matrix.copy(), np.arange(matrix.shape[-1])
+    matrix[..., each, each] += more
+    return matrix
+
+
+def _each(function: Callable[..., Any], *stacks: np.ndarray) -> np.ndarray:
+    """A function of linear algebra on stacks of matrices, with NaN where one of them is singular."""
+    try:
+        return function(*stacks)
+    except np.linalg.LinAlgError:
+        if stacks[0].ndim == 2:
+            return np.full_like(stacks[-1], np.nan)
+        return np.stack([_each(function, *one) for one in zip(*stacks, strict=True)])

@@ -1,0 +1,233 @@
+"""The solver against published problems, and what it promises of batches, borders and limits.
+
+Rosenbrock, Powell's singular function: Moré, Garbow and Hillstrom 1981, ACM Trans. Math. Softw. 7, 17, problems 1 and 13. Misra1a,
+and MGH09: NIST Statistical Reference Datasets, nonlinear regression (https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml), with
+certified parameters, standard deviations and residual sums of squares; starts 1 and 2 are NIST's.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from sunspin.solve.least_squares import Stop, least_squares, shortened
+from sunspin.solve.linear import Bordered, Dense, bordered, dense, spread
+
+MISRA1A = np.array([
+    [10.07, 77.6], [14.73, 114.9], [17.94, 141.1], [23.93, 190.8], [29.61, 239.9], [35.18, 289.0], [40.02, 332.8], [44.82, 378.4],
+    [50.76, 434.8], [55.05, 477.3], [61.01, 536.8], [66.40, 593.1], [75.47, 689.1], [81.78, 760.0],
+])  # fmt: skip
+MGH09 = np.array([
+    [0.1957, 4.0], [0.1947, 2.0], [0.1735, 1.0], [0.1600, 0.5], [0.0844, 0.25], [0.0627, 0.167], [0.0456, 0.125], [0.0342, 0.1],
+    [0.0323, 0.0833], [0.0235, 0.0714], [0.0246, 0.0625],
+])  # fmt: skip
+
+
+def misra1a(b):
+    x, y = MISRA1A[:, 1], MISRA1A[:, 0]
+    rise = np.exp(-b[:, 1:] * x)
+    return b[:, :1] * (1 - rise) - y, np.stack([1 - rise, b[:, :1] * x * rise], axis=-1)
+
+
+def mgh09(b):
+    x, y = MGH09[:, 1], MGH09[:, 0]
+    above, below = x**2 + b[:, 1:2] * x, x**2 + b[:, 2:3] * x + b[:, 3:]
+    model, first = b[:, :1] * above / below, b[:, :1] / below
+    return model - y, np.stack([above / below, first * x, -model * x / below, -model / below], axis=-1)
+
+
+def rosenbrock(b):
+    one, zero = np.ones(len(b)), np.zeros(len(b))
+    residual = np.stack([10 * (b[:, 1] - b[:, 0] ** 2), 1 - b[:, 0]], axis=1)
+    return residual, np.stack([np.stack([-20 * b[:, 0], 10 * one], axis=1), np.stack([-one, zero], axis=1)], axis=1)
+
+
+def powell(b):
+    w, x, y, z = b.T
+    residual = np.stack([w + 10 * x, np.sqrt(5) * (y - z), (x - 2 * y) ** 2, np.sqrt(10) * (w - z) ** 2], axis=1)
+    one, zero, a, c = np.ones(len(b)), np.zeros(len(b)), 2 * (x - 2 * y), 2 * np.sqrt(10) * (w - z)
+    second = [zero, zero, np.sqrt(5) * one, -np.sqrt(5) * one]
+    rows = [[one, 10 * one, zero, zero], second, [zero, a, -2 * a, zero], [c, zero, zero, -c]]
+    return residual, np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def solved(function, starts, steps=400, tolerance=0.0, **options):
+    return least_squares(
+        lambda b: Dense.of(*function(b)), lambda b, step: b + step, dense, np.array(starts, dtype=float), steps=steps,
+        tolerance=tolerance, **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("function, starts, certified, deviations, squares", [
+    (misra1a, [[500, 1e-4], [250, 5e-4]], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 1.2455138894e-1),
+    (mgh09, [[25, 39, 41.5, 39], [0.25, 0.39, 0.415, 0.39]],
+     [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
+     [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2], 3.0750560385e-4),
+])  # fmt: skip
+def test_certified_values_of_nist(function, starts, certified, deviations, squares):
+    found = solved(function, starts)
+    free = len(function(np.array([certified]))[0][0]) - len(certified)
+    sigma = np.sqrt(2 * found.system.cost[:, None] / free * np.einsum("kii->ki", np.linalg.inv(found.system.matrix)))
+    assert found.state == pytest.approx(np.tile(certified, (2, 1)), rel=1e-6)
+    assert sigma == pytest.approx(np.tile(deviations, (2, 1)), rel=1e-6)
+    assert 2 * found.system.cost == pytest.approx(squares, rel=1e-9)
+    assert np.all(found.stop == Stop.STUCK)  # at rounding: with no tolerance nothing arrives
+
+
+def test_a_bent_valley_and_a_singular_minimum():
+    assert solved(rosenbrock, [[-1.2, 1.0], [1.2, 1.2]]).state == pytest.approx(np.ones((2, 2)), abs=1e-9)
+    flat = solved(powell, [[3.0, -1.0, 0.0, 1.0]], steps=60)
+    assert np.abs(flat.state).max() < 1e-6 and flat.system.cost[0] < 1e-20
+
+
+def test_a_batch_is_each_alone_bit_for_bit():
+    starts = np.random.default_rng(0).uniform(-3, 3, (40, 2))
+    together = solved(rosenbrock, starts, tolerance=1e-6)
+    halted = [solved(rosenbrock, starts, steps=n, tolerance=1e-6).stop == Stop.STEPS for n in (5, 15, 30)]
+    assert 0 < halted[2].sum() < halted[1].sum() <= halted[0].sum()  # they do stop at different times
+    for i in range(len(starts)):
+        alone = solved(rosenbrock, starts[i : i + 1], tolerance=1e-6)
+        assert np.array_equal(alone.state[0], together.state[i]) and alone.stop[0] == together.stop[i]
+        assert np.array_equal(alone.system.matrix[0], together.system.matrix[i])
+
+
+def test_more_steps_change_nothing_once_all_have_stopped():
+    starts = np.random.default_rng(1).uniform(-3, 3, (10, 2))
+    assert np.array_equal(solved(rosenbrock, starts).state, solved(rosenbrock, starts, steps=4000).state)
+
+
+class Chain(NamedTuple):
+    """A chain of 5 nodes of two unknowns, each also meeting three that all share; K of them, residuals slightly bent."""
+
+    first: np.ndarray
+    second: np.ndarray
+    shared: np.ndarray
+    target: np.ndarray
+
+    @classmethod
+    def drawn(cls, rng, k, nodes=5):
+        return cls(*(rng.normal(size=(nodes - 1, 6, m)) for m in (2, 2, 3)), rng.normal(size=(k, nodes - 1, 6)))
+
+    def value(self, node, error):
+        line = np.einsum("nmi,kni->knm", self.first, node[:, :-1]) + np.einsum("nmi,kni->knm", self.second, node[:, 1:])
+        line = line + np.einsum("nmi,ki->knm", self.shared, error)
+        return line + 0.1 * np.sin(line) - self.target, 1 + 0.1 * np.cos(line)
+
+    def bordered(self, state):
+        value, bend = self.value(*state)
+        a, b, c = (bend[..., None] * part for part in (self.first, self.second, self.shared))
+        k, n = state[0].shape[:2]
+        diagonal, slope, border = np.zeros((k, n, 2, 2)), np.zeros((k, n, 2)), np.zeros((k, n, 2, 3))
+        for place, part in ((slice(None, -1), a), (slice(1, None), b)):
+            diagonal[:, place] += np.einsum("knmi,knmj->knij", part, part)
+            slope[:, place] += np.einsum("knmi,knm->kni", part, value)
+            border[:, place] += np.einsum("knmi,knmj->knij", part, c)
+        cost = (value**2).sum(axis=(1, 2)) / 2 + (state[1] ** 2).sum(axis=1) / 2
+        upper, corner = np.einsum("knmi,knmj->knij", a, b), np.einsum("knmi,knmj->kij", c, c) + np.eye(3)
+        downhill = np.einsum("knmi,knm->ki", c, value) + state[1]
+        return Bordered(cost, diagonal, upper, slope, np.ones((k, 2)), border, corner, downhill)
+
+    def fitted(self):
+        k, n = self.target.shape[0], self.target.shape[1] + 1
+        return least_squares(
+            lambda s: Chain(*self[:3], s[2]).bordered(s[:2]), lambda s, step: (s[0] + step[0], s[1] + step[1], s[2]), bordered,
+            (np.zeros((k, n, 2)), np.zeros((k, 3)), self.target), steps=50, tolerance=1e-14,
+        )  # fmt: skip
+
+
+def whole(system, damping):
+    """The matrix (D, D) of the first chain, nodes first, with its right-hand side."""
+    _, diagonal, upper, slope, scale, border, corner, border_slope = (part[0] for part in system)
+    n, b = slope.shape
+    matrix = np.zeros((n * b + len(corner),) * 2)
+    for i in range(n):
+        at = slice(i * b, (i + 1) * b)
+        matrix[at, at] = diagonal[i] + damping * np.diag(scale)
+        if i + 1 < n:
+            after = slice((i + 1) * b, (i + 2) * b)
+            matrix[at, after], matrix[after, at] = upper[i], upper[i].T
+    matrix[: n * b, n * b :] = border.reshape(n * b, -1)
+    matrix[n * b :, : n * b], matrix[n * b :, n * b :] = border.reshape(n * b, -1).T, corner
+    return matrix, -np.concatenate([slope.ravel(), border_slope])
+
+
+@pytest.mark.evidence("rates", "verified", "NumPy's solution of the whole matrix")
+def test_a_chain_with_a_border_is_the_whole_matrix(reached):
+    rng = np.random.default_rng(7)
+    system = Chain.drawn(rng, 3).bordered((rng.normal(size=(3, 5, 2)), rng.normal(size=(3, 3))))
+    matrix, right = whole(system, 0.3)
+    change, step = bordered(system, np.full(3, 0.3))
+    assert step is not None
+    off = np.concatenate([change[0].ravel(), step[0]]) - np.linalg.solve(matrix, right)
+    reached("difference of the steps", np.abs(off), "", 1e-10)
+    assert np.abs(off).max() < 1e-10
+    matrix, told = whole(system, 0.0)[0], spread(system)
+    inverse = np.linalg.inv(matrix)
+    assert np.abs(told.nodes[0] - np.array([inverse[i : i + 2, i : i + 2] for i in range(0, 10, 2)])).max() < 1e-10
+    assert np.abs(told.border[0] - inverse[10:, 10:]).max() < 1e-10
+    assert told.log_size[0] == pytest.approx(np.linalg.slogdet(matrix)[1])
+    assert told.answer[0].reshape(10, 3) == pytest.approx(-np.linalg.solve(matrix[:10, :10], matrix[:10, 10:]))
+    bare = system._replace(border=None, corner=None, border_slope=None)
+    change, step = bordered(bare, np.full(3, 0.3))
+    assert step is None
+    assert change[0].ravel() == pytest.approx(np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10]))
+    assert np.abs(spread(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
+
+
+def test_chains_of_a_batch_are_each_alone_bit_for_bit():
+    chain = Chain.drawn(np.random.default_rng(3), 6)
+    chain.target[0] = 0.0  # there from the start
+    found = chain.fitted()
+    assert np.abs(whole(found.system, 0.0)[1]).max() < 1e-6  # no slope is left
+    for i in range(6):
+        alone = chain._replace(target=chain.target[i : i + 1]).fitted()
+        for part, every in zip((*alone.state, *alone.system), (*found.state, *found.system), strict=True):
+            assert np.array_equal(part[0], every[i])
+
+
+def test_what_cannot_be_linearised_is_stepped_back_from():
+    """log x - 3 from x = 200: steps go below zero, where there is no logarithm. One start is there, another has no derivative."""
+
+    def linearise(x):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return Dense.of(np.log(x) - 3, np.where(x == 5.0, np.nan, 1 / x)[..., None])
+
+    start = np.array([[0.01], [200.0], [-1.0], [5.0]])
+    found = least_squares(linearise, lambda x, step: x + step, dense, start, steps=200, tolerance=1e-20)
+    assert found.state[:2, 0] == pytest.approx(np.exp([3, 3]), rel=1e-8)
+    assert found.state[2, 0] == -1.0 and found.stop[2] == Stop.LOST
+    assert found.state[3, 0] == 5.0 and found.stop[3] == Stop.STUCK
+
+
+def test_a_singular_matrix_stops_nobody_else():
+    matrix = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
+    step = dense(Dense(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))
+    assert np.isnan(step[1]).all() and np.array_equal(step[[0, 2]], [[-1, -1], [-0.5, -0.5]])
+
+
+def test_no_state_is_beyond_its_limit_and_no_step_too_long():
+    seen = []
+
+    def linearise(b):
+        seen.append(b.copy())
+        return Dense.of(*rosenbrock(b))
+
+    found = least_squares(
+        linearise, lambda b, step: b + step, dense, np.array([[-0.4, 0.1], [0.1, 0.1]]), steps=300, tolerance=0.0,
+        limit=lambda b: shortened(b, 0.5), longest=lambda b, step: np.linalg.norm(step, axis=1) / 0.05,
+    )  # fmt: skip
+    assert max(np.linalg.norm(b, axis=1).max() for b in seen) <= 0.5 * (1 + 1e-15)
+    assert max(np.abs(seen[k + 1] - seen[0]).max() for k in range(4)) <= 4 * 0.05
+    angle = np.linspace(0, 2 * np.pi, 1_000_001)
+    ring = (rosenbrock(0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1))[0] ** 2).sum(axis=1).min() / 2
+    assert found.system.cost == pytest.approx([ring, ring], rel=0.02)  # the least on the limit, nearly: the step is not along it
+
+
+def test_nothing_that_is_handed_in_is_changed_and_no_problem_is_none():
+    start = np.array([[-1.2, 1.0], [1.0, 1.0]])
+    before = start.copy()
+    found = solved(rosenbrock, start)
+    assert np.array_equal(start, before) and not np.shares_memory(found.state, start)
+    assert solved(rosenbrock, np.zeros((0, 2))).stop.shape == (0,)
