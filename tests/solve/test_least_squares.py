@@ -158,8 +158,9 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
     rng = np.random.default_rng(7)
     system = Chain.drawn(rng, 3).bordered((rng.normal(size=(3, 5, 2)), rng.normal(size=(3, 3))))
     matrix, right = whole(system, 0.3)
-    change, step = bordered(system, np.full(3, 0.3))
+    (change, step), gain = bordered(system, np.full(3, 0.3))
     assert step is not None
+    assert gain[0] == pytest.approx(right @ np.linalg.solve(matrix, right) / 2)
     off = np.concatenate([change[0].ravel(), step[0]]) - np.linalg.solve(matrix, right)
     reached("difference of the steps", np.abs(off), "", 1e-10)
     assert np.abs(off).max() < 1e-10
@@ -170,7 +171,7 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
     assert told.log_size[0] == pytest.approx(np.linalg.slogdet(matrix)[1])
     assert told.answer[0].reshape(10, 3) == pytest.approx(-np.linalg.solve(matrix[:10, :10], matrix[:10, 10:]))
     bare = system._replace(border=None, corner=None, border_slope=None)
-    change, step = bordered(bare, np.full(3, 0.3))
+    (change, step), _ = bordered(bare, np.full(3, 0.3))
     assert step is None
     assert change[0].ravel() == pytest.approx(np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10]))
     assert np.abs(spread(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
@@ -203,7 +204,7 @@ def test_what_cannot_be_linearised_is_stepped_back_from():
 
 def test_a_singular_matrix_stops_nobody_else():
     matrix = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
-    step = dense(Dense(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))
+    step = dense(Dense(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))[0]
     assert np.isnan(step[1]).all() and np.array_equal(step[[0, 2]], [[-1, -1], [-0.5, -0.5]])
 
 

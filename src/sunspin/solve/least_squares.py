@@ -18,11 +18,12 @@ import numpy as np
 FIRST, LESS, MORE = 1e-3, 0.2, 8.0
 """Damping of a first step; by what it is multiplied after a step that lowered the cost, and after one that did not."""
 
-FULL, MOST = 1.0, 1e6
+FULL, MOST = 0.1, 1e6
 """A small gain is an arrival only where the damping is below the first; above the second, no step lowers the cost."""
 
 TOLERANCE = 1e-3
-"""Gain in cost below which a step is the last. Where the cost is minus the logarithm of a density, that is 0.04 sigma."""
+"""Gain in cost, made or promised, below which a step is the last. Where the cost is minus the logarithm of a density, that is 0.04
+sigma."""
 
 
 class Stop(IntEnum):
@@ -31,7 +32,7 @@ class Stop(IntEnum):
     STEPS = 0
     """It did not: the steps ran out."""
     ARRIVED = 1
-    """Its last step gained less than the tolerance."""
+    """Its last step gained less than the tolerance, or promised to."""
     STUCK = 2
     """No step lowers its cost, however short."""
     LOST = 3
@@ -49,7 +50,7 @@ class Solution(NamedTuple):
 def least_squares(
     linearise: Callable[[Any], Any],
     retract: Callable[[Any, Any], Any],
-    solver: Callable[[Any, np.ndarray], Any],
+    solver: Callable[[Any, np.ndarray], tuple[Any, np.ndarray]],
     state: Any,
     *,
     steps: int,
@@ -71,8 +72,9 @@ def least_squares(
         state.
     retract : (state, step) -> state
         The state moved by a step.
-    solver : (system, damping) -> step
-        Steps under damping (K). A step that is not finite is not taken.
+    solver : (system, damping) -> (step, gain)
+        Steps under damping (K), and by how much they lower the cost (K) where it is quadratic. A step that is not finite is not
+        taken.
     state
         Starts.
     steps : int
@@ -99,14 +101,16 @@ def least_squares(
         if not len(on):
             break
         here, there = _some(state, on), _some(system, on)
-        step, fine = _finite(solver(there, damping[on]))
+        step, gain = solver(there, damping[on])
+        step, fine = _finite(step)
         if longest is not None:
             step = _map(lambda part, by: part / _as_column(by, part), step, np.maximum(longest(here, step), 1.0))
         trial = retract(here, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
         better = fine & np.isfinite(new.cost) & (new.cost < there.cost)
-        arrived = better & (there.cost - new.cost < tolerance) & (damping[on] <= FULL)
+        small = (gain < tolerance) | (better & (there.cost - new.cost < tolerance))
+        arrived = fine & small & (damping[on] <= FULL)
         damping[on] *= np.where(better, LESS, MORE)
         stuck = ~better & (damping[on] > MOST)
         stop[on[arrived]], stop[on[stuck]] = Stop.ARRIVED, Stop.STUCK

@@ -29,10 +29,11 @@ class Dense(NamedTuple):
         return cls((residual**2).sum(axis=1) / 2, turned @ jacobian, (turned @ residual[..., None])[..., 0], scale)
 
 
-def dense(system: Dense, damping: np.ndarray) -> np.ndarray:
-    """Steps (K, D) under `damping` (K)."""
+def dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (K, D) under `damping` (K), and what they gain (K) by the quadratic model if the damping is small."""
     scale = np.einsum("kii->ki", system.matrix) if system.scale is None else system.scale
-    return _each(np.linalg.solve, _damped(system.matrix, damping[:, None] * scale), -system.slope[..., None])[..., 0]
+    step = _each(np.linalg.solve, _damped(system.matrix, damping[:, None] * scale), -system.slope[..., None])[..., 0]
+    return step, -(system.slope * step).sum(axis=1) / 2
 
 
 class Bordered(NamedTuple):
@@ -62,14 +63,17 @@ class Spread(NamedTuple):
     log_size: np.ndarray
 
 
-def bordered(system: Bordered, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Steps of the nodes (K, n, b) and of the border's unknowns (K, m) under `damping` (K)."""
+def bordered(system: Bordered, damping: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray | None], np.ndarray]:
+    """Steps of the nodes (K, n, b) and of the border's unknowns (K, m) under `damping` (K), and what they gain (K) by the quadratic
+    model if the damping is small."""
     diagonal = _damped(system.diagonal, (damping[:, None] * system.scale)[:, None])
     factors = _factors(diagonal, system.upper)
     if system.border is None:
-        return -_substituted(factors, system.slope[..., None])[..., 0], None
-    change, step, _, _ = _with_border(factors, system)
-    return change, step
+        change, step = -_substituted(factors, system.slope[..., None])[..., 0], None
+    else:
+        change, step, _, _ = _with_border(factors, system)
+    gain = -(system.slope * change).reshape(len(change), -1).sum(axis=1) / 2
+    return (change, step), gain if step is None else gain - (system.border_slope * step).sum(axis=1) / 2
 
 
 def spread(system: Bordered) -> Spread:

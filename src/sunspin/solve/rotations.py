@@ -28,8 +28,9 @@ def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     """Components (..., 3) in body axes of vectors (..., 3) fixed in space after the body has turned by `angle_B` (..., 3)."""
-    vector, angle_B = np.broadcast_arrays(vector, angle_B)
-    return Rotation.from_rotvec(-angle_B.reshape(-1, 3)).apply(vector.reshape(-1, 3)).reshape(vector.shape)
+    shape = np.broadcast_shapes(vector.shape, angle_B.shape)
+    flat = np.array(np.broadcast_to(vector, shape)).reshape(-1, 3)
+    return Rotation.from_rotvec(-np.broadcast_to(angle_B, shape).reshape(-1, 3)).apply(flat).reshape(shape)
 
 
 def smallest_turn(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ def with_spread(
 
     def answer(slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
         downhill = None if system.border_slope is None else error_slope + np.zeros_like(system.border_slope)
-        return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[0]
+        return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[0][0]
 
     def slopes(other: Observations) -> tuple[np.ndarray, ...]:
         if common is None:
