@@ -19,11 +19,11 @@ FIRST, LESS, MORE = 1e-3, 0.2, 8.0
 """Damping of a first step; by what it is multiplied after a step that lowered the cost, and after one that did not."""
 
 FULL, MOST = 0.1, 1e6
-"""A small gain is an arrival only where the damping is below the first; above the second, no step lowers the cost."""
+"""A small gain is promised in earnest only where the damping is below the first; above the second, no step lowers the cost."""
 
-TOLERANCE = 1e-3
-"""Gain in cost, made or promised, below which a step is the last. Where the cost is minus the logarithm of a density, that is 0.04
-sigma."""
+TOLERANCE = 1e-4
+"""A step that promises a smaller gain in cost is the last. Where the cost is minus the logarithm of a density, that is 0.014 sigma.
+What a step did gain says less: in a bent valley many small gains follow each other."""
 
 
 class Stop(IntEnum):
@@ -32,7 +32,7 @@ class Stop(IntEnum):
     STEPS = 0
     """It did not: the steps ran out."""
     ARRIVED = 1
-    """Its last step gained less than the tolerance, or promised to."""
+    """Its last step promised to gain less than the tolerance."""
     STUCK = 2
     """No step lowers its cost, however short."""
     LOST = 3
@@ -80,7 +80,7 @@ def least_squares(
     steps : int
         Trials of a problem, at most.
     tolerance : float
-        A problem ends with a step that gains less, in the unit of its cost.
+        A problem ends with a step that promises to gain less, in the unit of its cost.
     system : optional
         The starts linearised, if the caller has that.
     limit : state -> state, optional
@@ -109,8 +109,7 @@ def least_squares(
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
         better = fine & np.isfinite(new.cost) & (new.cost < there.cost)
-        small = (gain < tolerance) | (better & (there.cost - new.cost < tolerance))
-        arrived = fine & small & (damping[on] <= FULL)
+        arrived = fine & (gain < tolerance) & (damping[on] <= FULL)
         damping[on] *= np.where(better, LESS, MORE)
         stuck = ~better & (damping[on] > MOST)
         stop[on[arrived]], stop[on[stuck]] = Stop.ARRIVED, Stop.STUCK

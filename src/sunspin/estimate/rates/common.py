@@ -63,7 +63,8 @@ class Common(NamedTuple):
 
     def take(self, index: np.ndarray) -> Common:
         """The hypotheses `index`."""
-        return Common(self.track.take(index), *take(self[1:-1], index), self.seen.take(index))
+        error, covariance, answer, system = take(self[1:-1], index)
+        return Common(self.track.take(index), error, covariance, answer, system, self.seen.take(index))
 
 
 def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
@@ -137,7 +138,7 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
         return state[0], followed(state[1], motion), error
 
     found = least_squares(
-        lambda state: _equations(o, Track(*state[:2]), state[2], motion, clock),
+        lambda state: _equations(o, Track(state[0], state[1]), state[2], motion, clock),
         lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
         bordered, (track.attitude, track.omega, error), steps=steps, limit=limit,
     )  # fmt: skip

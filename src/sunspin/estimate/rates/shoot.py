@@ -19,9 +19,6 @@ from sunspin.solve.rotations import turn
 CROWD = 4000
 """Starts moved at once, so that their numbers stay in the processor's cache."""
 
-NEAR = 1e-2
-"""Gain in cost below which a start has been moved far enough: the smoother goes on from there."""
-
 
 def carried(o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, motion: Motion) -> Track:
     """Starts (K, 3) and (K, 3) at sample `index` moved to all samples of `o` by the equations of motion."""
@@ -39,11 +36,12 @@ def carried(o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, mo
 def shot(o: Observations, index: int, track: Track, motion: Motion, steps: int) -> Track:
     """Attitude and rate at sample `index` of K hypotheses, fitted; returns them with their cost."""
     found = least_squares(
-        lambda state: _equations(o, index, *state, motion),
+        lambda state: _equations(o, index, state[0], state[1], motion),
         lambda state, step: (turn(state[0], step[:, :3]), followed(state[1] + step[:, 3:], motion)),
-        dense, (track.attitude[:, index], track.omega[:, index]), steps=steps, tolerance=NEAR,
+        dense, (track.attitude[:, index], track.omega[:, index]), steps=steps,
     )  # fmt: skip
-    return Track(*found.system.kept, found.system.cost)
+    attitude, omega = found.system.kept
+    return Track(attitude, omega, found.system.cost)
 
 
 def _ways(index: int, n: int) -> list[tuple[int, int]]:

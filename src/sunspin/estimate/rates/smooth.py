@@ -156,11 +156,11 @@ def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
 def smooth(o: Observations, track: Track, motion: Motion, steps: int = 8) -> Track:
     """K hypotheses fitted at once; returns them with cost, weight and covariance."""
     found = least_squares(
-        lambda state: normal_equations(o, Track(*state), motion), moved, bordered, (track.attitude, track.omega), steps=steps,
-        limit=lambda state: (state[0], followed(state[1], motion)),
+        lambda state: normal_equations(o, Track(state[0], state[1]), motion), moved, bordered, (track.attitude, track.omega),
+        steps=steps, limit=lambda state: (state[0], followed(state[1], motion)),
     )  # fmt: skip
-    told = spread(found.system)
-    return Track(*found.state, found.system.cost, -found.system.cost - told.log_size / 2, told.nodes)
+    (attitude, omega), told = found.state, spread(found.system)
+    return Track(attitude, omega, found.system.cost, -found.system.cost - told.log_size / 2, told.nodes)
 
 
 def moved(state: tuple[np.ndarray, np.ndarray], step: tuple[np.ndarray, None]) -> tuple[np.ndarray, np.ndarray]:
