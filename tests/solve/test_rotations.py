@@ -1,0 +1,46 @@
+"""Rotations: conventions checked by hand, and each helper against another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sunspin.solve.rotations import cross_matrix, moved, seen_turned, smallest_turn, tangents, turn, turn_between
+
+
+def units(n, seed=0):
+    v = np.random.default_rng(seed).normal(size=(n, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def test_a_body_that_turns_about_z_sees_the_sun_go_round_backward():
+    quarter = np.array([0.0, 0.0, np.pi / 2])
+    assert seen_turned(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
+    assert turn(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
+    assert np.array_equal(cross_matrix(np.array([1.0, 2.0, 3.0])) @ [0.0, 0.0, 1.0], np.cross([1.0, 2.0, 3.0], [0.0, 0.0, 1.0]))
+
+
+def test_turns_of_any_shape_are_found_again():
+    angle = np.random.default_rng(1).uniform(-1.5, 1.5, (2, 5, 3))
+    start = turn(np.eye(3), np.random.default_rng(2).normal(size=(5, 3)))
+    end = turn(start, angle)
+    assert end.shape == (2, 5, 3, 3)
+    assert turn_between(np.broadcast_to(start, end.shape), end) == pytest.approx(angle, abs=1e-12)
+    sun = units(1)[0]
+    assert seen_turned(start @ sun, angle) == pytest.approx(end @ sun, abs=1e-14)
+
+
+def test_the_smallest_turn_takes_one_direction_to_the_other_and_leaves_what_is_across():
+    a, b = units(20, 3), units(20, 4)
+    across = np.cross(a, b)
+    assert smallest_turn(a, b, a) == pytest.approx(b, abs=1e-12)
+    assert smallest_turn(a, b, across) == pytest.approx(across, abs=1e-12)
+
+
+def test_steps_on_the_sphere_are_as_long_as_they_say():
+    a, step = units(20, 5), np.random.default_rng(6).normal(size=(20, 2))
+    e1, e2 = tangents(a)
+    assert np.einsum("ni,ni->n", np.cross(e1, e2), a) == pytest.approx(np.ones(20))
+    angle = np.linalg.norm(step, axis=1)
+    assert np.einsum("ni,ni->n", a, moved(a, step)) == pytest.approx(np.cos(angle))
+    assert np.einsum("ni,ni->n", moved(a, 1e-7 * step) - a, e1) / 1e-7 == pytest.approx(step[:, 0], abs=1e-6)
