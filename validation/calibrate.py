@@ -114,7 +114,7 @@ def _spoilt(telemetry: xr.Dataset, kind: str, rng: np.random.Generator) -> xr.Da
     return telemetry
 
 
-def quantities(vehicle: Vehicle, unknown: Model, state: State) -> dict[str, np.ndarray]:
+def quantities(unknown: Model, state: State) -> dict[str, np.ndarray]:
     """Rates, |H|, theta and alpha (n) of states at the first sample."""
     momentum = g.total_momentum(unknown.bodies(state.u), state.omega, unknown.wheel_speeds(state.u))
     size = np.linalg.norm(momentum, axis=1)
@@ -146,7 +146,7 @@ def judge(
     exact = State(truth.omega, truth.sun, own)
     likelihood = Likelihood(replace(model_, time_sigma_s=tree.attrs["time_sigma_s"]), data, DIRECTION_ERROR)
     log_true = float(likelihood(exact)[0])
-    every, true = quantities(vehicle, model_, drawn), quantities(vehicle, model_, exact)
+    every, true = quantities(model_, drawn), quantities(model_, exact)
     every["log_likelihood"], true["log_likelihood"] = found["log_likelihood_sum"].values[0], np.array([log_true])
     density = every["log_likelihood"] + model_.log_prior(drawn)
     level = float(np.mean(density > log_true + model_.log_prior(exact)[0]))

@@ -108,11 +108,8 @@ def clean_from(sun: xr.Dataset) -> int:
     return int(checked[end + 1])
 
 
-def compute(case: Case, sun: xr.Dataset, workers: int | None = None) -> Descent:
-    """Recognise the clean samples of the descent in `sun` (of `sun_directions`, whole landing) and fit the cubic rate.
-
-    `workers` is accepted as by the other studies; the fit takes a second on one core.
-    """
+def compute(case: Case, sun: xr.Dataset) -> Descent:
+    """Recognise the clean samples of the descent in `sun` (of `sun_directions`, whole landing) and fit the cubic rate."""
     touchdown = case_seconds(case, sun, "first_touchdown")
     before = sun.isel(time=np.flatnonzero(sun["time"].values < touchdown))
     if before.sizes["time"] == 0:

@@ -67,8 +67,8 @@ class Phases:
         return next((phase for phase in self.phases if phase.name == name), None)
 
 
-def compute(case: Case, telemetry: xr.Dataset | None = None, workers: int | None = None) -> Phases:
-    """Statistics of the case's own telemetry, or of another in its place; `workers` is accepted as by the other studies."""
+def compute(case: Case, telemetry: xr.Dataset | None = None) -> Phases:
+    """Statistics of the case's own telemetry, or of another in its place."""
     data = case.telemetry if telemetry is None else telemetry
     sun = sun_directions(case.vehicle, data)
     health = panel_health(case.vehicle, data)

@@ -160,11 +160,8 @@ class Precession:
     omega_z: np.ndarray
 
 
-def compute(case: Case, workers: int | None = None) -> Precession:
-    """The swing of the examples of Figs. 6, 7 and of points of the published lines.
-
-    `workers` is accepted as by the other studies; this takes two seconds on one core.
-    """
+def compute(case: Case) -> Precession:
+    """The swing of the examples of Figs. 6, 7 and of points of the published lines."""
     vehicle, first, speed = case.vehicle, rb.first_sun(case), rb.nominal_speed(case.vehicle)
     duration = 60.0 * case.published["example_duration"].value
     examples = swing(vehicle, case.published["example_rates"].value, first, speed, duration)

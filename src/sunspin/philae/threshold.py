@@ -262,7 +262,7 @@ def calibration(
     return calibrate(rebound, table, twins or TWINS, seed, workers, progress)
 
 
-def ship(case: Case, rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None) -> Calibration:
+def ship(rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None) -> Calibration:
     """Make the calibration that ships with a case, and write it beside its telemetry."""
     found = calibrate(rebound, table, SHIPPED_TWINS, 0, workers, progress=True)
     atomic_write.write_whole(folder / SHIPPED, lambda part: part.write_text(to_json(found), "utf-8"))

@@ -32,7 +32,7 @@ def section(results: Results) -> Section | None:
     vehicle = results.vehicle
     if vehicle is None:
         return None
-    motions = [made for name, data in _found(results) if (made := motion(vehicle, name, data, results)) is not None]
+    motions = [made for name, data in _found(results) if (made := motion(vehicle, name, data)) is not None]
     if not motions:
         return None
     drawn = bool(vehicle.hull)
@@ -72,7 +72,7 @@ def _found(results: Results) -> list[tuple[str, xr.Dataset]]:
     return sorted(found, key=lambda item: motion_order(item[0]))
 
 
-def motion(vehicle: Vehicle, name: str, data: xr.Dataset, results: Results) -> dict[str, Any] | None:
+def motion(vehicle: Vehicle, name: str, data: xr.Dataset) -> dict[str, Any] | None:
     """One motion as base64 of float32 arrays, on even times; None where attitudes are too far apart to be joined."""
     chosen = _even(data)
     if chosen is None:

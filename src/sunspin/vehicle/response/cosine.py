@@ -88,7 +88,7 @@ def _arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement
             arcs.append(direction)
             planes.append(k)
     arc_B = np.array(arcs).reshape(-1, 3)
-    cell_B = _cells(p, arc_B, np.array(planes, dtype=int), vertices)
+    cell_B = _cells(p, arc_B, np.array(planes, dtype=int))
     return Arrangement(cell_B, cell_B @ p.T > ON_PLANE, arc_B, arc_B @ p.T > ON_PLANE, np.array(planes, dtype=int), vertices)
 
 
@@ -128,7 +128,7 @@ def _arc_midpoints(normal: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]
     return [basis @ [np.cos(angle), np.sin(angle)] for angle in middles]
 
 
-def _cells(p: np.ndarray, arcs: np.ndarray, planes: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+def _cells(p: np.ndarray, arcs: np.ndarray, planes: np.ndarray) -> np.ndarray:
     """An interior direction of each open cell: step off the middle of each arc to both sides of its plane."""
     found = []
     for arc, k in zip(arcs, planes, strict=True):
