@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, named
+from sunspin.output.figures import ABOVE, COLOURS, named
 
 
 def trajectory_figure(run: xr.Dataset) -> Figure:
@@ -19,12 +19,12 @@ def trajectory_figure(run: xr.Dataset) -> Figure:
         parts[0].plot(t, omega[:, k], color=COLOURS[k], ls=("-", "--", ":")[k], lw=1.2, label=rf"$\omega_{axis}$")
     parts[0].plot(t, np.linalg.norm(omega, axis=1), color=COLOURS[6], lw=1.6, label=r"$|\omega|$")
     parts[0].set_ylabel("body rate (rad/s)")
-    parts[0].legend(ncols=4, fontsize=9, loc="upper right")
+    parts[0].legend(ncols=4, fontsize=9, **ABOVE)
     for k in range(wheels):
         name = named(run["wheel"].values[k]) if "wheel" in run.coords else f"wheel {k + 1}"
         parts[1].plot(t, run["wheel_speed_rad_s"].values[:, k], color=COLOURS[k % 7], lw=1.4, label=name)
     if wheels:
         parts[1].set_ylabel("wheel speed (rad/s)")
-        parts[1].legend(fontsize=9, loc="upper right")
+        parts[1].legend(ncols=4, fontsize=9, **ABOVE)
     parts[-1].set_xlabel("time (s)")
     return figure

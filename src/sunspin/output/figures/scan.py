@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, named
+from sunspin.output.figures import ABOVE, COLOURS, named
 
 LEAST = 1e-6
 """Smaller misfits are drawn as this: the colours go with the logarithm."""
@@ -49,5 +49,5 @@ def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Figure:
     axes.plot(*points[:, :2].T, "o", ms=5, mfc="none", mec=COLOURS[1], mew=1.2, label="motions that fit nearly as well as the best")
     axes.set_xlabel(r"$\omega_x$ (rad/s)")
     axes.set_ylabel(r"$\omega_y$ (rad/s)")
-    axes.legend(fontsize=8, loc="upper right")
+    axes.legend(fontsize=8, **ABOVE)
     return figure
