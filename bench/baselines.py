@@ -34,12 +34,17 @@ class End(NamedTuple):
 Contestant = Callable[[np.ndarray], End]
 
 
+def sun(r: Any) -> g.Directions:
+    """The one direction of these motions, as the equations take it."""
+    return {"sun": g.Direction(r)}
+
+
 def free_system(problem: Problem) -> tuple[list, Any]:
     """heyoka's system of (H, h, r) while the wheel turns, and the wheel's speed. Numbers are constants: heyoka folds zeros."""
     variables = hk.make_vars("Hx", "Hy", "Hz", "h", "rx", "ry", "rz")
     H, h, r = variables[:3], variables[3:4], variables[4:]
     p = problem.parameters(True)
-    dH, dh, dr = g.rhs(H, h, r, p)
+    dH, dh, dr = g.rhs(H, h, sun(r), p)
     speed = g.wheel_speed(h[0], g.body_rate(H, h, p), p.wheels[0])
     return list(zip(variables, [*dH, *dh, *dr], strict=True)), speed
 
@@ -47,7 +52,7 @@ def free_system(problem: Problem) -> tuple[list, Any]:
 def stuck_system(problem: Problem) -> list:
     """heyoka's system of (H, r) once the wheel has stopped: its momentum is no variable any more."""
     variables = hk.make_vars("Hx", "Hy", "Hz", "rx", "ry", "rz")
-    dH, _, dr = g.rhs(variables[:3], [0.0], variables[3:], problem.parameters(False))
+    dH, _, dr = g.rhs(variables[:3], [0.0], sun(variables[3:]), problem.parameters(False))
     return list(zip(variables, [*dH, *dr], strict=True))
 
 
@@ -134,7 +139,7 @@ class DormandPrince:
 
     def _rate(self, t: float, y: np.ndarray, p: g.Parameters) -> list[float]:
         values = y.tolist()
-        dH, dh, dr = g.rhs(values[:3], values[3:4], values[4:], p)
+        dH, dh, dr = g.rhs(values[:3], values[3:4], sun(values[4:]), p)
         return [*dH, *dh, *dr]
 
     def _speed(self, t: float, y: np.ndarray, p: g.Parameters) -> float:

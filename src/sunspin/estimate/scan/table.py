@@ -69,7 +69,8 @@ class Table:
     def volume(self, target_z: npt.ArrayLike) -> xr.DataArray:
         """The same as a DataArray over (omega_x, omega_y, omega_z), as `scan` returns it."""
         emd = self.distances(target_z)
-        return volume(self.rows.vehicle, self.rows.start, "emd", emd, self.outcome, "reconstructible", "coast")
+        start, count = self.rows.start, np.size(target_z)
+        return volume(self.rows.vehicle, start, "emd", emd, self.outcome, "reconstructible", "coast", directions=count)
 
 
 def make_table(

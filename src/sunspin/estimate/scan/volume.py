@@ -128,7 +128,7 @@ def scan(
     chunk = CHUNK if device == "cpu" else GPU_CHUNK
     out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
     count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
-    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device).assign_attrs(directions=count)
+    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count)
 
 
 def volume(
@@ -140,6 +140,8 @@ def volume(
     mask: Any,
     wheel_mode: Any,
     device: str = "cpu",
+    *,
+    directions: int,
 ) -> xr.DataArray:
     """Values of all rows of a grid, and their outcomes, as `scan` returns them."""
     dims = ("omega_x", "omega_y", "omega_z")
@@ -151,7 +153,7 @@ def volume(
         name=name,
         attrs=provenance("scan") | {
             "units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode),
-            "vector_bits": k.vector_bits(), "device": device,
+            "vector_bits": k.vector_bits(), "device": device, "directions": directions,
         },
     )
     result = result.assign_coords(outcome=(dims, outcome.reshape(start.shape)))
