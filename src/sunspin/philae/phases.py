@@ -214,7 +214,8 @@ def _sampling_rows(r: Phases) -> list[Row]:
     flight, whose = (time >= touchdown) & (time < collision), "synthetic telemetry, made so" if r.synthetic else "the telemetry"
     several = flight.sum() > 1
     interval = float(np.median(np.diff(time[flight]))) / 60 if several else None
+    unjudged: dict[str, Any] = {} if several else {"tolerance": None}
     return [
-        row(r.case, "sampling_interval", interval, whose=whose, **({} if several else {"tolerance": None})),
+        row(r.case, "sampling_interval", interval, whose=whose, **unjudged),
         row(r.case, "samples_after_collision", int(np.count_nonzero((time >= collision) & (time < second))), whose=whose),
     ]

@@ -16,7 +16,7 @@ What a row says stands in the case's `rows.toml` (:mod:`sunspin.philae.templates
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -132,10 +132,12 @@ def row(case: Case, name: str, ours: Any, *, says: tuple[str, ...] = ("note",), 
     fields = {"paper": {key: one.value for key, one in case.published.items()}} | values | given
     texts = {key: template.fill(key, fields) for key in template.texts if key not in values and not key.startswith("note")}
     note = "".join(template.fill(key, fields) for key in says if key != "note" or key in template.texts)
-    if figure is not None:
-        texts = {"what": figure.what, "unit": figure.unit, "place": figure.place, "published": figure.value} | texts
+    stated = {} if figure is None else {
+        "what": figure.what, "unit": figure.unit, "place": figure.place, "published": figure.value,
+    }  # fmt: skip
+    found: dict[str, Any] = {"tolerance": None, "agrees": None, "note": note} | stated | texts | values
     try:
-        found = {"tolerance": None, "agrees": None, "source": source_of(texts.pop("place")), "note": note} | texts | values
+        found["source"] = source_of(found.pop("place"))
         made = Row(**found)
     except (KeyError, TypeError) as error:
         raise InputError(sentence(f"the row lacks a field ({error})", where=template.where)) from None
@@ -178,9 +180,9 @@ def over_candidates(row: Row, chain: str, chosen: tuple[float, float], possible:
     """
     low, high = chosen
     informative = bool(high - low < NARROWER * (possible[1] - possible[0]))
-    agrees = None
-    if row.tolerance is not None and informative:
-        agrees = bool(low - row.tolerance <= row.published <= high + row.tolerance)
+    agrees, half_digit = None, cast(float | None, row.tolerance)
+    if half_digit is not None and informative:
+        agrees = bool(low - half_digit <= row.published <= high + half_digit)
     return replace(
         row, depends="candidates", chain=chain, low=low, high=high, prior_low=possible[0], prior_high=possible[1],
         informative=informative, agrees=agrees,
