@@ -53,7 +53,7 @@ def asked_for() -> set[str]:
     """Names that calls of `row` spell out."""
     calls = [node for tree in CODE for node in ast.walk(tree) if isinstance(node, ast.Call)]
     second = [call.args[1] for call in calls if isinstance(call.func, ast.Name) and call.func.id == "row" and len(call.args) > 2]
-    return {name.value for name in second if isinstance(name, ast.Constant)}
+    return set().union(*(strings(name) for name in second if isinstance(name, ast.Constant)))
 
 
 @pytest.fixture
