@@ -50,6 +50,8 @@ def test_the_archives_hold_what_they_should_and_nothing_else(built):
         inside = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
     wanted = ["LICENSE", "CITATION.cff", "CHANGELOG.md", "tests/conftest.py", "docs/conf.py", "examples/01_sun_from_powers.py"]
     assert set(wanted) <= inside
+    data = {path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src/sunspin/cases").glob("*/*") if path.is_file()}
+    assert "sunspin/cases/philae/rows.toml" in data and data <= set(names)
     other = (".bsp", ".bc", ".zip", ".nc", ".tex")  # other people's data and results
     assert not [name for name in [*names, *inside] if name.lower().endswith(other)]
 

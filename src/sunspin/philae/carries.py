@@ -16,7 +16,7 @@ from sunspin.estimate.spin import fit_spin
 from sunspin.philae import rebound as rb
 from sunspin.philae.coverage_rows import LEAST_TOLD
 from sunspin.philae.descent import Descent
-from sunspin.philae.row import Row
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 from sunspin.telemetry.synthetic import generator
@@ -174,39 +174,21 @@ def _neighbours(directions: np.ndarray, rng: np.random.Generator) -> tuple[float
 
 def rows(r: Carries) -> list[Row]:
     """What the file carries, as rows: none is a test of the method, so none agrees or differs."""
-    published, whose = r.case.published, "synthetic telemetry" if r.synthetic else "this telemetry"
+    case, whose = r.case, "synthetic telemetry" if r.synthetic else "this telemetry"
+    misfit, largest = case.published["delta_mean"].value, case.published["delta_max"].value
     found = [
-        Row(
-            "carries_patterns", "share of samples before the second touchdown with a lit pattern that no Sun makes",
-            "none (all are self-consistent)", r.impossible / max(r.early, 1), "1", MOST_IMPOSSIBLE, None,
-            f"{whose}: {r.impossible} of {r.early}; more than {MOST_IMPOSSIBLE:.0%} and nothing is concluded", "paper, section 4",
-            kind="not_comparable", holds=r.impossible <= MOST_IMPOSSIBLE * r.early,
+        row(
+            case, "carries_patterns", r.impossible / max(r.early, 1), tolerance=MOST_IMPOSSIBLE,
+            holds=r.impossible <= MOST_IMPOSSIBLE * r.early, whose=whose, impossible=r.impossible, early=r.early,
         ),
-        Row(
-            "carries_delta", "mean misfit Delta: does one Sun explain the readings?", published["delta_mean"].value, r.delta, "1",
-            None, None,
-            f"{whose}: {r.directions} directions; above {published['delta_max'].value}, the paper's largest of a single sample, "
-            "nothing is concluded", "paper, section "
-                "2.1", kind="not_comparable", holds=bool(r.delta <= published["delta_max"].value),
-        ),
+        row(case, "carries_delta", r.delta, published=misfit, holds=bool(r.delta <= largest), whose=whose, directions=r.directions),
     ]  # fmt: skip
     if r.descent_E is not None:
+        least, most = r.shuffled_E.min(), r.shuffled_E.max()
         found.append(
-            Row(
-                "carries_descent_order", "E of the descent's best spin over the smallest of the same directions in random order",
-                "not considered", r.descent_E / float(r.shuffled_E.min()), "1", ORDERED, None,
-                f"{whose}: E {r.descent_E:.5f}; {len(r.shuffled_E)} random orders {r.shuffled_E.min():.4f} to "
-                f"{r.shuffled_E.max():.4f}; not below {ORDERED:g} and nothing is concluded from the descent", "paper, section 3.1",
-                kind="not_comparable", holds=r.descent_order,
+            row(
+                case, "carries_descent_order", r.descent_E / float(least), tolerance=ORDERED, holds=r.descent_order, whose=whose,
+                best=r.descent_E, orders=len(r.shuffled_E), least=least, most=most,
             )
         )  # fmt: skip
-    found.append(
-        Row(
-            "carries_rebound_order", "rebound: share of random orders whose successive directions are as near or nearer",
-            "not considered", r.chance, "1", None, None,
-            f"{whose}: {np.degrees(r.neighbours_rad):.0f} degrees between successive directions in the mean; two minutes "
-            "apart they need not be nearer than chance. EMD does not use the order: rows that rest on it cannot move when "
-            "samples are exchanged", "paper, section 2.3", kind="not_comparable",
-        )
-    )  # fmt: skip
-    return found
+    return [*found, row(case, "carries_rebound_order", r.chance, whose=whose, neighbours=np.degrees(r.neighbours_rad))]

@@ -19,7 +19,7 @@ from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
 from sunspin.philae.coverage import CONFIDENCE, check_confidence
-from sunspin.philae.row import Row
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle
 
@@ -41,6 +41,7 @@ CHUNK = 256
 class Components:
     """For x, y and z: smallest EMD, factor of the 90 % set, share of the scanned box that it holds."""
 
+    case: Case
     emd_min: dict[str, float]
     factor: dict[str, float]
     share: dict[str, float]
@@ -95,7 +96,7 @@ def compute(
         emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis])
         found[name] = float(emd.min()), factor, float(np.mean(emd < factor * emd.min()))
     emd_min, factor, share = ({name: values[i] for name, values in found.items()} for i in range(3))
-    return Components(emd_min, factor, share, bool(rebound.samples.attrs.get("synthetic")), len(alike), len(grid))
+    return Components(case, emd_min, factor, share, bool(rebound.samples.attrs.get("synthetic")), len(alike), len(grid))
 
 
 def _distances(hist: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -110,10 +111,8 @@ def rows(r: Components) -> list[Row]:
     whose = "synthetic telemetry" if r.synthetic else "this telemetry"
     each = "; ".join(f"r_{n}: smallest EMD {r.emd_min[n]:.4f}, set below {r.factor[n]:.2f} times it" for n in "xyz")
     return [
-        Row(
-            "components", f"share of the scanned box that the {CONFIDENCE:.0%} sets of r_x, r_y and r_z leave",
-            "r_x and r_y bear little information", shares, "1", None, bool(shares[2] < min(shares[:2])),
-            f"{whose}; criterion: the set of r_z is the smallest; {each}; {r.twins} synthetic rebounds, {r.motions} motions",
-            "paper, section 2.3", chain="scan",
+        row(
+            r.case, "components", shares, agrees=bool(shares[2] < min(shares[:2])), confidence=CONFIDENCE, whose=whose, each=each,
+            twins=r.twins, motions=r.motions,
         )
     ]  # fmt: skip

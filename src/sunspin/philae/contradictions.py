@@ -16,7 +16,7 @@ from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.spin import error_of_rate, turned
 from sunspin.philae import contradictions_motion as motion
 from sunspin.philae import rebound as rb
-from sunspin.philae.row import Row, statement
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 
 ALIASES = 100
@@ -64,33 +64,11 @@ def _direction_rows(case: Case) -> list[Row]:
     other_z = np.array([*quoted[:2], np.sqrt(1 - quoted[:2] @ quoted[:2])])
     rms = float(np.degrees(2 * np.arcsin(np.sqrt(published["descent_E"]))))
     return [
-        statement(
-            "first_direction_length",
-            "second quoted value of the first Sun direction after the touchdown: its length, and its angle from the other value",
-            [1.0, 0.0], [length, apart], "1, deg", [1e-3, 1.0], "section 2.3",
-            sentence="the study of E starts from \"the first measured direction of the Sun after TD1\", "
-            f"{list(published['first_sun_E_study'])}; the scan starts from the direction of \"the first solar panel power "
-            f"measurement\", {list(published['first_sun'])}.",
-            other_reading="Two reconstructions of one sample might differ by as much as the directions err (the row on Delta and "
-            f"E), but a direction has length one. If only z is misprinted, {other_z[2]:.4f} gives length one, and the two are "
-            f"still {_degrees_between(first, other_z):.1f} deg apart.",
-            changes=f"Used as printed, the second value keeps E above {(1 - length) / 2:.4f} whatever the motion, so no point of "
-            f"Fig. 8 can fit as well as the descent did (E = {published['descent_E']}). Fig. 8 only illustrates why E was not "
-            "used.",
-            note="The angle is that of the unit vectors. Each part here uses the value quoted for it.",
+        row(
+            case, "contradiction_first_direction_length", [length, apart], quoted=list(published["first_sun_E_study"]),
+            first=list(published["first_sun"]), other_z=other_z[2], still=_degrees_between(first, other_z), bound=(1 - length) / 2,
         ),
-        statement(
-            "two_errors", "direction error that Delta and E each suggest: mean Delta as an angle, and the rms angle of E",
-            float(np.degrees(published["delta_mean"])), rms, "deg", None, "sections 2.1 and 3.1", weak=True,
-            sentence="Delta \"can be used to estimate the reliability of the reconstruction\", and its mean of "
-            f"{published['delta_mean']} \"indicates a fairly reliable reconstruction\"; the fit of the descent has E = "
-            f"{published['descent_E']}.",
-            other_reading="The two measure different things, so no figure is wrong: Delta is the part of the error of the powers "
-            "that no Sun direction can explain, and E also contains errors of the fitted motion. The paper itself announces "
-            "further tests.",
-            changes=f"The directions may be wrong by {rms:.0f} deg rms. Delta alone suggests an error several times smaller and "
-            "should not be used as the error of a direction.",
-        ),
+        row(case, "contradiction_two_errors", rms, published=float(np.degrees(published["delta_mean"]))),
     ]  # fmt: skip
 
 
@@ -111,30 +89,12 @@ def _time_rows(case: Case) -> list[Row]:
     around = np.linspace(0.0, 2 * np.pi, TURN_POINTS, endpoint=False)
     seen = turned([np.sqrt(1 - z**2), 0.0, z], [0, 0, 1], around)
     share = float(np.mean(allows(reconstructible_mask(case.vehicle), seen)))
-    first, last = published["descent_samples"]
     return [
-        statement(
-            "sampling_descent", "mean time between samples: during the descent, and after the collision", [usual, usual],
-            [descent, minutes / samples], "min", 0.5, "sections 1, 3.1 and 3.3", weak=True,
-            sentence=f"the powers were sampled at \"an approximate rate of {usual:g} min/sample\", but measurements {first} to "
-            f"{last} span \"about six and a half hours\", and there are {samples} measurements in the {minutes:g} min after the "
-            "collision.",
-            other_reading=f"If the numbers count only the samples that allow a reconstruction, {100 * share:.1f} % of a turn "
-            f"during the descent, the descent was sampled every {descent * share:.2f} min. \"Available\" may mean that other "
-            "samples after the collision were lost. The paper says neither.",
-            changes="The interval decides which rates of the descent can be told apart. The number of samples between touchdown "
-            "and collision is not given; the synthetic telemetry assumes 23, at 2 min.",
+        row(
+            case, "contradiction_sampling_descent", [descent, minutes / samples], published=[usual, usual], share=100 * share,
+            seen=descent * share,
         ),
-        statement(
-            "window", "time from the first touchdown to the collision", stated, flight, "min", 1.0,
-            "section 2.3, direct fitting, and Table 1", weak=True,
-            sentence=f"\"the long time window ({stated:g} minutes between TD1 and the next collision)\" makes E sensitive; by "
-            "Table 1 it is 46 min.",
-            other_reading=f"A round figure in an explanation: the same paragraph has {published['window_first_sample']:g} min "
-            "from the first sample to the collision, and the simulations use that.",
-            changes="Nothing that was computed. In the explanation, phase errors from friction, which grow with the square of "
-            f"the window, are {(flight / stated) ** 2:.2f} times larger.",
-        ),
+        row(case, "contradiction_window", flight, published=stated, times=(flight / stated) ** 2),
     ]  # fmt: skip
 
 
@@ -156,61 +116,25 @@ def _descent_rows(case: Case) -> list[Row]:
     seen = turned([np.sqrt(1 - z**2), 0.0, z], [0, 0, 1], cubic[0] * regular)
     worst = max(error_of_rate([one], regular, seen) for one in tied)
     return [
-        statement(
-            "cubic_range", "smallest and largest rate of the printed cubic over the span of the fit", [low, high],
-            [float(rate.min()), float(rate.max())], "rad/s", 1e-5, "section 3.1",
-            sentence=f"the coefficients of the fitted rate are printed, and the rate \"varies in the range of {low}...{high}\".",
-            other_reading=f"Rounding of the four printed coefficients moves the rate by {rounding:.1e} rad/s at most. The printed "
-            f"range holds for {100 * inside:.0f} % of the span only. Whether a coefficient or the range is misprinted cannot be "
-            f"decided: the magnetometer's {published['descent_rate_romap']} rad/s is within 1 % of the middle of both.",
-            changes=f"If the coefficients are right, the wheel's speed changed by {change[1]:.1f} instead of {change[0]:.1f} "
-            f"rad/s during the descent, still little of {wheel.speed_rad_s:g} rad/s.",
-            note=f"The largest rate is {t[np.argmax(rate)]:.0f} s after the start, the smallest at the end; the mean is "
-            f"{rate.mean():.5f} rad/s.",
+        row(
+            case, "contradiction_cubic_range", [float(rate.min()), float(rate.max())], published=[low, high], rounding=rounding,
+            inside=100 * inside, change=change, wheel=wheel.speed_rad_s, largest_at=t[np.argmax(rate)], mean=rate.mean(),
         ),
-        statement(
-            "descent_start", "first sample of the descent's fit, counted from the end of the unfolding", 0.0, -early / 60, "min",
-            published["sampling_interval"], "section 3.1 and Table 1", weak=True,
-            sentence="the fit begins with \"the first measurement after deployment of the legs\", at 08:50:30; Table 1 has the "
-            "landing gear unfold until 09:01.",
-            other_reading="The legs may have left the panels' light before the landing gear was fully unfolded. Or the clock "
-            f"time is misprinted: at the mean interval of the fit, measurement {number} comes {(number - 1) * spacing / 60:.1f} "
-            "min after the first; if that was at the separation (08:35), it falls at 09:01.",
-            changes=f"If the times are right, about {early / spacing:.0f} of the fit's samples may still be shadowed by the legs.",
+        row(
+            case, "contradiction_descent_start", -early / 60, tolerance=published["sampling_interval"],
+            after=(number - 1) * spacing / 60, shadowed=early / spacing,
         ),
-        statement(
-            "descent_alias", f"rates about z that samples exactly {interval:g} s apart cannot distinguish", "one", tied.tolist(),
-            "rad/s", None, "sections 1 and 3.1", weak=True,
-            sentence="the powers were sampled \"on a regular time basis\", and the fit of the descent has \"a well-defined, "
-            "unique optimum\".",
-            other_reading=f"Among slow rates, below {np.pi / interval:.4f} rad/s, the optimum is unique, and the magnetometer "
-            "confirms that the rotation was slow. Irregular sample times would also make it unique; they are not published.",
-            changes="The panels determine the rate only together with a bound on it, or with irregular sample times.",
-            note=f"E is at most {max(worst, 1e-15):.0e} for each of the three rates.",
+        row(
+            case, "contradiction_descent_alias", tied.tolist(), interval=interval, slow=np.pi / interval, worst=max(worst, 1e-15)
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _text_rows(case: Case) -> list[Row]:
     published = {key: figure.value for key, figure in case.published.items()}
     return [
-        statement(
-            "promised_probability", "probability that such a landing harms the lander", "insight announced", "no number given", "1",
-            None, "abstract", weak=True,
-            sentence="the study \"gives insight into\" \"the probability that a similar landing scenario harms the operability "
-            "of this type of spacecraft\".",
-            other_reading="Insight need not be a number: section 4 concludes that there was \"a significant chance\" of damage "
-            "and of an upside-down rest.",
-            changes="The paper gives no probability to compare with. Here the rows on the first contact and on coming to rest "
-            "have one.",
+        row(case, "contradiction_promised_probability", "no number given"),
+        row(
+            case, "contradiction_section_5", [published["last_section"], 2.2], published=[published["cited_section"], 2.3]
         ),
-        statement(
-            "section_5", "sections that are referred to, and those that have the content: the shadows, the amplitude of precession",
-            [published["cited_section"], 2.3], [published["last_section"], 2.2], "section", 0.0, "sections 2.1 and 2.3", weak=True,
-            sentence=f"shadowing is discussed \"in Sec. {published['cited_section']}\", and the amplitude of precession was found "
-            "constant \"in Sec. 2.3\", which is the section that says so.",
-            other_reading=f"Two numbers left over from an earlier draft: section {published['last_section']}, the last, discusses "
-            "the shadows, and the end of section 2.2 the amplitude.",
-            changes="Nothing.",
-        ),
-    ]  # fmt: skip
+    ]

@@ -16,7 +16,7 @@ from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error
 from sunspin.estimate.spin import SpinFit, error_of_rate, fit_spin
 from sunspin.philae.rebound import case_seconds
-from sunspin.philae.row import Row, published_row
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 
@@ -149,8 +149,8 @@ def rows(result: Descent) -> list[Row]:
     return [*_fit_rows(result), *_rate_rows(result), *_sample_rows(result)]
 
 
-def _twin(result: Descent, text: str) -> str:
-    return f"synthetic telemetry, made with the published cubic; {text}" if result.synthetic else text
+def _twin(result: Descent) -> str:
+    return "synthetic telemetry, made with the published cubic; " if result.synthetic else ""
 
 
 def _fit_rows(r: Descent) -> list[Row]:
@@ -158,30 +158,18 @@ def _fit_rows(r: Descent) -> list[Row]:
     published = np.array(case.published["descent_rate_cubic"].value)
     off = fit.coefficients - published
     distance = float(off @ np.linalg.solve(fit.covariance, off))
-    second = fit.aliases[1] if len(fit.aliases) > 1 else np.array([np.nan, np.nan])
-    rms = float(np.degrees(2 * np.sqrt(fit.E)))
-    meant = float(np.degrees(2 * np.sqrt(case.published["descent_E"].value)))
-    half_digit = 0.5e-5 * float(r.sun["time"].values[-1])
+    rms, meant = (float(np.degrees(2 * np.sqrt(E))) for E in (fit.E, case.published["descent_E"].value))
     return [
-        published_row(
-            case, "descent_E", fit.E, None,
-            _twin(r, f"its noise was chosen for the published Delta and gives {rms:.1f} deg rms; the published E is {meant:.1f} "
-                     "deg, so the flown directions had errors that Delta does not show")
-            + f"; started at the first measured direction {r.first_direction_E:.5f}",
+        row(case, "descent_E", fit.E, twin=_twin(r), rms=rms, meant=meant, first_E=r.first_direction_E),
+        row(
+            case, "descent_rate_cubic", fit.coefficients.tolist(), published=published.tolist(),
+            tolerance=(np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(), agrees=bool(distance <= CUBIC_CHI2), twin=_twin(r),
+            distance=distance, asked=CUBIC_CHI2, sigmas=_digits(fit.sigma), printed_E=r.published_E,
+            rounding=0.5e-5 * float(r.sun["time"].values[-1]),
         ),
-        Row(
-            "descent_rate_cubic", case.published["descent_rate_cubic"].what, published.tolist(), fit.coefficients.tolist(),
-            "rad/s, rad/s2, rad/s3, rad/s4", (np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(), bool(distance <= CUBIC_CHI2),
-            _twin(r, f"chi-square of the difference {distance:.1f} with 4 degrees, at most {CUBIC_CHI2:g} is asked for, which "
-                     f"the tolerances follow from; sigma {_digits(fit.sigma)}; rounding of the "
-                     f"printed omega_0 is {half_digit:.2f} rad at the end; E of the printed cubic here {r.published_E:.5f}"),
-            "paper, section 3.1",
-        ),
-        Row(
-            "descent_unique", "whether the optimum is unique", "well-defined, unique", fit.unique, "1", 0, fit.unique,
-            f"of {len(fit.aliases)} minima over mean rates within {fit.scan_rate[-1]:.3f} rad/s the next has E = {second[1]:.4f} "
-            f"at {second[0]:.4f} rad/s, chi-square {fit.alias_gap:.0f} more; that they differ is due to irregular sample times",
-            "paper, section 3.1, Fig. 11",
+        row(
+            case, "descent_unique", fit.unique, agrees=fit.unique, minima=len(fit.aliases), within=fit.scan_rate[-1],
+            second=fit.aliases[1] if len(fit.aliases) > 1 else np.array([np.nan, np.nan]), gap=fit.alias_gap,
         ),
     ]  # fmt: skip
 
@@ -197,38 +185,20 @@ def _rate_rows(r: Descent) -> list[Row]:
     change = abs(implied_wheel_change(case, ours[1] - ours[0]))
     nominal = case.vehicle.wheels[0].speed_rad_s
     return [
-        published_row(
-            case, "descent_rate_range", list(ours), 2e-5,
-            _twin(r, f"the printed coefficients themselves give {printed[0]:.5f} to {printed[1]:.5f}, not the printed range"),
-        ),
-        published_row(case, "descent_rate_romap", float(r.fit.rate(t).mean()), 1e-4, _twin(r, "mean over the fit")),
-        Row(
-            "descent_wheel_speed", "wheel speed during the descent (published: roughly, not perfectly constant): change in %",
-            "roughly constant", 100 * change / nominal, "%", None, None,
-            _twin(r, f"{change:.2f} rad/s of {nominal:g}, what the range of the rate implies if nothing else turns the lander"),
-            "paper, section 3.1",
-        ),
-    ]  # fmt: skip
+        row(case, "descent_rate_range", list(ours), twin=_twin(r), printed=printed),
+        row(case, "descent_rate_romap", float(r.fit.rate(t).mean()), twin=_twin(r)),
+        row(case, "descent_wheel_speed", 100 * change / nominal, twin=_twin(r), change=change, nominal=nominal),
+    ]
 
 
 def _sample_rows(r: Descent) -> list[Row]:
-    case = r.case
-    z = r.sun["sun_B"].values[r.told, 2]
-    dark = ~r.told
+    case, z, dark = r.case, r.sun["sun_B"].values[r.told, 2], ~r.told
     agreed = float(np.mean(r.predicted == r.told))
     return [
-        published_row(
-            case, "descent_samples", list(r.number), 0.0,
-            f"first clean sample by rule: Delta above {r.delta_limit:.3f} (four robust sigma) outvotes the rest before it",
-        ),
-        published_row(case, "nz_descent", float(z.mean()), 0.01, _twin(r, f"standard deviation {z.std():.3f}")),
-        Row(
-            "descent_behind", "share of samples whose being reconstructible or not the fit predicts", "gaps where the Sun is "
-                "behind", agreed,
-            "1", None,
-            agreed >= 0.95,
-            f"criterion: at least 95 %; {int((dark & ~r.predicted).sum())} of {int(dark.sum())} samples without a direction "
-            f"are predicted to have none, {int((r.told & ~r.predicted).sum())} of {int(r.told.sum())} with one "
-            "likewise", "paper, Fig. 10",
+        row(case, "descent_samples", list(r.number), limit=r.delta_limit),
+        row(case, "nz_descent", float(z.mean()), twin=_twin(r), spread=z.std()),
+        row(
+            case, "descent_behind", agreed, agrees=agreed >= 0.95, dark_right=int((dark & ~r.predicted).sum()),
+            dark=int(dark.sum()), told_right=int((r.told & ~r.predicted).sum()), told=int(r.told.sum()),
         ),
     ]  # fmt: skip

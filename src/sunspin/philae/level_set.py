@@ -15,7 +15,7 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Scanned, scanned
-from sunspin.philae.row import Row, published_row
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 
 FOUND_RAD_S = 0.03
@@ -80,27 +80,17 @@ def rows(result: LevelSet) -> list[Row]:
     """Figures of section 2.3 that need telemetry, beside ours."""
     case, near, truth = result.case, result.near, result.truth
     whose = "synthetic telemetry" if result.synthetic else "this telemetry"
-    note = f"{len(near.points)} grid points below {near.factor} times the smallest"
+    told = f"{len(near.points)} grid points below {near.factor} times the smallest"
     if truth:
-        note += f"; the truth of the synthetic telemetry reaches {truth['emd']:.4f}"
-    count = len(rb.published_lines(case))
+        told += f"; the truth of the synthetic telemetry reaches {truth['emd']:.4f}"
+    count, runs = len(rb.published_lines(case)), int(near.emd.size)
     each = ", ".join(f"L{i + 1} {deviation['mean']:.3f}" for i, deviation in enumerate(near.deviation))
-    told = f"mean distances of the fitted lines (rad/s): {each}" if each else "too few points in the set for four lines"
+    each = f"mean distances of the fitted lines (rad/s): {each}" if each else "too few points in the set for four lines"
     return [
-        published_row(
-            case, "emd_min", result.scan.smallest, None,
-            f"{whose}, not the flown one, of {result.measured_z.size} directions; {note}", kind="not_comparable",
-        ),
-        Row(
-            "scan_runs", "initial conditions scanned", rb.grid_size(case), int(near.emd.size), "1", 0,
-            True if near.emd.size == rb.grid_size(case) else None,
-            "101 x 101 x 41 grid points", "paper, section 2.3, from range and step", kind="arithmetic", chain="none",
-        ),
-        Row(
-            "lines_found", "published lines that the paper's recipe finds in this telemetry", count, result.lines_found, "1", 0.0,
-            result.lines_found == count,
-            f"{whose}; found: a fitted line within {FOUND_RAD_S:g} rad/s (two grid steps) on average over omega_z in "
-            f"{list(rb.LINE_RANGE)}; {told}; {note}. The printed lines follow from the model and a clean distribution of "
-            "r_z: see the section on the published lines", "paper, section 2.3, Fig. 9", chain="scan",
+        row(case, "emd_min", result.scan.smallest, whose=whose, directions=result.measured_z.size, near=told),
+        row(case, "scan_runs", runs, published=rb.grid_size(case), agrees=True if runs == rb.grid_size(case) else None),
+        row(
+            case, "lines_found", result.lines_found, published=count, whose=whose, found=FOUND_RAD_S,
+            omega_z=list(rb.LINE_RANGE), each=each, near=told,
         ),
     ]  # fmt: skip

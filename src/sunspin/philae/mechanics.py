@@ -11,8 +11,11 @@ import xarray as xr
 from sunspin.dynamics.friction import fit_spin_down, spin_down_curve, spin_down_speed, spin_down_time
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import rebound as rb
-from sunspin.philae.row import Row, published_row
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
+
+STILL_Z = 0.01
+"""r_z that changes by less than this counts as constant."""
 
 
 @dataclass(frozen=True)
@@ -63,25 +66,11 @@ def rows(result: Mechanics) -> list[Row]:
     z = still["sun_B"].values[:, 2]
     fit = fall["fit"]
     return [
-        published_row(
-            case, "spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s], [0.1, 1e-8, 0.1],
-            "fitted to a record made from the published coefficients: the measured one is not public",
+        row(case, "spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s]),
+        row(case, "friction_coulomb", fit.friction.coulomb_N_m),
+        row(case, "friction_viscous", fit.friction.viscous_N_m_s),
+        row(case, "wheel_stop", stop[0] / 60 if stop else None, printed=fall["stop_printed_s"] / 60),
+        row(
+            case, "example_still_z", [float(z.min()), float(z.max())], tolerance=STILL_Z, agrees=bool(np.ptp(z) < STILL_Z)
         ),
-        published_row(
-            case, "friction_coulomb", fit.friction.coulomb_N_m, 1e-4, "not rounded; it follows from c2 c3 J",
-            kind="arithmetic", chain="none"),
-        published_row(
-            case, "friction_viscous", fit.friction.viscous_N_m_s, 2e-8,
-            "J = 0.0058; the printed value implies 0.005775", kind="arithmetic", chain="none",
-        ),
-        published_row(
-            case, "wheel_stop", stop[0] / 60 if stop else None, 0.5,
-            f"with the printed, rounded friction {fall['stop_printed_s'] / 60:.1f} min",
-        ),
-        Row(
-            "example_still_z", "omega = 0: range of r_z over 46 min", "constant",
-            [float(z.min()), float(z.max())], "1", 0.01, bool(np.ptp(z) < 0.01),
-            "criterion: it changes by less than 0.01; Philae is not quite axisymmetric, so it is nearly constant",
-            "paper, section 2.2, Fig. 6 A",
-        ),
-    ]  # fmt: skip
+    ]

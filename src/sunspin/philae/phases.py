@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from sunspin.philae.carries import whole_panels
 from sunspin.philae.rebound import case_seconds
-from sunspin.philae.row import Row, published_row, source_of
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.health import explanations, noise_alone, panel_health
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
@@ -101,8 +101,8 @@ def rows(result: Phases) -> list[Row]:
     return [*_measure_rows(result), *_delta_rows(result), *_pattern_rows(result), *_health_rows(result), *_sampling_rows(result)]
 
 
-def _twin(r: Phases, text: str) -> str:
-    return f"synthetic telemetry; {text}" if r.synthetic else text
+def _twin(r: Phases) -> str:
+    return "synthetic telemetry; " if r.synthetic else ""
 
 
 def _delta_rows(r: Phases) -> list[Row]:
@@ -117,25 +117,23 @@ def _delta_rows(r: Phases) -> list[Row]:
     )  # fmt: skip
     ours = [float(delta.min()), float(delta.max())] if delta.size else None
     found = [
-        Row(
-            "delta_shadowed", r.case.published["delta_shadowed"].what, [low, high], ours, "1", None, inside >= 0.9,
-            _twin(r, f"{inside:.0%} inside, nine tenths are asked for; {each}; the others: {others}"),
-            f"paper, {r.case.published['delta_shadowed'].place}",
+        row(
+            r.case, "delta_shadowed", ours, published=[low, high], agrees=inside >= 0.9, twin=_twin(r), inside=inside, each=each,
+            others=others,
         )
     ]  # fmt: skip
     folded = r.named("deployment")
     if folded is not None and folded.z.size:
-        note = _twin(r, f"mean of {folded.z.size} directions, {folded.z.min():.2f} to {folded.z.max():.2f}")
-        found.append(published_row(r.case, "nz_folded", float(folded.z.mean()), 0.05, note))
+        z = folded.z
+        found.append(row(r.case, "nz_folded", float(z.mean()), twin=_twin(r), z=z, least=z.min(), most=z.max()))
     return found
 
 
 def _pattern_rows(r: Phases) -> list[Row]:
-    end = utc_seconds(r.case.require_timeline().event("second_touchdown").utc, r.sun.attrs["epoch_utc"])
+    case, end = r.case, utc_seconds(r.case.require_timeline().event("second_touchdown").utc, r.sun.attrs["epoch_utc"])
     early = r.sun["time"].values < end
     wrong = int(np.count_nonzero((r.sun["status"].values == SunStatus.IMPOSSIBLE) & early))
-    impossible = list(r.health["impossible"])
-    pairs = explanations(r.case.vehicle, impossible, size=2)
+    pairs = explanations(case.vehicle, list(r.health["impossible"]), size=2)
     others = ", ".join("-".join(pair) for pair in pairs if not set(pair) & {p for one in r.health["explanations"] for p in one})
     verdicts = r.health["noise"]
     each = "; ".join(
@@ -143,27 +141,15 @@ def _pattern_rows(r: Phases) -> list[Row]:
         for p, v in verdicts.items()
     )  # fmt: skip
     together = float(sum(v.log10_together for v in verdicts.values())) if verdicts else None
+    allowed = r.health["allowed"]
     return [
-        Row(
-            "lit_patterns_allowed", "lit patterns that the geometry of the panels allows", None, len(r.health["allowed"]), "1",
-            None, None, "; ".join("-".join(p) for p in r.health["allowed"]), "paper, section 4, from the panels' normals",
+        row(case, "lit_patterns_allowed", len(allowed), published=None, patterns="; ".join("-".join(p) for p in allowed)),
+        row(
+            case, "lit_patterns_before", wrong, twin=_twin(r), samples=int(early.sum()),
+            phases=", ".join(f"{p.name} {p.impossible}" for p in r.phases),
         ),
-        Row(
-            "lit_patterns_before", "inconsistent lit patterns before the second touchdown", "none", wrong, "1", 0, wrong == 0,
-            _twin(r, f"{int(early.sum())} samples; by phase " + ", ".join(f"{p.name} {p.impossible}" for p in r.phases)),
-            "paper, section 4",
-        ),
-        Row(
-            "shadowed_panel_alternatives", "sets of two panels that explain the inconsistent patterns without the single one",
-            None, others or "none", "1", None, None, _twin(r, "a set of two that holds the single panel explains them as well"),
-            "paper, section 4",
-        ),
-        Row(
-            "lit_patterns_noise", "log10 of the probability that noise alone made all the inconsistent samples, at most", None,
-            together, "1", None, None,
-            _twin(r, f"sigma {r.sun.attrs['noise']:.3g}, lit above {r.sun.attrs['lit_threshold']:.3g}; {each}"),
-            "paper, section 4, not considered there",
-        ),
+        row(case, "shadowed_panel_alternatives", others or "none", published=None, twin=_twin(r)),
+        row(case, "lit_patterns_noise", together, published=None, twin=_twin(r), attrs=r.sun.attrs, each=each),
     ]  # fmt: skip
 
 
@@ -175,21 +161,17 @@ def _measure_rows(r: Phases) -> list[Row]:
         return []
     checked = sun["delta"].values[kept & (sun["n_lit"].values > CHECKING_PANELS)]
     low, high = _largest_of(checked) if checked.size else (np.nan, np.nan)
-    largest = case.published["delta_max"]
     chosen = "the telemetry is synthetic: its noise was chosen for this figure; " if sun.attrs.get("synthetic") else ""
+    judged: dict[str, Any] = {}
+    if checked.size:
+        inside = bool(low <= case.published["delta_max"].value <= high)
+        judged = {"tolerance": high - low, "agrees": inside, "low": low, "high": high}
     return [
-        published_row(
-            case, "delta_mean", float(delta.mean()), 0.002,
-            f"{chosen}{delta.size} directions, {delta.size - checked.size} of them from exactly three panels, whose Delta is 0",
-            sigma=float(delta.std() / np.sqrt(delta.size)),
+        row(
+            case, "delta_mean", float(delta.mean()), sigma=float(delta.std() / np.sqrt(delta.size)), chosen=chosen,
+            directions=delta.size, of_three=delta.size - checked.size,
         ),
-        Row(
-            "delta_max", largest.what, largest.value, float(delta.max()), "1", high - low if checked.size else None,
-            bool(low <= largest.value <= high) if checked.size else None,
-            f"noise of one size (half a Gaussian of this mean) makes the largest of {checked.size} {low:.3f} to {high:.3f} in nine "
-            "of ten data sets; the published one is compared with this range", source_of(largest.place),
-            low=low if checked.size else None, high=high if checked.size else None,
-        ),
+        row(case, "delta_max", float(delta.max()), checked=checked.size, least=low, most=high, **judged),
     ]  # fmt: skip
 
 
@@ -201,36 +183,26 @@ def _largest_of(delta: np.ndarray) -> tuple[float, float]:
 
 
 def _health_rows(r: Phases) -> list[Row]:
-    case, sun, health = r.case, r.sun, r.health
+    case, health = r.case, r.health
     published = {frozenset(map(str, pattern)) for pattern in case.published["lit_patterns_at_rest"].value}
     ours = {frozenset(pattern) for pattern in health["impossible"]}
-    note = "synthetic telemetry, made with panel 1 in shadow at rest" if sun.attrs.get("synthetic") else ""
+    made = "synthetic telemetry, made with panel 1 in shadow at rest" if r.synthetic else ""
     explained = [list(panels) for panels in health["explanations"]]
     return [
-        Row(
-            "lit_patterns_at_rest", case.published["lit_patterns_at_rest"].what, sorted(map(sorted, published)),
-            sorted(map(sorted, ours)), "1", 0, bool(published <= ours), note, "paper, section 4",
+        row(
+            case, "lit_patterns_at_rest", sorted(map(sorted, ours)), published=sorted(map(sorted, published)),
+            agrees=bool(published <= ours), made=made,
         ),
-        Row(
-            "shadowed_panel", case.published["shadowed_panel"].what, [["1"]], explained, "1", 0,
-            bool(explained == [["1"]]), note, "paper, section 4",
-        ),
-        _rotation_row(r, note),
+        row(case, "shadowed_panel", explained, published=[["1"]], agrees=bool(explained == [["1"]]), made=made),
+        _rotation_row(r, made),
     ]  # fmt: skip
 
 
-def _rotation_row(r: Phases, note: str) -> Row:
+def _rotation_row(r: Phases, made: str) -> Row:
     """Whether turning panel 1 to the Sun was a risk: what the samples at rest say of it."""
     needed = [pattern for pattern in r.health["impossible"] if explanations(r.case.vehicle, [pattern]) == [("1",)]]
     count = sum(r.health["impossible"][pattern] for pattern in needed)
-    told = f"{count} samples whose lit pattern asks for panel 1 and nothing else, and which give nothing from it"
-    return Row(
-        "panel_1_rotation", "samples that speak for a dead panel 1: was it a risk to turn it to the "
-            "Sun?", "risky", count, "1", None,
-        count > 0,
-        f"{told}; criterion: at least one. A dead panel and a shadowed one read alike, so the risk was real; panel 1 worked "
-        "when the lander woke up, so it had been in shadow" + (f"; {note}" if note else ""), "paper, section 4",
-    )  # fmt: skip
+    return row(r.case, "panel_1_rotation", count, agrees=count > 0, made=f"; {made}" if made else "")
 
 
 def _sampling_rows(r: Phases) -> list[Row]:
@@ -239,14 +211,11 @@ def _sampling_rows(r: Phases) -> list[Row]:
     touchdown, collision, second = (
         case_seconds(r.case, r.sun, name) for name in ("first_touchdown", "collision", "second_touchdown")
     )
-    flight, note = (time >= touchdown) & (time < collision), "synthetic telemetry, made so" if r.synthetic else "the telemetry"
+    flight, whose = (time >= touchdown) & (time < collision), "synthetic telemetry, made so" if r.synthetic else "the telemetry"
     several = flight.sum() > 1
     interval = float(np.median(np.diff(time[flight]))) / 60 if several else None
+    unjudged: dict[str, Any] = {} if several else {"tolerance": None}
     return [
-        published_row(
-            r.case, "sampling_interval", interval, 0.3 if several else None, f"median between first touchdown and collision; {note}"
-        ),
-        published_row(
-            r.case, "samples_after_collision", int(np.count_nonzero((time >= collision) & (time < second))), 0.0, note,
-        ),
-    ]  # fmt: skip
+        row(r.case, "sampling_interval", interval, whose=whose, **unjudged),
+        row(r.case, "samples_after_collision", int(np.count_nonzero((time >= collision) & (time < second))), whose=whose),
+    ]

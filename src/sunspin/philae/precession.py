@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import rebound as rb
-from sunspin.philae.row import Row, published_row
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle
 
@@ -37,6 +37,13 @@ PEAK_BINS = 24
 
 PEAK_PROMINENCE = 0.2
 """A peak stands out by at least this part of the highest bin from the bins between it and a higher one."""
+
+
+SAME_Z = 0.1
+"""Either end of the range of r_z stays roughly the same where it changes by no more than this."""
+
+SWING_DEG = 10.0
+"""How far the swing of the axis may be from the range of the Sun's height."""
 
 
 @dataclass(frozen=True)
@@ -184,21 +191,15 @@ def _height_rows(r: Precession) -> list[Row]:
     twice = [2 * float(np.degrees((line.nutation_first + line.nutation_last).mean() / 2)) for line in r.lines]
     widest = [float(np.degrees(line.axis_swing).mean()) for line in r.lines]
     low, high = r.case.published["sun_height_range"].value
+    tenth = (high - low) / 10
     return [
-        Row(
-            "sun_height_lines", "range of the Sun's height over the xy plane, motions on the printed lines", [low, high],
-            typical.tolist(), "deg", (high - low) / 10,
-            bool(np.all(np.abs(typical - np.array([low, high])) <= (high - low) / 10)),
-            "published: roughly; tolerance: a tenth of the range; "
-            f"mean over {height.shape[0] * height.shape[1]} points of the four lines; smallest {height.min():.1f}, largest "
-            f"{height.max():.1f}", "paper, section 3.2",
+        row(
+            r.case, "sun_height_lines", typical.tolist(), published=[low, high], tolerance=tenth,
+            points=height.shape[0] * height.shape[1], height=[height.min(), height.max()],
         ),
-        Row(
-            "axis_swing", "swing of the z axis in inertial space on L1 to L4", "the range of the Sun's height", widest, "deg", 10.0,
-            bool(np.all(np.abs(np.array(widest) - (high - low)) <= 10)), "counted once, among the contradictions; "
-            "the height ranges over twice the smaller of the nutation angle and the angle from H to the Sun, the axis over twice "
-            f"the nutation angle, whose mean gives {', '.join(f'{x:.0f}' for x in twice)}; so on L1 and L2 the axis swings "
-            "further than the height tells, and where the legs point does not follow", "paper, section 3.2", kind="arithmetic",
+        row(
+            r.case, "axis_swing", widest, tolerance=SWING_DEG, twice=", ".join(f"{x:.0f}" for x in twice),
+            agrees=bool(np.all(np.abs(np.array(widest) - (high - low)) <= SWING_DEG)),
         ),
     ]  # fmt: skip
 
@@ -209,34 +210,21 @@ def _constancy_rows(r: Precession) -> list[Row]:
     nutation = [np.degrees(np.abs(s.nutation_last - s.nutation_first)).max() for s in (r.examples, *r.lines)]
     wander = np.degrees(np.array([line.nutation for line in r.lines]))
     counts = np.concatenate([r.examples.peaks[1:], *(line.peaks for line in r.lines)])
-    example = f"{r.examples.omega_B[1].tolist()} rad/s: {_pair(r.examples.z_first[1])} to {_pair(r.examples.z_last[1])}"
+    ranges = zip(wander[..., 0].min(axis=1), wander[..., 1].max(axis=1), strict=True)
     return [
-        Row(
-            "range_of_z_examples", "largest change of either end of r_z's range, first to last 10 min, examples of Fig. 6",
-            "roughly the same",
-            float(change.max()), "1", 0.1, bool(change.max() <= 0.1), f"criterion: 0.1; {example}",
-            "paper, section 2.2, Fig. 6",
+        row(
+            r.case, "range_of_z_examples", float(change.max()), tolerance=SAME_Z, agrees=bool(change.max() <= SAME_Z),
+            omega=r.examples.omega_B[1].tolist(), first=_pair(r.examples.z_first[1]), last=_pair(r.examples.z_last[1]),
         ),
-        Row(
-            "range_of_z_lines", "the same on the points of the four lines: median and largest", "roughly the same",
-            [float(np.median(on_lines)), float(on_lines.max())], "1", 0.1, bool(on_lines.max() <= 0.1),
-            f"criterion: 0.1; {float(np.mean(on_lines <= 0.1)):.0%} of the points change by 0.1 or less; "
-            "the range widens as the wheel's share of the momentum goes to a body that is not symmetric about z",
-            "paper, sections 2.2 and 3.2",
+        row(
+            r.case, "range_of_z_lines", [float(np.median(on_lines)), float(on_lines.max())], tolerance=SAME_Z,
+            agrees=bool(on_lines.max() <= SAME_Z), share=float(np.mean(on_lines <= SAME_Z)),
         ),
-        Row(
-            "nutation_constant", "largest change of the mean angle between the z axis and H, first to last 10 min",
-            "constant",
-            float(max(nutation)), "deg", 3.0, bool(max(nutation) <= 3.0),
-            "criterion: 3 deg; constant for a symmetric body, whatever friction does; within a run it wanders from "
-            + "; ".join(f"{low:.0f} to {high:.0f} (L{k + 1})" for k, (low, high) in enumerate(
-                zip(wander[..., 0].min(axis=1), wander[..., 1].max(axis=1), strict=True))) + " deg",
-            "paper, sections 2.2 and 3.2",
+        row(
+            r.case, "nutation_constant", float(max(nutation)),
+            each="; ".join(f"{low:.0f} to {high:.0f} (L{k + 1})" for k, (low, high) in enumerate(ranges)),
         ),
-        published_row(
-            r.case, "rz_peaks", float(np.median(counts)), 0.0,
-            f"{np.mean(counts == 2):.0%} of {counts.size} distributions have exactly two",
-        ),
+        row(r.case, "rz_peaks", float(np.median(counts)), two=np.mean(counts == 2), distributions=counts.size),
     ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from sunspin.landing.scenario import Scenario, paper_scenario
 from sunspin.landing.tally import Estimate, lowest_rz, tally
 from sunspin.philae import landing
 from sunspin.philae import rebound as rb
-from sunspin.philae.row import Row, interval, published_row
+from sunspin.philae.row import Row, interval, row
 from sunspin.telemetry.case import Case
 
 CHAIN = "published"
@@ -95,49 +95,26 @@ def _bounds(case: Case) -> list[tuple[float, float, float]]:
 
 def rows(result: PublishedLines) -> list[Row]:
     """Each published figure that the printed lines alone decide, beside ours."""
-    return [replace(row, chain=CHAIN) for row in (*_line_rows(result), *_touchdown_rows(result), *_collision_rows(result))]
+    return [replace(one, chain=CHAIN) for one in (*_line_rows(result), *_touchdown_rows(result), *_collision_rows(result))]
 
 
 def _line_rows(r: PublishedLines) -> list[Row]:
     case, clean = r.case, r.clean
     spread, fifth = max(rb.pooled_spread(r.pooled)), case.published["emd_min"].value / 5
-    found = [
-        Row(
-            "lines_common", "largest EMD of a printed line's distribution of r_z to the common one of all four",
-            "similar (the lines hold equally good fits)", spread, "1", fifth, bool(spread <= fifth),
-            f"points with omega_z in {list(rb.POOL_RANGE)} rad/s; criterion: a fifth of the published smallest EMD",
-            "paper, section 2.3, implied by the lines",
-        )
-    ]  # fmt: skip
+    found = [row(case, "lines_common", spread, tolerance=fifth, agrees=bool(spread <= fifth), omega_z=list(rb.POOL_RANGE))]
     fitted = [] if clean.lines is None else [clean.lines.isel(line=i) for i in clean.partner]
     for k, (line, deviation) in enumerate(zip(fitted, clean.deviation, strict=True)):
-        found.append(
-            published_row(
-                case, f"line_L{k + 1}",
-                [line["point"].values.round(4).tolist(), line["direction"].values.round(4).tolist()], None,
-                f"from the printed lines' own distribution, EMD below {clean.factor:g} times its minimum (the factor is ours: the "
-                "paper's 1.1 leaves a handful of points against so clean a target): angle "
-                f"{np.degrees(deviation['angle_rad']):.1f} "
-                f"deg, largest distance {deviation['max']:.4f} rad/s over omega_z in {list(rb.LINE_RANGE)}", kind="not_comparable",
-            )
-        )  # fmt: skip
-        found.append(
-            Row(
-                f"line_L{k + 1}_distance", f"mean distance of our line from the printed L{k + 1}", f"the line L{k + 1}",
-                deviation["mean"], "rad/s", 0.03, bool(deviation["mean"] <= 0.03),
-                f"criterion: two grid steps; found at {clean.factor:g} times the smallest EMD, which is our choice, where "
-                "the paper has 1.1", "paper, section 2.3",
-            )
-        )  # fmt: skip
-    found.append(
-        Row(
-            "lines_by_threshold", "near-minimum set of the printed lines' distribution against the factor on the minimum",
-            case.published["near_minimum_factor"].value, r.thresholds, "1 (factor), rad/s (mean distances from L1..L4)", None,
-            None, f"EMD_min {float(clean.emd.min()):.4f}; with few points there are no four lines", "paper, section 2.3, Fig. 9",
-            kind="not_comparable",
-        )
-    )  # fmt: skip
-    return found
+        name = f"L{k + 1}"
+        found += [
+            row(
+                case, "line", [line["point"].values.round(4).tolist(), line["direction"].values.round(4).tolist()],
+                id=f"line_{name}", factor=clean.factor, angle=np.degrees(deviation["angle_rad"]),
+                most=deviation["max"], omega_z=list(rb.LINE_RANGE),
+            ),
+            row(case, "line_distance", deviation["mean"], id=f"line_{name}_distance", line=name, factor=clean.factor),
+        ]  # fmt: skip
+    factor = case.published["near_minimum_factor"].value
+    return [*found, row(case, "lines_by_threshold", r.thresholds, published=factor, smallest=float(clean.emd.min()))]
 
 
 def _touchdown_rows(r: PublishedLines) -> list[Row]:
@@ -145,19 +122,13 @@ def _touchdown_rows(r: PublishedLines) -> list[Row]:
     as_stated = r.bounds[2][2]
     least, most = (float(f([bound for _, _, bound in r.bounds])) for f in (np.min, np.max))
     near = float(np.linalg.norm(r.near_touchdown, axis=1).min())
-    lead = rb.after_touchdown_s(case)
     return [
-        Row(
-            "rate_at_touchdown_min_lines", "smallest angular speed just after the first touchdown, motions on the printed lines",
-            published, as_stated, "rad/s", 0.01, bool(abs(as_stated - published) <= 0.01),
-            f"first sample {lead:.0f} s after the touchdown, wheel at its nominal speed there. The lead is known to half a minute "
-            f"({LEADS_S[0]:g} to {LEADS_S[1]:g} s) and the wheel may have been nominal at the touchdown instead: {least:.4f} to "
-            f"{most:.4f}, the interval given", "paper, section 3.2, Fig. 12", low=least, high=most,
+        row(
+            case, "rate_at_touchdown_min_lines", as_stated, published=published, low=least, high=most,
+            lead=rb.after_touchdown_s(case), leads=LEADS_S,
         ),
-        Row(
-            "rate_at_touchdown_min_scan", "the same, over the near-minimum set of the printed lines' distribution", published, near,
-            "rad/s", 0.01, bool(abs(near - published) <= 0.01),
-            f"{len(r.near_touchdown)} grid points at {r.clean.factor:g} times the smallest EMD (our factor)", "paper, section 3.2",
+        row(
+            case, "rate_at_touchdown_min_scan", near, published=published, points=len(r.near_touchdown), factor=r.clean.factor
         ),
     ]  # fmt: skip
 
@@ -170,9 +141,6 @@ def _collision_rows(r: PublishedLines) -> list[Row]:
     fast_v, slow_v = case.published["collision_speed"].value, case.published["landing_speed"].value
     lowest = {v: float(np.nanmin(lowest_rz(runs["held"]))) for v, runs in ((fast_v, r.runs), (slow_v, r.slow))}
 
-    def p(found: dict[str, Estimate], bound: str) -> str:
-        return f"{found[f'rz_ever_below_{bound}']} of the runs, {found[f'rz_time_below_{bound}']} of the time"
-
     def held(found: dict[str, Estimate]) -> list[float]:
         return [found["rz_ever_below_-0.5"].value, found["rz_time_below_-0.2"].value]
 
@@ -183,27 +151,18 @@ def _collision_rows(r: PublishedLines) -> list[Row]:
         never, rarely = held(found)
         return bool(never <= NEVER and rarely <= RARELY)
 
-    criterion = f"criterion: below -0.5 in at most {NEVER:.0%} of the runs, below -0.2 for at most {RARELY:.0%} of the time"
     kept = []
-    for name, v, found in (("rz_held_lines", fast_v, told["held"]), ("rz_held_slow_collision", slow_v, slow["held"])):
+    for name, where, v, found in (
+        ("rz_held_lines", "section 3.3", fast_v, told["held"]), ("rz_held_slow_collision", "section 4", slow_v, slow["held"]),
+    ):  # fmt: skip
         bounds = interval(held(found), error(found))
-        where = "section 3.3" if name == "rz_held_lines" else "section 4"
         kept.append(
-            Row(
-                name, f"wheel held, collision at {v:g} m/s ({where}): runs with r_z below -0.5, time with r_z below -0.2",
-                "never below -0.5, rarely below -0.2", held(found), "1", None, as_stated(found),
-                f"{criterion}; below -0.5 {p(found, '-0.5')}; below -0.2 {p(found, '-0.2')}; lowest {lowest[v]:.2f}"
-                + ("; the likelier reading of what was computed" if name == "rz_held_slow_collision" else ""),
-                "paper, section 4, Fig. 13", low=bounds[0], high=bounds[1],
+            row(
+                case, "rz_held", held(found), says=("note", "note_slow") if v == slow_v else ("note",), id=name,
+                agrees=as_stated(found), low=bounds[0], high=bounds[1], speed=v, where=where, never=NEVER, rarely=RARELY,
+                held=found, lowest=lowest[v],
             )
         )  # fmt: skip
-    return [
-        Row(
-            "rz_range_lines", "range that r_z reaches after the collision, wheel off, motions on the printed lines",
-            list(case.published["rz_range_wheel_off"].value), [low, high], "1", 0.03,
-            bool(max(abs(low + 1), abs(high - 1)) <= 0.03),
-            f"{r.runs['off'].sizes['run']} runs; the run that is lowered least still reaches {reaches:.2f}; below -0.5 "
-            f"{p(told['off'], '-0.5')}", "paper, section 3.3, Fig. 13",
-        ),
-        *kept,
-    ]  # fmt: skip
+    whole = list(case.published["rz_range_wheel_off"].value)
+    runs = r.runs["off"].sizes["run"]
+    return [row(case, "rz_range_lines", [low, high], published=whole, runs=runs, reaches=reaches, off=told["off"]), *kept]

@@ -9,17 +9,20 @@ Four kinds, counted apart:
 
 Only a test agrees or differs. A figure that depends on candidate motions carries the interval over the chosen set and the one
 over all that was possible before the data; where the first is not clearly narrower the row is uninformative and judges nothing.
+
+What a row says stands in the case's `rows.toml` (:mod:`sunspin.philae.templates`); a part computes its numbers and asks for `row`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.landing.tally import Estimate
-from sunspin.output.report.rows import STATEMENT
+from sunspin.philae.templates import Template, templates
 from sunspin.telemetry.case import Case
 
 KINDS = ("test", "put_in", "arithmetic", "not_comparable")
@@ -104,23 +107,62 @@ def source_of(place: str) -> str:
     return elsewhere if elsewhere != place else f"paper, {place}"
 
 
-def published_row(
-    case: Case, key: str, ours: Any, tolerance: float | list[float] | None, note: str = "", sigma: Any = None, **more: Any
-) -> Row:
-    """The figure `key` of the case beside ours; agrees where they differ by no more than the tolerance, if there is one.
+def row(case: Case, name: str, ours: Any, *, says: tuple[str, ...] = ("note",), sigma: Any = None, **given: Any) -> Row:
+    """The figure `name` beside ours, with the texts that the case's `rows.toml` has for it.
 
-    `sigma`: one standard error of ours from the noise; the interval is 1.645 of them either way (90 %). `more`: fields of `Row`.
+    What the table there leaves out is that of the published figure of the row's id, which is `name` unless another is given.
+    Numbers within the tolerance of each other agree; of a row with `at_most`, ours that are no larger. `agrees` or `holds` judge
+    instead where they are given.
+
+    Parameters
+    ----------
+    says : the notes of the table that the row shows, one after the other
+    sigma : one standard error of ours from the noise; the interval is 1.645 of them either way (90 %)
+    given : fields of `Row` that replace those of the table; anything else is a field of its texts
     """
-    published = case.published[key]
-    agrees = None
-    if tolerance is not None:
-        agrees = bool(np.all(np.abs(np.asarray(ours, float) - np.asarray(published.value, float)) <= tolerance))
-    if sigma is not None:
-        more |= dict(zip(("low", "high"), interval(ours, sigma), strict=True))
-    row = Row(
-        key, published.what, published.value, ours, published.unit, tolerance, agrees, note, source_of(published.place)
-    )
-    return replace(row, **more)
+    template, figure = _template_of(case, name), case.published.get(given.get("id", name))
+    values = dict(template.values)
+    most = values.pop("at_most", None)
+    values.pop("input", None)
+    values |= {} if most is None else {"tolerance": most}
+    values |= {} if sigma is None else dict(zip(("low", "high"), interval(ours, sigma), strict=True))
+    values |= {"id": name, "ours": ours} | {key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__}
+    if unknown := sorted(set(given) - template.needs):
+        raise InputError(sentence(f"the row's texts do not name {', '.join(unknown)}", where=template.where))
+    fields = {"paper": {key: one.value for key, one in case.published.items()}} | values | given
+    texts = {key: template.fill(key, fields) for key in template.texts if key not in values and not key.startswith("note")}
+    note = "".join(template.fill(key, fields) for key in says if key != "note" or key in template.texts)
+    stated = {} if figure is None else {
+        "what": figure.what, "unit": figure.unit, "place": figure.place, "published": figure.value,
+    }  # fmt: skip
+    found: dict[str, Any] = {"tolerance": None, "agrees": None, "note": note} | stated | texts | values
+    try:
+        found["source"] = source_of(found.pop("place"))
+        made = Row(**found)
+    except (KeyError, TypeError) as error:
+        raise InputError(sentence(f"the row lacks a field ({error})", where=template.where)) from None
+    if made.tolerance is not None and not {"agrees", "holds"} & set(values):
+        made = replace(made, agrees=_within(made, most))
+    return _statement(made) if template.is_statement else made
+
+
+def _template_of(case: Case, name: str) -> Template:
+    found = templates(case).get(name)
+    if found is None:
+        raise InputError(sentence("a row has no table in rows.toml", got=name, do="add one with its texts"))
+    return found
+
+
+def _within(row: Row, most: float | None) -> bool:
+    ours = np.asarray(row.ours, float)
+    off = ours if most is not None else np.abs(ours - np.asarray(row.published, float))
+    return bool(np.all(off <= row.tolerance))
+
+
+def _statement(row: Row) -> Row:
+    """A row on a statement of the paper; it stands where both numbers differ by no more than the tolerance, if there is one."""
+    told = f"The paper: {row.sentence} Read otherwise: {row.other_reading} Changes: {row.changes}"
+    return replace(row, note=f"{row.note} {told}".strip(), kind="arithmetic", chain="none", holds=row.agrees, agrees=None)
 
 
 def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:
@@ -129,22 +171,21 @@ def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:
     return (middle - half).tolist(), (middle + half).tolist()
 
 
-def over_candidates(
-    row: Row, chain: str, chosen: tuple[float, float], possible: tuple[float, float], half_digit: float | None = None
-) -> Row:
+def over_candidates(row: Row, chain: str, chosen: tuple[float, float], possible: tuple[float, float]) -> Row:
     """The row with the least and largest value over the chosen candidates, and over all that was possible.
 
     It informs where the first range is narrower than half of the second, and then agrees where the published value, widened by
-    half a unit of its last digit, lies inside. Without `half_digit` there is no published number to hold against it.
+    the row's tolerance, lies inside. That is half a unit of its last digit; a row without one has no published number to hold
+    against it.
     """
     low, high = chosen
     informative = bool(high - low < NARROWER * (possible[1] - possible[0]))
-    agrees = None
+    agrees, half_digit = None, cast(float | None, row.tolerance)
     if half_digit is not None and informative:
         agrees = bool(low - half_digit <= row.published <= high + half_digit)
     return replace(
         row, depends="candidates", chain=chain, low=low, high=high, prior_low=possible[0], prior_high=possible[1],
-        informative=informative, agrees=agrees, tolerance=half_digit,
+        informative=informative, agrees=agrees,
     )  # fmt: skip
 
 
@@ -160,27 +201,4 @@ def share_of_candidates(row: Row, chain: str, chosen: Estimate, possible: Estima
     return replace(
         row, depends="candidates", chain=chain, low=low, high=high, prior_low=before[0], prior_high=before[1],
         informative=informative, agrees=agrees if informative else None,
-    )  # fmt: skip
-
-
-def statement(
-    name: str, what: str, published: Any, ours: Any, unit: str, tolerance: float | list[float] | None, place: str, *,
-    sentence: str, other_reading: str, changes: str, note: str = "", weak: bool = False,
-) -> Row:  # fmt: skip
-    """A row on a statement of the paper; it stands where both numbers differ by no more than the tolerance, if there is one.
-
-    Parameters
-    ----------
-    sentence : what the paper says, in a few words
-    other_reading : the fairest other reading, and why it does not help
-    changes : what follows differently
-    weak : hardly more than a matter of wording
-    """
-    holds = None
-    if tolerance is not None:
-        holds = bool(np.all(np.abs(np.asarray(ours, float) - np.asarray(published, float)) <= tolerance))
-    told = f"The paper: {sentence} Read otherwise: {other_reading} Changes: {changes}"
-    return Row(
-        f"{STATEMENT}{name}", what, published, ours, unit, tolerance, None, f"{note} {told}".strip(), f"paper, {place}",
-        kind="arithmetic", chain="none", holds=holds, weak=weak, sentence=sentence, other_reading=other_reading, changes=changes,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from scipy.signal import find_peaks
 from sunspin.estimate.scan import error_growth as gr
 from sunspin.estimate.scan.error_maps import nominal, of_length, parameter_map, rate_map
 from sunspin.philae import rebound as rb
-from sunspin.philae.row import Row
+from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 
 MAP_POINTS = (151, 91)
@@ -27,6 +27,9 @@ VALLEY_WINDOWS_MIN = (5.0, 15.0, 45.0)
 
 VALLEY_DEPTH = 0.03
 """A minimum of E along a walk across a map is a valley if it is deeper than this: a tenth of what E ranges over."""
+
+NEAR_POWER = 0.3
+"""A power of time within this of 1 or 2 counts as linear or quadratic."""
 
 LINE_OMEGA_Z = 0.1
 """rad/s at the first sample of the points of the published lines on which changes of one percent are tried."""
@@ -116,31 +119,20 @@ def rows(result: Sensitivity) -> list[Row]:
 
 def _map_rows(r: Sensitivity) -> list[Row]:
     case, rates, parameters = r.case, r.rates.values, r.parameters.values
-    against = "synthetic telemetry; " if r.synthetic else ""
+    twin = "synthetic telemetry; " if r.synthetic else ""
     bound, published = (1 - r.start_length) / 2, {key: figure.value for key, figure in case.published.items()}
     studied = np.mean(published["E_study_box"], axis=1), np.array(published["E_study_omega"])
     from_lines = [_distance_from_lines(case, omega) for omega in studied]
-    outside = nominal(case.vehicle, "mu_0")
     return [
-        Row(
-            "E_map_rates", "Fig. 8 A: smallest and largest E, valleys crossed along omega_x, omega_y (0.05 by 0.03 rad/s)",
-            "complex shape", [float(rates.min()), float(rates.max()), *valleys_crossed(rates)], "1", None, None,
-            f"{against}{r.n_samples} directions, {rates.size} motions; the box is {from_lines[0]:.2f} rad/s from the nearest line",
-            "paper, section 2.3, Fig. 8 A", chain="telemetry",
+        row(
+            case, "E_map_rates", [float(rates.min()), float(rates.max()), *valleys_crossed(rates)], twin=twin,
+            directions=r.n_samples, motions=rates.size, apart=from_lines[0],
         ),
-        Row(
-            "E_map_parameters", "Fig. 8 B: smallest and largest E, valleys crossed along mu_0, theta_xx",
-            "complex shape", [float(parameters.min()), float(parameters.max()), *valleys_crossed(parameters)], "1", None, None,
-            f"{against}the range of mu_0 leaves out the lander's {outside:.3g} N m; what is called theta_xx runs from theta_yy to "
-            f"theta_xx; the rate is {from_lines[1]:.2f} rad/s from the nearest line and outside the box of panel A",
-            "paper, section 2.3, Fig. 8 B", chain="telemetry",
+        row(
+            case, "E_map_parameters", [float(parameters.min()), float(parameters.max()), *valleys_crossed(parameters)], twin=twin,
+            outside=nominal(case.vehicle, "mu_0"), apart=from_lines[1],
         ),
-        Row(
-            "E_study_bound", "E below which the direction at the start, quoted with a length of 0.9646, does not let it fall",
-            "not considered", bound, "1", None, None,
-            f"used as quoted: its length is {r.start_length:.4f}; made a unit vector it is {_angle_between_starts(case):.1f} deg "
-            "from the first direction used in the scan", "paper, section 2.3, direct fitting",
-        ),
+        row(case, "E_study_bound", bound, length=r.start_length, apart=_angle_between_starts(case)),
     ]  # fmt: skip
 
 
@@ -168,30 +160,14 @@ def _change_rows(r: Sensitivity) -> list[Row]:
         for table in r.growth for name in gr.RATES
     ]  # fmt: skip
     of_each = "; ".join(f"{n} {e:.2f} and {m:.4f}" for n, e, m in zip(r.names, largest_E, largest_emd, strict=True))
+    case, emd_min = r.case, r.case.published["emd_min"].value
     return [
-        Row(
-            "one_percent_E", "E under a change of 1 % of one input (published: extremely sensitive): at least, over the motions",
-            "extremely sensitive", in_E, "1", None, in_E > 0.1,
-            "more than 0.1 counts as sensitive; "
-            f"largest E and EMD of each motion: {of_each}; 0.5 is the mean E of unrelated directions", "paper, section 2.3",
+        row(case, "one_percent_E", in_E, agrees=in_E > 0.1, of_each=of_each),
+        row(case, "one_percent_emd", in_emd, tolerance=emd_min, agrees=in_emd < emd_min),
+        row(
+            case, "phase_growth", [float(powers.mean()), float(friction.mean())], tolerance=NEAR_POWER,
+            agrees=bool(np.abs(powers - 1).max() < NEAR_POWER and np.abs(friction - 2).max() < NEAR_POWER),
+            at_end=[min(at_end), max(at_end)], per_rate=[min(per_rate), max(per_rate)],
         ),
-        Row(
-            "one_percent_emd", "EMD under the same changes (published: not sensitive): at most, over the motions",
-            "less sensitive", in_emd, "1", r.case.published["emd_min"].value, in_emd < r.case.published["emd_min"].value,
-            "compared with the smallest EMD of the paper's scan", "paper, section 2.3",
-        ),
-        Row(
-            "phase_growth", "power of time with which the direction error grows: rates, mu_0", "accumulating phase shifts",
-            [float(powers.mean()), float(friction.mean())], "1", 0.3,
-            bool(np.abs(powers - 1).max() < 0.3 and np.abs(friction - 2).max() < 0.3),
-            "criterion: 1 and 2 within 0.3, linear where a frequency is off and not exponential; after 45 min the "
-            f"largest error from 1 % of an input, if it grew on so, is {min(at_end):.0f} to {max(at_end):.0f} rad, per rad/s of a "
-            f"rate {min(per_rate):.0f} to {max(per_rate):.0f} rad", "paper, section 2.3",
-        ),
-        Row(
-            "valley_width", f"full width of the valley of E in omega_x in windows of {', '.join(f'{w:g}' for w in window)} min",
-            "narrow", widths.tolist(), "rad/s", None, None,
-            f"rates of Fig. 8 B, own directions every 2 min; the scan's step is {r.case.published['scan_step'].value} rad/s",
-            "paper, section 2.3",
-        ),
+        row(case, "valley_width", widths.tolist(), windows=", ".join(f"{w:g}" for w in window)),
     ]  # fmt: skip

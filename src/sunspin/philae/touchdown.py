@@ -13,7 +13,7 @@ import numpy as np
 
 from sunspin.philae.candidates import Chain
 from sunspin.philae.coverage import CONFIDENCE
-from sunspin.philae.row import Row, over_candidates, published_row, share_of_candidates
+from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
 
 LEAST_STEP_RAD_S = 0.026
 """A lower bound says something if it exceeds the least speed of the scanned box by a diagonal step of the grid."""
@@ -21,7 +21,6 @@ LEAST_STEP_RAD_S = 0.026
 HEIGHT_DEG = 7.0
 """How far the mean height of the Sun may be from the published one: a tenth of the published range, which is "roughly"."""
 
-HALF_DIGIT = 0.00005
 STILL_DEG = 20.0
 """A smaller angle that lies below this leaves a lander that does not tumble visibly: its Sun hardly changes height."""
 
@@ -42,58 +41,28 @@ def rows(chain: Chain) -> list[Row]:
 
 
 def _speed_rows(chain: Chain) -> list[Row]:
-    case, chosen, box = chain.case, chain.chosen, chain.box
-    recipe = float(chain.recipe.speed_touchdown.min())
-    ours, possible = chosen.speed_range(), box.speed_range()
+    case, chosen = chain.case, chain.chosen
+    ours, possible = chosen.speed_range(), chain.box.speed_range()
     level = "95 % probable" if chosen.probable else f"{CONFIDENCE:.0%}"
     bounded = bool(ours[0] > possible[0] + LEAST_STEP_RAD_S)
-    smallest = published_row(
-        case, "rate_at_touchdown_min", recipe, None,
-        f"ours: smallest over {len(chain.recipe)} motions below 1.1 times the smallest EMD of this telemetry (the paper's recipe, "
-        f"without an interval); low and high: angular speed over {chosen.about}",
+    recipe = float(chain.recipe.speed_touchdown.min())
+    smallest = row(case, "rate_at_touchdown_min", recipe, motions=len(chain.recipe), about=chosen.about)
+    bound = row(
+        case, "rate_at_touchdown_bound", ours[0], says=("note",) if bounded else ("note", "note_unbounded"),
+        published=case.published["rate_at_touchdown_min"].value, level=level, about=chosen.about, prior_low=possible[0],
     )  # fmt: skip
-    bound = Row(
-        "rate_at_touchdown_bound", f"angular speed just after the first touchdown lies above this, {level}",
-        case.published["rate_at_touchdown_min"].value, ours[0], "rad/s", None, None,
-        f"over {chosen.about}; the scanned box begins at {possible[0]:.4f} rad/s"
-        + ("" if bounded else ": no lower bound follows from this telemetry"), "paper, section 3.2", kind="not_comparable",
-        depends="candidates", chain=chain.name, low=ours[0], high=ours[1], prior_low=possible[0], prior_high=possible[1],
-        informative=bounded,
-    )  # fmt: skip
-    above = over_candidates(
-        Row("rate_at_touchdown_max", f"angular speed just after the first touchdown lies below this, {level}", "not stated",
-            ours[1], "rad/s", None, None, _above_note(chain), "paper, section 3.2, not considered there", kind="not_comparable"),
-        chain.name, ours, possible,
-    )  # fmt: skip
-    if not chosen.probable:
-        above = replace(above, informative=False)
-    return [over_candidates(smallest, chain.name, ours, possible, HALF_DIGIT), bound, above]
-
-
-def _above_note(chain: Chain) -> str:
-    if chain.chosen.probable:
-        return "from the order and the times of the samples, which the posterior uses"
-    return (
-        "not informed: the size of the momentum does not change the heights of the Sun. A spin of 0.3 rad/s about z gives the same "
-        "heights as no motion at all; the largest is that of the scanned box"
-    )
+    above = row(case, "rate_at_touchdown_max", ours[1], says=("note_probable" if chosen.probable else "note",), level=level)
+    smallest, bound, above = (over_candidates(one, chain.name, ours, possible) for one in (smallest, bound, above))
+    return [smallest, replace(bound, informative=bounded), above if chosen.probable else replace(above, informative=False)]
 
 
 def _angle_rows(chain: Chain) -> list[Row]:
     found = []
-    for name, what, values in (
-        ("smaller", "smaller", lambda c: c.smaller_angle), ("larger", "larger", lambda c: c.larger_angle),
-    ):  # fmt: skip
+    for which, values in (("smaller", lambda c: c.smaller_angle), ("larger", lambda c: c.larger_angle)):
         ours, possible = (_degrees(c.angle_range(values(c))) for c in (chain.chosen, chain.box))
         recipe = [float(np.degrees(f(values(chain.recipe)))) for f in (np.min, np.max)]
-        row = Row(
-            f"angle_{name}", f"the {what} of the angles from the momentum to the z axis and to the Sun", "not "
-                "stated", recipe, "deg",
-            None, None, f"ours: least and largest by the paper's recipe; low and high: over {chain.chosen.about}. "
-            "The two angles fix where the Sun's height goes; which of them is which the heights do not tell",
-            "paper, section 2.3, from the model", kind="not_comparable",
-        )  # fmt: skip
-        found.append(over_candidates(row, chain.name, ours, possible))
+        one = row(chain.case, "angle", recipe, id=f"angle_{which}", which=which, about=chain.chosen.about)
+        found.append(over_candidates(one, chain.name, ours, possible))
     return found
 
 
@@ -108,12 +77,8 @@ def _height_row(chain: Chain) -> Row:
     ours = [estimate.value for estimate in chain.recipe.mean_height()]
     chosen, box = chain.chosen.mean_height(), chain.box.mean_height()
     agrees = all(abs(mine.value - theirs) <= HEIGHT_DEG for mine, theirs in zip(chosen, (low, high), strict=True))
-    row = published_row(
-        case, "sun_height_range", ours, None,
-        f"means over motions of their smallest and largest height; published: roughly; criterion: within {HEIGHT_DEG:g} deg; "
-        f"ours by the paper's recipe, low and high over {chain.chosen.about}",
-    )  # fmt: skip
-    each = [share_of_candidates(row, chain.name, mine, before, agrees) for mine, before in zip(chosen, box, strict=True)]
+    shown = row(case, "sun_height_range", ours, within=HEIGHT_DEG, about=chain.chosen.about)
+    each = [share_of_candidates(shown, chain.name, mine, before, agrees) for mine, before in zip(chosen, box, strict=True)]
     informative = any(one.informative for one in each)
     merged = {key: [getattr(one, key) for one in each] for key in ("low", "high", "prior_low", "prior_high")}
     return replace(each[0], informative=informative, agrees=agrees if informative else None, **merged)
