@@ -48,6 +48,14 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
     return content
 
 
+def is_own(path: Path) -> bool:
+    """Whether a folder has this as a file of its own: regular, and no link, which could lead to anybody's file."""
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except (OSError, ValueError):
+        return False
+
+
 MEMORY = 6_000_000_000
 """Bytes of address space of another process that reads a file from outside."""
 

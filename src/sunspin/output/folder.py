@@ -13,6 +13,7 @@ import numpy as np
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import OutputError, sentence
+from sunspin.base.untrusted import is_own
 from sunspin.vehicle.file import vehicle_text
 
 MARKER = ".sunspin-results"
@@ -40,11 +41,10 @@ def results_folder(path: Any, command: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         marker = folder / MARKER
-        if marker.is_file():
-            maker = marker.read_text("utf-8").strip()
-            if maker != command:
+        if is_own(marker):
+            if (made := maker(marker)) != command:
                 raise OutputError(
-                    sentence(f"the folder holds results of `sunspin {maker}`", do="choose another --out", where=str(folder))
+                    sentence(f"the folder holds results of `sunspin {made}`", do="choose another --out", where=str(folder))
                 )
         elif any(not atomic_write.is_left(entry) for entry in folder.iterdir()):
             raise OutputError(
@@ -57,6 +57,12 @@ def results_folder(path: Any, command: str) -> Path:
             sentence(f"results cannot be written here ({error.strerror or error})", do="choose another --out", where=str(folder))
         ) from None
     return folder
+
+
+def maker(marker: Path) -> str:
+    """The command that a folder's marker names: a word, whatever somebody wrote there."""
+    with open(marker, "rb") as file:
+        return file.read(40).decode("utf-8", "replace").strip()
 
 
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
