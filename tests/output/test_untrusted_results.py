@@ -143,7 +143,9 @@ def test_sizes_are_looked_at_before_reading(name, folder):
 
 
 @pytest.mark.parametrize("name", ["vehicle.toml", "timeline.toml"])
-@pytest.mark.parametrize("text", ["a = " + "[" * 50_000, "a = " + "[" * 400 + "]" * 400, "a." * 50_000 + "a = 1", "a = " + "9" * 5000])
+@pytest.mark.parametrize(
+    "text", ["a = " + "[" * 50_000, "a = " + "[" * 400 + "]" * 400, "a." * 50_000 + "a = 1", "a = " + "9" * 5000]
+)
 def test_toml_that_is_a_bomb_is_named(name, text, folder):
     (folder / name).write_text(text, "utf-8")
     assert read_results(folder).problems[0].startswith(f"{name} could not be read")

@@ -22,6 +22,6 @@ def read_toml(text: str, where: str, error_type: type[SunspinError], do: str = "
     except tomllib.TOMLDecodeError as error:
         raise error_type(sentence(f"this is not valid TOML: {error}", do=do, where=where)) from None
     except RecursionError:
-        raise error_type(sentence("the file is nested too deeply", do="write it with fewer tables in tables", where=where)) from None
+        raise error_type(sentence("the file is nested too deeply", do="give the right file", where=where)) from None
     except ValueError as error:  # tomllib hands on what int() says of thousands of digits
         raise error_type(sentence(f"this is not valid TOML: {error}", do="correct that number", where=where)) from None

@@ -46,7 +46,7 @@ def results_folder(path: Any, command: str) -> Path:
                 raise OutputError(
                     sentence(f"the folder holds results of `sunspin {made}`", do="choose another --out", where=str(folder))
                 )
-        elif any(not atomic_write.is_left(entry) for entry in folder.iterdir()):
+        elif {*folder.iterdir()} - atomic_write.left(folder):
             raise OutputError(
                 sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
             )
@@ -71,8 +71,8 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
         return atomic_write.write_whole(target, write)
     except OSError as error:
         raise OutputError(
-            sentence(f"the file cannot be written ({error.strerror or error})", do="free space or choose another --out",
-                     where=str(target))
+            sentence(f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost",
+                     do="free space or choose another --out", where=str(target))
         ) from None  # fmt: skip
 
 
