@@ -11,7 +11,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError, sentence
-from sunspin.base.untrusted import Elsewhere, elsewhere
+from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 
 MAX_BYTES = 2_000_000_000
 """Of all variables in memory: a compressed file, or one that is nearly all fill value, may name any size."""
@@ -91,11 +91,13 @@ def _probed(source: Any) -> str | None:
     content = source.getvalue() if stream else None
     try:
         size = len(content) if content is not None else Path(source).stat().st_size
+        if not size or (content is None and not is_plain(Path(source))):
+            return "it is empty, or no regular file"
         begins = content if content is not None else _first_bytes(source)
     except OSError as error:
         return error.strerror or str(error)
     if not begins.startswith(SIGNATURE):
-        return "it does not begin as one" if size else "it is empty"
+        return "it does not begin as one"
     script = Path(__file__).with_name("netcdf_probe.py")
     try:
         elsewhere(script, "-" if stream else str(source), content=content or b"", seconds=PROBE_S + size // PROBE_BYTES_PER_S)
