@@ -40,9 +40,10 @@ def test_a_damaged_row_is_named_and_not_used(tmp_path):
 
 
 def test_what_a_killed_run_had_begun_is_removed_and_what_lives_is_not(tmp_path):
-    (tmp_path / ".0.json.999999999.part").write_text("{", "utf-8")
-    (tmp_path / ".0.json.1.part").write_text("{", "utf-8")  # of a process that runs
-    assert [path.name for path in rows_folder(tmp_path).iterdir()] == [".0.json.1.part"]
+    for process in (999999999, 1):  # none, and one that runs
+        (tmp_path / f".sunspin-{process}.parts").write_text(f".sunspin-{process}-{'a' * 16}.part\n", "utf-8")
+        (tmp_path / f".sunspin-{process}-{'a' * 16}.part").write_text("{", "utf-8")
+    assert {path.name for path in rows_folder(tmp_path).iterdir()} == {".sunspin-1.parts", f".sunspin-1-{'a' * 16}.part"}
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def crash_at(monkeypatch, step: int) -> None:
 
     def write(target, data):
         target.parent.mkdir(parents=True, exist_ok=True)
-        part = target.with_name(f".{target.name}{disk.PART}")
+        part = disk.temporary(target)
         for content in (data[: len(data) // 2], data):
             part.write_bytes(content)
             if next(steps) >= step:
@@ -208,14 +208,32 @@ def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, 
 def test_a_disk_that_is_full_is_said_and_the_store_goes_on_later(tmp_path, monkeypatch):
     def full(target, data, write=disk._write_whole):
         if target.parent.parent.name == "done" and target.name == "4":
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            with monkeypatch.context() as inner:
+                inner.setattr(os, "fsync", refuse)  # as a disk without room does, half of the bytes being there
+                return write(target, data)
         write(target, data)
+
+    def refuse(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
         patch.setattr(disk, "_write_whole", full)
         with pytest.raises(ss.OutputError, match="No space left.*free space"):
             ensemble(ROWS, store=tmp_path / "store", chunk=100, workers=1)
+    assert not list((tmp_path / "store").rglob(f"*{disk.PART}"))
     assert computed(tmp_path, tmp_path / "store") == 600
+
+
+def test_only_files_of_the_store_are_swept(complete):
+    """What a killed run left beside its chunks goes; what anybody else put there stays, whatever it is called."""
+    (complete / "done" / "c" / "0").unlink()
+    left = [disk.temporary(complete / name) for name in ("zarr.json", "height/zarr.json", "path/c/3/0/0", "done/c/0")]
+    theirs = [complete / place / name for place in ("", "height", "path/c", "done/c")
+              for name in (".thesis.part", ".sunspin-store-thesis.part", ".zarr.json.part", ".0.part", "a.part")]  # fmt: skip
+    for path in (*left, *theirs):
+        path.write_bytes(b"x")
+    assert same(ensemble(ROWS, store=complete))
+    assert not [path for path in left if path.exists()] and all(path.read_bytes() == b"x" for path in theirs)
 
 
 def test_chunks_on_disk_are_not_more_than_a_folder_bears(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 import ast
 import json
 import os
+import random
 import resource
 import subprocess
 import sys
@@ -35,13 +36,15 @@ def said(outcome, *words):
 
 def test_no_room_for_results_is_said_and_no_half_file_stays(tmp_path):
     out = tmp_path / "out"
-    said(limited(resource.RLIMIT_FSIZE, 20_000, "simulate", "philae", *START, "--duration=3000", "--out", out), "free space")
+    given = ["simulate", "philae", *START, "--duration=3000", "--out", out]
+    said(limited(resource.RLIMIT_FSIZE, 20_000, *given), "free space", "nothing")
     assert [path.name for path in out.iterdir()] == [".sunspin-results"]
 
 
 def test_no_room_for_a_store_is_said(tmp_path):
     given = ["outcomes", "philae", "--runs=64", "--workers=1", "--strategy=off", "--store", tmp_path / "rows"]
-    said(limited(resource.RLIMIT_FSIZE, 500, *given), "free space", str(tmp_path))
+    said(limited(resource.RLIMIT_FSIZE, 500, *given), "free space", str(tmp_path), "nothing")
+    assert not list(tmp_path.rglob("*.part*"))
 
 
 def test_too_little_memory_is_said():
@@ -56,18 +59,62 @@ def test_a_folder_that_may_not_be_written_is_said(tmp_path):
     said(limited(resource.RLIMIT_CPU, 60, *given), "Permission denied")
 
 
+def begun(folder, process, token="0123456789abcdef"):
+    """What a process leaves that is killed while it writes a file."""
+    part = folder / f".sunspin-{process}-{token}.part"
+    part.write_bytes(b"half")
+    (folder / f".sunspin-{process}.parts").write_text(f"{part.name}\n")
+    return {part, folder / f".sunspin-{process}.parts"}
+
+
+def process_that_ended():
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    return ended.pid
+
+
 def test_what_a_killed_run_had_begun_is_swept_and_no_living_one(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    (folder / f".sun.nc.{ended.pid}.part").write_bytes(b"half")
-    (folder / f".sun.nc.{os.getppid()}.part").write_bytes(b"another run's")
+    begun(folder, process_that_ended())
+    living = begun(folder, os.getppid())
     with pytest.raises(Exception, match="not empty"):
         results_folder(folder, "sun")
-    (folder / f".sun.nc.{os.getppid()}.part").unlink()
+    for path in living:
+        path.unlink()
     results_folder(folder, "sun")
     assert [path.name for path in folder.iterdir()] == [".sunspin-results"]
+
+
+def test_a_process_killed_while_it_writes_is_swept(tmp_path):
+    code = (
+        "import os, sys; from pathlib import Path; from sunspin.output.folder import results_folder, write_whole; "
+        "folder = results_folder(Path(sys.argv[1]), 'sun'); "
+        "write_whole(folder / 'sun.nc', lambda part: (part.write_bytes(b'half'), os.kill(os.getpid(), 9)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code, tmp_path / "out"], env=environment()).returncode == -9
+    assert len(list((tmp_path / "out").iterdir())) == 3
+    results_folder(tmp_path / "out", "sun")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [".sunspin-results"]
+
+
+def test_only_our_own_files_are_removed(tmp_path):
+    """What is not listed stays, whatever it is called; a list of somebody else's cannot name other files."""
+    folder, rng, ended = results_folder(tmp_path / "out", "sun"), random.Random(3), process_that_ended()
+    stems = (".thesis", ".sun.nc", "sun", f".sunspin-{ended}", f".sunspin-{ended}-{'0' * 16}", ".sunspin", ".sunspin-results")
+    theirs = [folder / f"{rng.choice(stems)}.{rng.choice(['4000000', str(ended), '1', 'x'])}.part" for _ in range(200)]
+    theirs += [folder / f".sunspin-{ended}-{'f' * 16}.part", tmp_path / "thesis.tex", folder / "thesis.tex"]
+    for path in theirs:
+        path.write_bytes(b"mine")
+    listed = "\n".join(["../thesis.tex", "thesis.tex", *(path.name for path in theirs[:200]), str(theirs[-2])])
+    ours = begun(folder, ended)
+    with open(folder / f".sunspin-{ended}.parts", "a") as file:
+        file.write(listed)
+    results_folder(folder, "sun")
+    assert all(path.read_bytes() == b"mine" for path in theirs) and not any(path.exists() for path in ours)
+    (folder / f".sunspin-{ended}.parts").symlink_to(tmp_path / "thesis.tex")
+    results_folder(folder, "sun")
+    assert (tmp_path / "thesis.tex").exists() and (folder / f".sunspin-{ended}.parts").is_symlink()
 
 
 def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):

@@ -1,37 +1,62 @@
-"""Files that appear whole or not at all: written under a temporary name beside their place, then renamed."""
+"""Files that appear whole or not at all: written under a temporary name beside their place, then renamed.
+
+The temporary names of a process are listed in a file beside them before they come into being, so that a later run removes what a
+killed one left, and nothing else.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import secrets
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-PART = re.compile(r"\..+\.(\d{1,9})\.part")
-"""A temporary name, with the process that writes there."""
+from sunspin.base.untrusted import is_own
+
+PART = re.compile(r"\.sunspin-(\d{1,9})-[0-9a-f]{16}\.part")
+"""A temporary name: the process that writes there, and what nobody guesses."""
+
+LIST = re.compile(r"\.sunspin-(\d{1,9})\.parts")
+"""The list of a process's temporary names in a folder; it is there while the process writes there."""
+
+MAX_LIST_BYTES = 1_000_000
 
 
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """Let `write` fill a temporary file, then give it its name. Raises what `write` raises, and OSError."""
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    part = target.with_name(f".sunspin-{os.getpid()}-{secrets.token_hex(8)}.part")
+    listed = target.with_name(f".sunspin-{os.getpid()}.parts")
     try:
+        with open(listed, "a", encoding="ascii") as names:
+            names.write(f"{part.name}\n")
         write(part)
         with open(part, "rb") as file:
             os.fsync(file.fileno())  # or a power failure may leave an empty file under the final name
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
+        listed.unlink(missing_ok=True)
     return target
 
 
-def is_left(entry: Path) -> bool:
-    """Whether a file is what a killed run had begun to write: the process in its name is no more."""
-    named = PART.fullmatch(entry.name)
-    if named is None or int(named[1]) == os.getpid():
-        return False
+def left(folder: Path) -> set[Path]:
+    """What killed runs had begun to write in a folder, with their lists: only what is listed, by a process that is no more."""
+    found: set[Path] = set()
+    for entry in folder.iterdir():
+        named = LIST.fullmatch(entry.name)
+        if named is not None and is_own(entry) and _is_over(int(named[1])):
+            with open(entry, "rb") as file:
+                names = file.read(MAX_LIST_BYTES).decode("ascii", "replace").splitlines()
+            ours = (PART.fullmatch(name) for name in names)
+            found |= {entry, *(folder / part[0] for part in ours if part is not None and part[1] == named[1])}
+    return found
+
+
+def _is_over(process: int) -> bool:
     try:
-        os.kill(int(named[1]), 0)
+        os.kill(process, 0)
     except ProcessLookupError:
         return True
     except OSError:
@@ -41,6 +66,5 @@ def is_left(entry: Path) -> bool:
 
 def sweep(folder: Path) -> None:
     """Remove what killed runs had begun to write in a folder."""
-    for entry in folder.iterdir():
-        if is_left(entry):
-            entry.unlink(missing_ok=True)
+    for entry in left(folder):
+        entry.unlink(missing_ok=True)

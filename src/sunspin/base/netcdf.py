@@ -11,13 +11,16 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError, sentence
-from sunspin.base.untrusted import Elsewhere, elsewhere
+from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 
 MAX_BYTES = 2_000_000_000
 """Of all variables in memory: a compressed file, or one that is nearly all fill value, may name any size."""
 
 PROBE_S, PROBE_BYTES_PER_S = 4, 20_000_000
 """CPU time (s) that a file may take to be read the first time, and what a larger one may have besides."""
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""How a NetCDF-4 file begins."""
 
 MEND = "it is damaged or not NetCDF-4: write it again"
 
@@ -75,6 +78,11 @@ def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any,
     raise error_type(what)
 
 
+def _first_bytes(path: Any) -> bytes:
+    with open(path, "rb") as file:
+        return file.read(len(SIGNATURE))
+
+
 def _probed(source: Any) -> str | None:
     """What went wrong when another process read the file, or None."""
     if not sys.executable:
@@ -83,8 +91,13 @@ def _probed(source: Any) -> str | None:
     content = source.getvalue() if stream else None
     try:
         size = len(content) if content is not None else Path(source).stat().st_size
+        if not size or (content is None and not is_plain(Path(source))):
+            return "it is empty, or no regular file"
+        begins = content if content is not None else _first_bytes(source)
     except OSError as error:
         return error.strerror or str(error)
+    if not begins.startswith(SIGNATURE):
+        return "it does not begin as one"
     script = Path(__file__).with_name("netcdf_probe.py")
     try:
         elsewhere(script, "-" if stream else str(source), content=content or b"", seconds=PROBE_S + size // PROBE_BYTES_PER_S)

@@ -10,10 +10,28 @@ LARGEST = 1_500_000_000
 
 def main() -> None:
     import h5netcdf
+    import h5py
 
     source = io.BytesIO(sys.stdin.buffer.read()) if sys.argv[1] == "-" else sys.argv[1]
+    with h5py.File(source, "r") as file:
+        require_whole(file, set())
     with h5netcdf.File(source, "r") as file:
         read(file)
+
+
+def require_whole(group: Any, seen: set[Any]) -> None:
+    """Refuse a file that takes data from other files: by an external link, external storage or a virtual variable."""
+    import h5py
+
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+            raise ValueError("it takes data from another file")
+        item = group.get(name)
+        if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+            raise ValueError("it takes data from another file")
+        if isinstance(item, h5py.Group) and item.id not in seen:  # a group may be linked into itself
+            seen.add(item.id)
+            require_whole(item, seen)
 
 
 def read(group: Any) -> None:

@@ -109,6 +109,7 @@ def _split(text: str, where: str, sha256: str) -> Table:
 
 def _records(reader: Any, skipped: int, where: str) -> Iterator[tuple[int, list[str]]]:
     while True:
+        begins = reader.line_num + 1
         try:
             cells = next(reader)
         except StopIteration:
@@ -117,6 +118,9 @@ def _records(reader: Any, skipped: int, where: str) -> Iterator[tuple[int, list[
             raise TelemetryError(
                 sentence(f"this is not valid CSV ({error})", where=f"{where}, line {skipped + reader.line_num}")
             ) from None
+        if reader.line_num > begins:
+            what = "a text in quotes goes on in the next line"
+            raise TelemetryError(sentence(what, do="close the quotes, or remove them", where=f"{where}, line {skipped + begins}"))
         if cells and any(cell.strip() for cell in cells):
             yield skipped + reader.line_num, cells
 

@@ -23,7 +23,8 @@ def is_sensible(value: float) -> bool:
 def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError], do: str) -> bytes:
     """The content of a file of at most `most` bytes; `kind` names it in messages, `do` says what to do where it cannot be read.
 
-    A device never ends and a pipe without a writer never begins: they are refused before they are opened.
+    A device never ends and a pipe without a writer never begins: they are refused before they are opened. Nor is a file opened
+    that says that it is empty: the kernel's own, such as /proc/kmsg, say so and wait for ever.
     """
     where = str(path)
     try:
@@ -32,8 +33,10 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
             raise error_type(sentence(f"this is a folder, not a {kind}", where=where))
         if not stat.S_ISREG(about.st_mode):
             raise error_type(sentence(f"this is a device or a pipe, not a {kind}", do="save its content to a file", where=where))
-        with open(path, "rb") as file:
-            content = file.read(most + 1) if about.st_size <= most else b""
+        content = b""
+        if 0 < about.st_size <= most:
+            with open(path, "rb") as file:
+                content = file.read(most + 1)
     except OSError as error:
         raise error_type(sentence(f"the {kind} cannot be read ({error.strerror or error})", do=do, where=where)) from None
     except ValueError as error:
@@ -46,6 +49,23 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
                      do="cut it into parts, or give the right file", where=where)
         )  # fmt: skip
     return content
+
+
+def is_plain(path: Path) -> bool:
+    """Whether this is, or leads to, a regular file that is not empty: no device, pipe or file of the kernel, which may not end."""
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return False
+    return stat.S_ISREG(about.st_mode) and about.st_size > 0
+
+
+def is_own(path: Path) -> bool:
+    """Whether a folder has this as a file of its own: regular, and no link, which could lead to anybody's file."""
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except (OSError, ValueError):
+        return False
 
 
 MEMORY = 6_000_000_000

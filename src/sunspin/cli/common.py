@@ -165,6 +165,8 @@ def run_options(command: Callable) -> Callable:
 
 def find_telemetry(path: str, data: Path | None) -> Path:
     """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry."""
+    if path == "-":
+        raise InputError(sentence("telemetry is read from a file and not from standard input", do="save it to a file"))
     given = Path(path)
     if given.name == path and not given.suffix and not given.exists():
         from sunspin.telemetry.case import case_telemetry

@@ -66,12 +66,20 @@ class Disk(LocalStore):
 
 def _write_whole(target: Path, data: bytes) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f".{target.name}{PART}")
-    with open(part, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())  # a power failure may still lose the name: then the record does not match and the chunk is redone
-    os.replace(part, target)
+    part = temporary(target)
+    try:
+        with open(part, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # a power failure may still lose the name: then the record does not match, the chunk is redone
+        os.replace(part, target)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def temporary(target: Path) -> Path:
+    """Where a file of the store is written first. Only the one process that holds the store writes there."""
+    return target.with_name(f".sunspin-store-{target.name}{PART}")
 
 
 class RowStore:
@@ -175,16 +183,19 @@ class RowStore:
             raise _cannot_write(self.path, error) from None
 
     def sweep(self) -> None:
-        """Remove what a killed run had begun to write."""
-        for name in (*self._arrays, DONE):
-            for part in (self.path / name).rglob(f".*{PART}"):
-                part.unlink(missing_ok=True)
-        (self.path / f".zarr.json{PART}").unlink(missing_ok=True)
+        """Remove what a killed run had begun to write: beside a file of the store, whose names its arrays tell."""
+        for array in (*self._arrays.values(), self._done):
+            folder = self.path / array.basename
+            keys = ((number,) + (0,) * (array.ndim - 1) for number in range(self.n_chunks))
+            for file in ("zarr.json", *map(array.metadata.encode_chunk_key, keys)):
+                temporary(folder / file).unlink(missing_ok=True)
+        temporary(self.path / "zarr.json").unlink(missing_ok=True)
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:
     reason = error.strerror or str(error)
-    return OutputError(sentence(f"the store cannot be written ({reason})", do="free space or choose another", where=str(path)))
+    what = f"the store cannot be written ({reason}); nothing that it holds is lost"
+    return OutputError(sentence(what, do="free space and run the same command, or choose another store", where=str(path)))
 
 
 @contextmanager
@@ -263,7 +274,7 @@ def _require_room(folder: Path) -> None:
     try:
         if not folder.exists():
             return
-        names = {entry.name for entry in folder.iterdir()} - {f".zarr.json{PART}"}
+        names = {entry.name for entry in folder.iterdir()} - {temporary(folder / "zarr.json").name}
         if DONE in names and {entry.name for entry in (folder / DONE).iterdir()} <= {LOCK}:
             names.remove(DONE)
     except OSError as error:

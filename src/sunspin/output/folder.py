@@ -13,6 +13,7 @@ import numpy as np
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import OutputError, sentence
+from sunspin.base.untrusted import is_own
 from sunspin.vehicle.file import vehicle_text
 
 MARKER = ".sunspin-results"
@@ -40,13 +41,12 @@ def results_folder(path: Any, command: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         marker = folder / MARKER
-        if marker.is_file():
-            maker = marker.read_text("utf-8").strip()
-            if maker != command:
+        if is_own(marker):
+            if (made := maker(marker)) != command:
                 raise OutputError(
-                    sentence(f"the folder holds results of `sunspin {maker}`", do="choose another --out", where=str(folder))
+                    sentence(f"the folder holds results of `sunspin {made}`", do="choose another --out", where=str(folder))
                 )
-        elif any(not atomic_write.is_left(entry) for entry in folder.iterdir()):
+        elif {*folder.iterdir()} - atomic_write.left(folder):
             raise OutputError(
                 sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
             )
@@ -59,14 +59,20 @@ def results_folder(path: Any, command: str) -> Path:
     return folder
 
 
+def maker(marker: Path) -> str:
+    """The command that a folder's marker names: a word, whatever somebody wrote there."""
+    with open(marker, "rb") as file:
+        return file.read(40).decode("utf-8", "replace").strip()
+
+
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """As :func:`sunspin.base.atomic_write.write_whole`; where the file cannot be written, one sentence."""
     try:
         return atomic_write.write_whole(target, write)
     except OSError as error:
         raise OutputError(
-            sentence(f"the file cannot be written ({error.strerror or error})", do="free space or choose another --out",
-                     where=str(target))
+            sentence(f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost",
+                     do="free space or choose another --out", where=str(target))
         ) from None  # fmt: skip
 
 

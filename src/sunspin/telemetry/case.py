@@ -6,7 +6,6 @@ where there are any.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +17,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError, sentence
+from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import read_bytes
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
@@ -133,19 +133,12 @@ def timeline_of(vehicle: object) -> Timeline | None:
         text = read_bytes(path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again").decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(sentence("the file is not UTF-8 text", do="save it as UTF-8", where=str(path))) from None
-    try:
-        return parse_timeline(text, str(path))
-    except (TypeError, AttributeError) as error:
-        what = f"an entry has not the form of a timeline's ({error})"
-        raise InputError(sentence(what, do="correct it", where=str(path))) from None
+    return parse_timeline(text, str(path))
 
 
 def parse_published(text: str, where: str) -> Mapping[str, Published]:
     """Read the text of a ``published.toml``; `where` names the file in messages."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+    table = read_toml(text, where, InputError)
     figures = {}
     for key, entry in table.items():
         if not isinstance(entry, dict) or set(entry) != PUBLISHED_KEYS:

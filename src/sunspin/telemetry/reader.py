@@ -103,6 +103,10 @@ def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = 
         if vehicle.telemetry.columns.get(panel) is not None or not present:
             present = [names[0] or names[2]]
         found.append(_column(table, present[0], f"panel {panel}", path))
+    if twice := [at for at in found if found.count(at) > 1]:
+        what = "two panels read one column"
+        do = "name the column of each under [telemetry.columns] in the vehicle file"
+        raise TelemetryError(sentence(what, got=table.header[twice[0]], do=do, where=str(path)))
     return found
 
 

@@ -71,6 +71,10 @@ class TelemetryForm(Part):
     reference_temperature_C: Number = 25.0
 
     def __post_init__(self) -> None:
+        used = [self.time_column, *self.columns.values()]
+        if twice := [name for name in used if used.count(name) > 1]:
+            what = "telemetry names one column for the time and a panel, or for two panels"
+            raise VehicleError(sentence(what, got=twice[0], do="give each panel its own"))
         if self.time_format == "elapsed" and self.epoch_utc is None:
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
             raise VehicleError(sentence(what, do="add the UTC of time zero"))

@@ -6,7 +6,6 @@ misspelt key must not silently mean its default.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
@@ -15,16 +14,13 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import read_bytes
 from sunspin.vehicle import craft, parts, sensors
 from sunspin.vehicle.part import Name, Part, numbers, part, problem
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
-
-
-MAX_DOTS = 1000
-"""In one line: Python's reader of TOML takes a time that grows with the square of the parts of a dotted key."""
 
 
 @part
@@ -95,26 +91,18 @@ def parse_vehicle(text: str, where: str) -> craft.Vehicle:
     """Turn the text of a vehicle file into a `Vehicle`; `where` names the file in messages."""
     if not text.strip():
         raise VehicleError(sentence("the file is empty", do="`sunspin init DIR` writes one to start from", where=where))
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.count(".") > MAX_DOTS:
-            what = f"the line has more than {MAX_DOTS} decimal points or dots"
-            raise VehicleError(sentence(what, do="write it as several lines", where=f"{where}, line {number}"))
+    do = "correct that line"
+    if where.lower().endswith(".csv"):
+        do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
+    table = read_toml(text, where, VehicleError, do)
     try:
-        table = tomllib.loads(text)
         return _vehicle(table)
-    except tomllib.TOMLDecodeError as error:
-        do = "correct that line"
-        if where.lower().endswith(".csv"):
-            do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
-        raise VehicleError(sentence(f"this is not valid TOML: {error}", do=do, where=where)) from None
     except RecursionError:
         raise VehicleError(sentence("the file is nested too deeply to be a vehicle file", where=where)) from None
     except ValidationError as error:
         raise VehicleError(problem(error, VehicleFile, where, table)) from None
     except VehicleError as error:
         raise VehicleError(f"{where}: {error}") from None
-    except ValueError as error:  # tomllib hands on what int() says of thousands of digits
-        raise VehicleError(sentence(f"this is not valid TOML: {error}", do="correct that number", where=where)) from None
 
 
 def _vehicle(table: dict[str, Any]) -> craft.Vehicle:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import InitVar, field
+from difflib import get_close_matches
 from functools import wraps
 from inspect import Signature, signature
 from types import MappingProxyType
@@ -158,7 +159,10 @@ def bare(raw: Any, info: ValidationInfo) -> Any:
         source = raw.get("source")
         if source is not None and not (isinstance(source, str) and source.strip()):
             raise ValueError("source must be a text that is not empty")
-        numbers(raw.get("sigma", 0.0))
+        value, sigma = as_array(numbers(raw["value"])), as_array(numbers(raw.get("sigma", 0.0)))
+        if sigma.shape not in ((), value.shape) or np.any(sigma < 0):
+            what = "the sigma of {path} must be one number or one for each component, and not negative"
+            raise VehicleError(sentence(what, got=raw["sigma"]))
         raw = raw["value"]
     return numbers(raw)
 
@@ -229,7 +233,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown
 Number = Annotated[float, PlainValidator(_number)]
 Positive = Annotated[Number, must(above_zero, "{path} must be positive")]
 Vector = Annotated[FloatArray, array(lambda value: value.shape == (3,), "{path} must be three numbers")]
-Text = Annotated[Mapping[str, str], AfterValidator(lambda value: MappingProxyType(dict(value)))]
+Text = Annotated[Mapping[Name, Name], AfterValidator(lambda value: MappingProxyType(dict(value)))]
 
 
 def no_entries() -> Mapping[str, Any]:
@@ -242,9 +246,9 @@ def no_entries() -> Mapping[str, Any]:
 def problem(error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None) -> str:
     """The first thing that is wrong with a part of this kind, in one sentence; `table` is the file's, if it is from one.
 
-    What is misspelt, missing or of another type comes before what is physically impossible.
+    What is misspelt comes before what is then missing, and that or another type before what is physically impossible.
     """
-    problems = error.errors(include_url=False)
+    problems = sorted(error.errors(include_url=False), key=lambda each: each["type"] != "unexpected_keyword_argument")
     found = next((each for each in problems if not isinstance(_reason(each), VehicleError)), problems[0])
     reason, places = _reason(found), found["loc"]
     if isinstance(reason, VehicleError):
@@ -253,8 +257,10 @@ def problem(error: ValidationError, kind: type, where: str, table: Mapping[str, 
     key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places).replace(".[", "[")
     where = f"{where}, {key}"
     if found["type"] == "unexpected_keyword_argument":
-        known = ", ".join(keys_at(kind, places[:-1], table is not None))
-        return sentence(f"unknown key {str(places[-1])!r}", do=f"known keys: {known}", where=where)
+        known = keys_at(kind, places[:-1], table is not None)
+        near = get_close_matches(str(places[-1]), known, n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        return sentence(f"unknown key {str(places[-1])!r}", do=f"known keys: {', '.join(known)}{meant}", where=where)
     if found["type"] == "missing":
         return sentence("this key is missing", do="add it", where=where)
     message = found["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("valid tuple", "valid list")

@@ -172,5 +172,5 @@ class Antenna(Part):
 class SunRule(Part):
     """A rule that forbids a reconstruction: it applies when all named panels are dark (`reason` says why)."""
 
-    all_dark: Annotated[tuple[str, ...], Field(min_length=1)]
+    all_dark: Annotated[tuple[Name, ...], Field(min_length=1)]
     reason: Name

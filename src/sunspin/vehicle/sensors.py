@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AliasPath, Field, PlainValidator, ValidationInfo
+from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
 
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle.part import UNIT_TOLERANCE, FloatArray, Name, Number, Part, Positive, Vector, frozen_array, numbers, part, unit
@@ -27,8 +27,15 @@ def _sigma_of(key: str, *shape: int) -> PlainValidator:
     return PlainValidator(check)
 
 
-def _columns(n: int) -> Any:
-    return Field(min_length=n, max_length=n)
+def _columns(n: int) -> tuple[Any, ...]:
+    """The rules for n columns: that many, and each another."""
+
+    def check(columns: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(columns)) < n:
+            raise VehicleError(sentence("{path} names a column twice", got=", ".join(columns), do="give each axis its own"))
+        return columns
+
+    return Field(min_length=n, max_length=n), AfterValidator(check)
 
 
 @part
@@ -47,8 +54,8 @@ class SunSensor(Part):
     normal_B: Annotated[FloatArray, unit("normal_B of Sun sensor {name!r}")]
     x_axis_B: Annotated[FloatArray, unit("x_axis_B of Sun sensor {name!r}")]
     x_column: Name
-    y_column: str | None
-    light_column: str | None
+    y_column: Name | None
+    light_column: Name | None
     lit_above: Number
     x_scale: Number
     y_scale: Number | None
@@ -60,6 +67,8 @@ class SunSensor(Part):
     def __post_init__(self) -> None:
         if abs(self.normal_B @ self.x_axis_B) > UNIT_TOLERANCE:
             raise VehicleError(sentence("{path}.x_axis_B must be at right angles to its normal", got=self.x_axis_B.tolist()))
+        if self.x_column == self.y_column:
+            raise VehicleError(sentence("{path} names one column for x and y", got=self.x_column, do="give each its own"))
         if (self.y_column is None) != (self.y_scale is None):
             raise VehicleError(sentence("{path} must give both y_column and y_scale, or neither"))
         if (self.y_turned_above is None) != (self.y_turned_scale is None):
@@ -75,7 +84,7 @@ class Gyro(Part):
 
     left_out = {"zero": [0.0, 0.0, 0.0]}
 
-    columns: Annotated[tuple[str, ...], _columns(3)]
+    columns: Annotated[tuple[Name, ...], *_columns(3)]
     scale_rad_s: Number
     zero: Vector
     noise_rad_s: Positive
@@ -101,7 +110,7 @@ class Magnetometer(Part):
 
     left_out = {"zero": [0.0, 0.0, 0.0], "noise": None}
 
-    columns: Annotated[tuple[str, ...], _columns(3)]
+    columns: Annotated[tuple[Name, ...], *_columns(3)]
     zero: Vector
     noise: Positive | None
     wraps_at: Positive | None = None
@@ -114,7 +123,7 @@ class Attitude(Part):
     `rotates`: "N_to_B" if it takes components in the reference frame to components in the body, "B_to_N" for the opposite.
     """
 
-    columns: Annotated[tuple[str, ...], _columns(4)]
+    columns: Annotated[tuple[Name, ...], *_columns(4)]
     scalar: Literal["first", "last"]
     rotates: Literal["N_to_B", "B_to_N"]
     sigma_rad: Positive

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from datetime import UTC, datetime, timedelta
 
 from sunspin.base.errors import InputError, SunspinError, sentence
+from sunspin.base.toml import read_toml
 from sunspin.vehicle.part import Name, Number, Part, keys_of, part
 
 
@@ -81,10 +81,7 @@ def _instant(utc: str) -> datetime:
 
 def parse_timeline(text: str, where: str) -> Timeline:
     """Read the text of a ``timeline.toml``; `where` names the file in messages."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+    table = read_toml(text, where, InputError)
     try:
         epoch = table["epoch_utc"]
         events = sorted((_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s)
@@ -94,6 +91,9 @@ def parse_timeline(text: str, where: str) -> Timeline:
         raise InputError(sentence(f"key {error.args[0]!r} is missing", do="add it", where=where)) from None
     except SunspinError as error:
         raise InputError(f"{where}: {error}") from None
+    except (TypeError, AttributeError, RecursionError) as error:
+        what = f"an entry has not the form of a timeline's ({error})"
+        raise InputError(sentence(what, do="correct it", where=where)) from None
 
 
 def _event(entry: dict, epoch_utc: str) -> Event:

@@ -63,6 +63,9 @@ APART = 0.3
 MAX_CELLS = 8_000_000
 """Cells times directions beyond this are not looked through: the ball of rates is made smaller, and the verdict says so."""
 
+MAX_STARTS = 40_000_000
+"""Cells times directions for which an hour is needed, about: a caller who asks for more is told so."""
+
 TRIAL_ERROR = 1e-3
 """Error of a direction (rad) on the grid."""
 
@@ -98,6 +101,11 @@ def grid_edge(times: np.ndarray) -> float:
 def cell_count(limit: float, edge: float) -> float:
     """Cells in a ball of rates, about."""
     return 4 / 3 * np.pi * (limit / edge + 1.0) ** 3
+
+
+def largest_ball(cells: float, edge: float) -> float:
+    """The limit of a ball of rates that has so many cells, about."""
+    return edge * ((cells / (4 / 3 * np.pi)) ** (1 / 3) - 1)
 
 
 @dataclass(frozen=True)

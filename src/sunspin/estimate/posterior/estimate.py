@@ -23,7 +23,7 @@ from sunspin.estimate.posterior.data import Readings, group, readings
 from sunspin.estimate.posterior.fit import chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model, under
-from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan
+from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, require_few
 from sunspin.estimate.posterior.verdict import Found, refused, spoilt_panels, verdict
 from sunspin.estimate.posterior.widths import Sample, resampled, sample
 from sunspin.vehicle import Vehicle
@@ -116,6 +116,8 @@ def posterior(
     unknown, told = model(vehicle, priors, scale, wheel_mode)
     unknown = under(replace(unknown, device=device), acting(torques, environment, start_s))
     chosen = plan(unknown, data, scale)
+    if (priors or {}).get("max_rate_rad_s"):
+        require_few(unknown, chosen)
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
     search = Search(workers, None if store is None else Path(store), progress)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from sunspin.base.errors import InputError, sentence
 from sunspin.compute.rows import ensemble, worker_count
 from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.posterior import cells as c
@@ -101,10 +102,16 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
         work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
         tried.append((work, int(a), around, edge, suns[a]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
-    limit = model.max_rate
-    if c.cell_count(limit, edge) * len(found) > c.MAX_CELLS:
-        limit = edge * ((c.MAX_CELLS / len(found) / (4 / 3 * np.pi)) ** (1 / 3) - 1)
-    return Plan(anchor, around, edge, found, limit)
+    return Plan(anchor, around, edge, found, min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)))
+
+
+def require_few(model: Model, chosen: Plan) -> None:
+    """Refuse a ball of rates that the caller gave and that could not be searched, with the number of starts and the limit."""
+    starts = c.cell_count(model.max_rate, chosen.edge) * len(chosen.suns)
+    if starts > c.MAX_STARTS:
+        most = c.largest_ball(c.MAX_STARTS / len(chosen.suns), chosen.edge)
+        what = f"max_rate_rad_s asks for {starts:.2g} starts, and {c.MAX_STARTS:.0e} at most can be tried in an hour"
+        raise InputError(sentence(what, got=f"{model.max_rate:g}", do=f"with these samples give {0.99 * most:.3g} at most"))
 
 
 def _runs_on(model: Model, after_s: float) -> bool:

@@ -16,6 +16,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, OutputError, sentence
 from sunspin.base.netcdf import read_netcdf
+from sunspin.base.untrusted import is_own
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.folder import write_netcdf, write_whole
 
@@ -57,7 +58,10 @@ def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
     """The Dataset with the attitude of a results folder, and the file it comes from."""
     for name in SOURCES:
         path = Path(folder) / name
-        if path.is_file():
+        if path.is_symlink():
+            raise InputError(sentence("this is a link, and a results folder has files of its own", do="copy the file here",
+                                      where=str(path)))  # fmt: skip
+        if is_own(path):
             return read_netcdf(path, str(path), InputError), path
     raise InputError(
         sentence("no attitude here", got="neither " + " nor ".join(SOURCES), where=str(folder),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base.errors import InputError, OutputError, sentence
-from sunspin.base.untrusted import Elsewhere, elsewhere
+from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
@@ -132,7 +132,7 @@ def kernel_rates(kernels: list[str], frame: str, base: str, et: np.ndarray) -> n
     spice()
     pool = [str(path) for path in kernels]
     for path in pool:
-        if not (path.isprintable() and Path(path).is_file()):
+        if not (path.isprintable() and is_plain(Path(path))):
             what = "the kernels cannot be used, as there is no such file"
             raise InputError(sentence(what, got=path, do="give the paths of SPICE kernels"))
     try:

@@ -1,4 +1,7 @@
-"""A results folder, read without trust: what cannot be read is named and left out."""
+"""A results folder, read without trust: what cannot be read is named and left out.
+
+It may come from somebody else, so nothing outside it is read: no link is followed, and sizes are looked at before files are.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,28 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, SunspinError, sentence
+from sunspin.base.errors import InputError, SunspinError, printable, sentence
 from sunspin.base.netcdf import read_groups
-from sunspin.output.folder import MARKER, Picture
+from sunspin.base.untrusted import is_own, read_bytes
+from sunspin.output.folder import MARKER, Picture, maker
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import read_vehicle
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
 MAX_BYTES = 500_000_000
 """Larger result files are named and not read."""
+
+MAX_TOTAL_BYTES = 2_000_000_000
+"""Of all result files in memory."""
+
+MAX_TEXT_BYTES = 20_000_000
+"""Of a summary, a list of captions, a timeline."""
+
+MAX_FILES = 500
+"""NetCDF files and pictures: the largest of our folders has some sixty."""
+
+MAX_UNREADABLE = 10
+"""Damaged NetCDF files that are tried, as each may take seconds."""
 
 
 @dataclass
@@ -119,34 +135,52 @@ def read_results(folder: str | Path, ours: bool = False) -> Results:
         if not path.is_dir():
             raise InputError(sentence("there is no such folder", do="give the --out of an earlier command", where=str(path)))
         marker = path / MARKER
-        if not marker.is_file():
+        if not is_own(marker):
             raise InputError(
                 sentence(
                     f"this is not a results folder of sunspin: it has no file {MARKER}", do="give the --out of an earlier command",
                     where=str(path),
                 )
             )  # fmt: skip
-        command = marker.read_text("utf-8", errors="replace").strip()[:40]
+        command = maker(marker)
         files = sorted(path.iterdir())
     except OSError as error:
         raise InputError(sentence(f"the folder cannot be read ({error.strerror or error})", where=str(path))) from None
     found = Results(path, command)
+    files = _own_files(found, files)
     found.summary = _json(found, "summary.json", dict)
-    for file in files:
-        if file.suffix == ".nc" and file.is_file():
-            _netcdf(found, file, ours)
+    _all_netcdf(found, [file for file in files if file.suffix == ".nc"], ours)
     found.vehicle = _toml(found, "vehicle.toml", lambda p: read_vehicle(p))
-    found.timeline = _toml(found, "timeline.toml", lambda p: parse_timeline(p.read_text("utf-8"), p.name))
+    found.timeline = _toml(found, "timeline.toml", lambda p: parse_timeline(_text(p), p.name))
     found.pictures = _pictures(found, files)
     return found
 
 
+def _own_files(found: Results, files: list[Path]) -> list[Path]:
+    """The files of the folder that may be read; what has the name of a result and is a link, a folder or a device is named."""
+    results = [file for file in files if file.suffix in (".nc", ".png", ".json", ".toml")]
+    drawn = [file for file in results if file.suffix in (".nc", ".png")]
+    if len(drawn) > MAX_FILES:
+        what = f"the folder has more than {MAX_FILES} NetCDF files and pictures, which no command writes"
+        raise InputError(sentence(what, got=len(drawn), do="move away what sunspin did not write", where=str(found.folder)))
+    own = [file for file in results if is_own(file)]
+    strange = [printable(file.name) for file in results if file not in own]
+    found.problems += [f"{name} is a link or no regular file and was not read." for name in strange[:MAX_UNREADABLE]]
+    if len(strange) > MAX_UNREADABLE:
+        found.problems.append(f"Nor were {len(strange) - MAX_UNREADABLE} more of such.")
+    return own
+
+
+def _text(path: Path) -> str:
+    return read_bytes(path, MAX_TEXT_BYTES, "file", InputError, "write it again").decode("utf-8")
+
+
 def _json(found: Results, name: str, kind: type) -> Any:
     path = found.folder / name
-    if not path.is_file():
+    if not is_own(path):
         return kind()
     try:
-        value = json.loads(path.read_text("utf-8"))
+        value = json.loads(_text(path))
     except (OSError, ValueError, RecursionError):
         value = None
     if not isinstance(value, kind):
@@ -157,7 +191,7 @@ def _json(found: Results, name: str, kind: type) -> Any:
 
 def _toml(found: Results, name: str, read: Any) -> Any:
     path = found.folder / name
-    if not path.is_file():
+    if not is_own(path):
         return None
     try:
         return read(path)
@@ -166,15 +200,29 @@ def _toml(found: Results, name: str, read: Any) -> Any:
         return None
 
 
-def _netcdf(found: Results, file: Path, ours: bool) -> None:
+def _all_netcdf(found: Results, files: list[Path], ours: bool) -> None:
+    """Read them in order of name, until too many were damaged or they fill the memory."""
+    unreadable = 0
+    for number, file in enumerate(files, 1):
+        unreadable += not _netcdf(found, file, ours)
+        full = sum(data.nbytes for data in found.data.values()) > MAX_TOTAL_BYTES
+        if (full or unreadable == MAX_UNREADABLE) and number < len(files):
+            why = f"those before fill {MAX_TOTAL_BYTES / 1e9:g} GB" if full else f"{unreadable} before could not be read"
+            found.problems.append(f"{len(files) - number} more NetCDF files were not read, as {why}.")
+            return
+
+
+def _netcdf(found: Results, file: Path, ours: bool) -> bool:
+    """Read one file; whether that could be done."""
+    name = printable(file.name)
     try:
         if file.stat().st_size > MAX_BYTES:
-            found.problems.append(f"{file.name} is larger than {MAX_BYTES // 1_000_000} MB and was not read.")
-            return
+            found.problems.append(f"{name} is larger than {MAX_BYTES // 1_000_000} MB and was not read.")
+            return True
         groups = read_groups(file, file.name, InputError, probe=not ours)
     except (OSError, InputError) as error:
-        found.problems.append(f"{file.name} could not be read: {error}")
-        return
+        found.problems.append(f"{name} could not be read: {error}")
+        return False
     for path, data in groups.items():
         if data.variables or (path == "/" and len(groups) == 1):
             found.data[file.stem if path == "/" else f"{file.stem}{path}"] = data
@@ -182,6 +230,7 @@ def _netcdf(found: Results, file: Path, ours: bool) -> None:
         first = next((name for name in found.data if name.startswith(f"{file.stem}/")), None)
         if first is not None:
             found.data[first].attrs = dict(groups["/"].attrs) | found.data[first].attrs
+    return True
 
 
 def _pictures(found: Results, files: list[Path]) -> list[Picture]:
@@ -191,5 +240,5 @@ def _pictures(found: Results, files: list[Path]) -> list[Picture]:
         if isinstance(entry, dict) and isinstance(entry.get("file"), str):
             told[entry["file"]] = str(entry.get("alt", "")), str(entry.get("caption", ""))
     order = {name: k for k, name in enumerate(told)}
-    images = sorted((f for f in files if f.suffix == ".png" and f.is_file()), key=lambda f: (order.get(f.name, len(order)), f.name))
+    images = sorted((f for f in files if f.suffix == ".png"), key=lambda f: (order.get(f.name, len(order)), f.name))
     return [Picture(f, *told.get(f.name, (f"Figure {f.stem.replace('_', ' ')}", f.name))) for f in images]

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.untrusted import is_plain
 
 TYPES = {0x01: "CDHS", 0x02: "ADCS", 0x03: "COM", 0x05: "PWR"}
 ADCS = struct.Struct("<BBhhh" + "hhB" * 6 + "h" * 16 + "H" * 4)
@@ -80,12 +81,12 @@ def _frames(path: Path) -> Iterator[tuple[str, bytes]]:
     where = str(path)
     try:
         if path.is_dir():
-            for file in sorted(entry for entry in path.iterdir() if entry.is_file())[:MAX_FRAMES]:
+            for file in sorted(entry for entry in path.iterdir() if is_plain(entry))[:MAX_FRAMES]:
                 with open(file, "rb") as stream:
                     yield file.name, stream.read(MAX_FRAME_BYTES)
             return
-        if not path.is_file():
-            raise OSError("no such file, or it is a device or a pipe")
+        if not is_plain(path):
+            raise OSError("no such file, or it is empty, a device or a pipe")
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist()[:MAX_FRAMES]:
                 if not info.is_dir():

@@ -1,0 +1,151 @@
+"""A results folder from somebody else: nothing from outside it is read, and it ends in a page or a sentence, soon."""
+
+from __future__ import annotations
+
+import base64
+import os
+import random
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from sunspin.base.errors import InputError, printable
+from sunspin.output.export import read_results as exported
+from sunspin.output.folder import MARKER, write_netcdf
+from sunspin.output.report import write_report
+from sunspin.output.report.read import MAX_FILES, read_results
+
+SECRET = "a word that stands nowhere else 7f3b"
+PNG = b"\x89PNG\r\n\x1a\n" + SECRET.encode()
+READ = ("summary.json", "figures.json", "vehicle.toml", "timeline.toml", "rates.nc", "trajectory.nc", "telemetry.nc", "sun.png")
+ODD = ("a\nb", "é\udce9", '"><script>', "..", "-", "\u202e", "$x$", "\x1b[2J", "a" * 200)
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    made = tmp_path / "results"
+    made.mkdir()
+    (made / MARKER).write_text("rates\n", "utf-8")
+    return made
+
+
+def outside(home: Path, name: str) -> Path:
+    """A file beside the results that a reader of `name` would understand, with the secret in it."""
+    path = home / f"outside{Path(name).suffix}"
+    if path.suffix == ".nc":
+        write_netcdf(path, xr.Dataset({"x": ("time", np.arange(3.0), {"note": SECRET})}, attrs={"vehicle": SECRET}))
+    else:
+        texts = {
+            ".json": f'{{"command": "{SECRET}", "figures": "{SECRET}"}}' if name == "summary.json" else f'[{{"file": "{SECRET}"}}]',
+            ".toml": f'name = "{SECRET}"\n' if name == "vehicle.toml" else f'epoch_utc = "{SECRET}"\n',
+        }
+        path.write_bytes(PNG if path.suffix == ".png" else texts[path.suffix].encode())
+    return path
+
+
+def told(folder: Path) -> str:
+    """All that the page and the reader say of a folder."""
+    page = write_report(folder).read_text("utf-8", "replace")
+    return page + repr(read_results(folder))
+
+
+def secretive(text: str) -> bool:
+    return SECRET in text or base64.b64encode(PNG).decode()[:40] in text
+
+
+@pytest.mark.parametrize("name", READ)
+@pytest.mark.parametrize("way", ["symbolic", "relative", "chain", "folder"])
+def test_no_link_leads_out_of_the_folder(name, way, folder):
+    secret = outside(folder.parent, name)
+    if way == "folder":
+        (folder / name).symlink_to(folder.parent, target_is_directory=True)
+    elif way == "chain":
+        (folder / "step").symlink_to(secret)
+        (folder / name).symlink_to("step")
+    else:
+        (folder / name).symlink_to(secret if way == "symbolic" else f"../{secret.name}")
+    text = told(folder)
+    assert not secretive(text) and f"{name} is a link" in text
+    with pytest.raises(InputError, match="link" if name in ("rates.nc", "trajectory.nc") else "no attitude here"):
+        exported(folder)
+    (folder / name).unlink()
+    os.rename(secret, folder / name)  # negative control: as a file of its own it is read
+    assert secretive(told(folder)) or name in ("figures.json", "summary.json")
+
+
+def test_a_marker_that_is_a_link_makes_no_results_folder(folder):
+    (folder / MARKER).unlink()
+    (folder.parent / "secret").write_text(SECRET)
+    (folder / MARKER).symlink_to("../secret")
+    with pytest.raises(InputError, match="not a results folder"):
+        read_results(folder)
+
+
+@pytest.mark.parametrize("way", ["external link", "external storage", "virtual"])
+def test_no_netcdf_file_takes_data_from_another(way, folder):
+    secret = folder.parent / "secret.h5"
+    with h5py.File(secret, "w") as file:
+        file["x"] = np.frombuffer(SECRET.encode(), dtype="u1")
+    with h5py.File(folder / "rates.nc", "w") as file:
+        if way == "external link":
+            file["x"] = h5py.ExternalLink(str(secret), "x")
+        elif way == "external storage":
+            file.create_dataset("x", (len(SECRET),), "u1", external=[(str(secret), secret.read_bytes().index(SECRET.encode()), 36)])
+        else:
+            layout = h5py.VirtualLayout((len(SECRET),), "u1")
+            layout[:] = h5py.VirtualSource(secret, "x", (len(SECRET),))
+            file.create_virtual_dataset("x", layout)
+    found = read_results(folder)
+    assert not found.data and "takes data from another file" in found.problems[0]
+    with pytest.raises(InputError, match="takes data from another file"):
+        exported(folder)
+
+
+def test_odd_names_and_kinds_of_files_end_in_a_page(folder):
+    rng = random.Random(1)
+    for k in range(60):
+        name = f"{rng.choice(ODD)}{k}{rng.choice(['.nc', '.png', '.json', '.toml', ''])}"
+        path = folder / name.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
+        kind = rng.randrange(4)
+        if kind == 0:
+            path.mkdir()
+        elif kind == 1:
+            os.mkfifo(path)
+        else:
+            path.write_bytes(b"" if kind == 2 else rng.randbytes(50))
+    found = read_results(folder)
+    assert found.problems and all(printable(problem) == problem for problem in found.problems)
+    assert "<script>1" not in write_report(folder).read_text("utf-8", "replace")
+
+
+def test_very_many_empty_files_end_in_a_sentence(folder):
+    began = time.monotonic()
+    for k in range(MAX_FILES - 1):
+        (folder / f"{k:04d}.nc").touch()
+    found = read_results(folder)
+    assert len(found.problems) == 11 and "more NetCDF files were not read" in found.problems[-1]
+    for k in range(3000):
+        (folder / f"{k:04d}.nc").touch()
+    with pytest.raises(InputError, match=r"more than 500 .*3000.*move away"):
+        read_results(folder)
+    assert time.monotonic() - began < 20
+
+
+@pytest.mark.parametrize("name", READ[:4])
+def test_sizes_are_looked_at_before_reading(name, folder):
+    with open(folder / name, "wb") as file:
+        file.truncate(10**12)  # takes no room on the disk
+    assert name in read_results(folder).problems[0]
+
+
+@pytest.mark.parametrize("name", ["vehicle.toml", "timeline.toml"])
+@pytest.mark.parametrize(
+    "text", ["a = " + "[" * 50_000, "a = " + "[" * 400 + "]" * 400, "a." * 50_000 + "a = 1", "a = " + "9" * 5000]
+)
+def test_toml_that_is_a_bomb_is_named(name, text, folder):
+    (folder / name).write_text(text, "utf-8")
+    assert read_results(folder).problems[0].startswith(f"{name} could not be read")

@@ -1,0 +1,147 @@
+"""Vehicle and telemetry files that are wrong in one place, generated: each is refused with one sentence that names it."""
+
+from __future__ import annotations
+
+import random
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+import sunspin as ss
+from sunspin.telemetry.reader import read_telemetry
+from sunspin.vehicle.file import parse_vehicle
+from validation.border import Told, judge, sunspin
+
+BASE = """
+name = "v"
+[body]
+mass_kg = {mass}
+inertia_kg_m2 = {inertia}
+[[panel]]
+name = "+X"
+normal_B = [1, 0, 0]
+gain_W = {gain}
+[[panel]]
+name = "-X"
+normal_B = [-1, 0, 0]
+gain_W = 1.0
+[[wheel]]
+name = "w"
+axis_B = [0, 0, 1]
+inertia_kg_m2 = {wheel}
+speed_rad_s = {speed}
+[wheel.friction]
+coulomb_N_m = {coulomb}
+viscous_N_m_s = {viscous}
+[telemetry]
+noise = 0.01
+[telemetry.columns]
+"+X" = {x}
+"-X" = {minus}
+[gyro]
+columns = {gyro}
+scale_rad_s = 1.0
+noise_rad_s = 0.001
+"""
+RIGHT = {
+    "mass": "10.0", "inertia": "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "gain": "1.0", "wheel": "0.01", "speed": "100.0",
+    "coulomb": "1e-5", "viscous": "1e-6", "x": '"px"', "minus": '"mx"', "gyro": '["gx", "gy", "gz"]',
+}  # fmt: skip
+VALUES = ("mass", "gain", "wheel", "speed", "coulomb", "viscous", "inertia")
+GOOD_SIGMAS = ("0", "0.5", "1e-9")
+SQUARE = "[[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]"
+BAD_SIGMAS = (
+    "-1", "-1e-9", "[0.1]", "[0.1, 0.2]", "[[0.1, 0.2], [0.3, 0.4]]", "[]", "[[0.1], [0.2, 0.3]]", "nan", "inf", "true", '"0.1"',
+    "[0.1, 0.2, 0.3]", "[[-1, 0, 0], [0, 1, 0], [0, 0, 1]]",
+)  # fmt: skip
+CONTROL = ("a\\nb", "\\u0000", "a\\tb", "\\u001b[2J", "\\u202e", "\\r")
+
+
+def made(**wrong: str) -> str:
+    return BASE.format(**RIGHT | wrong)
+
+
+def refused(text: str, *words: str) -> None:
+    with pytest.raises(ss.VehicleError) as told:
+        parse_vehicle(text, "v.toml")
+    said = str(told.value)
+    assert said.isprintable() and said.startswith("v.toml") and all(word in said for word in words), said
+
+
+def test_the_right_file_is_read():
+    assert parse_vehicle(made(), "v.toml").mass_kg == 10.0
+
+
+@pytest.mark.parametrize("key", VALUES)
+def test_a_sigma_has_the_form_of_its_value(key):
+    def with_sigma(sigma):
+        return made(**{key: f"{{value = {RIGHT[key]}, sigma = {sigma}}}"})
+
+    for sigma in (*GOOD_SIGMAS, *([SQUARE] if key == "inertia" else [])):
+        parse_vehicle(with_sigma(sigma), "v.toml")
+    for sigma in (*BAD_SIGMAS, *([] if key == "inertia" else [SQUARE])):
+        refused(with_sigma(sigma))
+
+
+def test_one_column_serves_one_panel_and_one_axis():
+    refused(made(minus='"px"'), "px", "two panels")
+    refused(made(x='"time"'), "time")
+    for k in range(3):
+        names = ["gx", "gy", "gz"]
+        names[k] = names[k - 1]
+        refused(made(gyro=str(names).replace("'", '"')), "gyro.columns", "twice")
+
+
+@pytest.mark.parametrize("name", CONTROL)
+@pytest.mark.parametrize("place", ["x", "gyro"])
+def test_columns_are_printable(place, name):
+    refused(made(**{place: f'"{name}"' if place == "x" else f'["{name}", "gy", "gz"]'}), "printable")
+
+
+def test_a_misspelt_key_is_named_with_the_nearest_known():
+    rng = random.Random(2)
+    refused(made().replace("noise_rad_s", "noise_deg_s"), "unknown key 'noise_deg_s'", "did you mean noise_rad_s?")
+    for key in ("scale_rad_s", "columns", "noise_rad_s", "gain_W", "speed_rad_s", "axis_B", "normal_B", "mass_kg", "coulomb_N_m"):
+        for _ in range(5):
+            at = rng.randrange(len(key))
+            wrong = rng.choice([key[:at] + "q" + key[at + 1 :], key[:at] + "q" + key[at:], f"{key}s"])
+            start = made().index(f"\n{key} =")
+            text = made()[: start + 1] + wrong + made()[start + 1 + len(key) :]
+            refused(text, f"unknown key '{wrong}'", f"did you mean {key}?")
+
+
+def test_a_table_with_one_column_for_two_panels_or_a_line_break_in_quotes(tmp_path):
+    craft = parse_vehicle(made().replace('"+X" = "px"\n', '"+X" = "-X"\n').replace('"-X" = "mx"\n', ""), "v.toml")
+    path = tmp_path / "t.csv"
+    path.write_text("time,-X\n2026-01-01T00:00:00Z,1\n2026-01-01T00:00:01Z,1\n")
+    with pytest.raises(ss.TelemetryError, match="two panels read one column"):
+        read_telemetry(path, craft)
+    craft = parse_vehicle(made(), "v.toml")
+    for text in ('time,px,mx\n2026-01-01T00:00:00Z,"1\n2",1\n', 'time,px,"m\nx"\n2026-01-01T00:00:00Z,1,1\n'):
+        path.write_text(text)
+        with pytest.raises(ss.TelemetryError, match="quotes goes on in the next line"):
+            read_telemetry(path, craft)
+    path.write_text('time,"px","mx"\n"2026-01-01T00:00:00Z","1","2"\n')
+    assert read_telemetry(path, craft)["power_W"].values.tolist() == [[1.0, 2.0]]
+
+
+def test_a_grid_has_each_rate_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    for axis in ("0,0", "0,-0.0", "0.1,0.2,0.1"):
+        told = sunspin("scan", "vehicle.toml", "telemetry.csv", f"--omega-x={axis}", "--omega-y=0", "--omega-z=0")
+        assert judge(told).what == "refused" and "omega_x has a rate twice" in told.err
+
+
+NAMES = ("$x$", "$\\frac{$", "\\$", "$$", "_x", "日本", "a$b", "$\\alpha$ & %", "\\\\$x$", "^{", "☃", "$x\\$")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_of_panels_are_drawn_as_they_are(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    template = Path(str(resources.files("sunspin") / "template" / "vehicle.toml")).read_text("utf-8")
+    Path("vehicle.toml").write_text(template.replace('"+X"', f"'{name}'"), "utf-8")
+    told = sunspin("sun", "vehicle.toml", "telemetry.csv", "--out", "out")
+    assert told.code == 0 and not told.err and not told.escaped, told

@@ -1,0 +1,96 @@
+"""What would never end: devices, pipes, files of the kernel, and priors that ask for more than can be tried."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.posterior import cells
+from sunspin.estimate.posterior.brightness import brightness
+from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.posterior.model import model
+from sunspin.estimate.posterior.modes import plan, require_few
+from sunspin.telemetry.case import load_case
+from validation.border import Told, judge, sunspin
+
+KERNEL = [path for path in ("/proc/kmsg", "/dev/zero", "/dev/stdin", "/dev/full", "/proc/self/mem") if Path(path).exists()]
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    os.mkfifo("pipe")
+    Path("link").symlink_to("pipe")
+    Path("pipes").mkdir()
+    for k in range(20):
+        os.mkfifo(f"pipes/1403600000_OM3KAA_{k}")
+    return tmp_path
+
+
+@pytest.fixture
+def soon():
+    """A test that waits for ever fails."""
+
+    def over(*_):
+        raise AssertionError("this does not end")  # an OSError would become a sentence
+
+    before = signal.signal(signal.SIGALRM, over)
+    signal.alarm(120)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+COMMANDS = (
+    ("check", "{}"), ("check", "vehicle.toml", "{}"), ("sun", "vehicle.toml", "{}"), ("rates", "vehicle.toml", "{}"),
+    ("posterior", "vehicle.toml", "{}"), ("scan", "vehicle.toml", "{}"), ("decode", "{}", "--out", "out"), ("report", "{}"),
+    ("export", "{}", "--out", "out"), ("outcomes", "philae", "--scan", "{}"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: " ".join(command))
+def test_devices_pipes_and_files_of_the_kernel_are_refused(command, home, soon):
+    for path in (*KERNEL, "pipe", "link", "pipes"):
+        told = sunspin(*(word.format(path) for word in command))
+        assert judge(told).what == "refused", (path, told)
+
+
+def test_results_made_of_pipes_are_refused(home, soon):
+    (home / ".sunspin-results").write_text("rates\n")
+    for name in ("rates.nc", "summary.json", "timeline.toml"):
+        os.mkfifo(name)
+    assert judge(sunspin("export", ".", "--out", "out")).what == "refused"
+    assert judge(sunspin("report", ".")).what == "fine"
+
+
+def test_standard_input_is_refused_by_its_name(home):
+    assert "standard input" in sunspin("check", "vehicle.toml", "-").err
+
+
+@pytest.mark.parametrize("rate", [5.0, 1e3, 1e20, 1e30])
+def test_a_prior_with_more_starts_than_an_hour_has_names_them_and_the_limit(rate):
+    case = load_case("philae")
+    data, _, _ = readings(case.vehicle, case.telemetry)
+    scale = brightness(case.vehicle, data)
+
+    def tried(limit):
+        unknown, _ = model(case.vehicle, {"max_rate_rad_s": limit}, scale)
+        require_few(unknown, chosen := plan(unknown, data, scale))
+        return chosen
+
+    with pytest.raises(InputError, match=r"asks for \S+ starts, and 4e\+07 at most") as told:
+        tried(rate)
+    most = float(str(told.value).split("give ")[1].split()[0])
+    assert 0.6 < most < rate and tried(most).limit <= most
+    assert cells.cell_count(tried(most).limit, tried(most).edge) < 1.01 * cells.MAX_CELLS
+    assert tried(0.6).limit == 0.6  # the default is searched whole
+
+
+def test_the_command_says_so(home, soon):
+    told = sunspin("posterior", "philae", "--prior", "max_rate_rad_s=1e20")
+    assert judge(told).what == "refused" and "starts" in told.err and "hour" in told.err
