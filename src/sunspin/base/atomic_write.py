@@ -18,8 +18,8 @@ from sunspin.base.untrusted import is_own
 PART = re.compile(r"\.sunspin-(\d{1,9})-[0-9a-f]{16}\.part")
 """A temporary name: the process that writes there, and what nobody guesses."""
 
-LIST = re.compile(r"\.sunspin-(\d{1,9})\.parts")
-"""The list of a process's temporary names in a folder; it is there while the process writes there."""
+LIST = re.compile(r"\.sunspin-(\d{1,9})(?:-[0-9a-f]{16})?\.parts")
+"""A list of temporary names of a process; it is there while the process writes there."""
 
 MAX_LIST_BYTES = 1_000_000
 
@@ -27,10 +27,9 @@ MAX_LIST_BYTES = 1_000_000
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """Let `write` fill a temporary file, then give it its name. Raises what `write` raises, and OSError."""
     part = target.with_name(f".sunspin-{os.getpid()}-{secrets.token_hex(8)}.part")
-    listed = target.with_name(f".sunspin-{os.getpid()}.parts")
+    listed = part.with_suffix(".parts")  # one for each file: another thread's must stay listed while it is written
     try:
-        with open(listed, "a", encoding="ascii") as names:
-            names.write(f"{part.name}\n")
+        listed.write_text(f"{part.name}\n", "ascii")
         write(part)
         with open(part, "rb") as file:
             os.fsync(file.fileno())  # or a power failure may leave an empty file under the final name

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from importlib import metadata
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 from scipy.stats import binom, norm
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import version
 from sunspin.compute.rows import ensemble
 from sunspin.philae.coverage_rows import FACTORS, LEVELS, PRIORS, TwinRows
 from sunspin.telemetry.case import Case
@@ -177,7 +177,7 @@ def compute(
         kept = None if store is None else Path(store) / prior
         out = ensemble(rows, workers=workers, chunk=CHUNK, store=kept, progress=progress, label=f"twins, {prior}")
         found[prior] = _condensed(prior, out)
-    return Worth(found, seed, coarser, factor, metadata.version("sunspin"), points)
+    return Worth(found, seed, coarser, factor, version(), points)
 
 
 def _condensed(prior: str, out: dict[str, np.ndarray]) -> Twins:

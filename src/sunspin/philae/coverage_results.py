@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from sunspin.base.provenance import version
 from sunspin.output import figures as fig
 from sunspin.output.folder import Picture, results_folder, write_json, write_run
 from sunspin.output.report import write_report
@@ -55,7 +55,7 @@ def coverage(
     found = study.compute(known, twins, **options)
     rows, told = coverage_told.rows(known, found, confidence), coverage_told.sentences(found, confidence)
     summary = {
-        "version": metadata.version("sunspin"), "synthetic_telemetry": True, "title": "What the answer is worth",
+        "version": version(), "synthetic_telemetry": True, "title": "What the answer is worth",
         "command": found.command, "seed": found.seed,
         "confidence": confidence, "seconds": round(time.perf_counter() - began, 1), "sentences": told,
         "figures": [asdict(row) for row in rows],

@@ -12,7 +12,7 @@ import xarray as xr
 from sunspin.output import figures as fig
 from sunspin.output.figures import outcomes as figures_outcomes
 from sunspin.output.folder import Picture
-from sunspin.output.kinds.kind import Drawing
+from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.coverage import CONFIDENCE, Worth
@@ -40,7 +40,7 @@ def draw(result: Reproduction, folder: Path) -> list[Picture]:
 
 
 def _note(result: Reproduction) -> str:
-    return " Synthetic telemetry." if result.synthetic else ""
+    return synthetic_words(result.synthetic)
 
 
 def _measured(result: Reproduction, _: Any) -> Iterator[Drawing]:

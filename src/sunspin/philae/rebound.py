@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError, sentence
+from sunspin.base.toml import read_toml
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Rows
 from sunspin.dynamics.propagate import propagate
@@ -316,7 +316,7 @@ def twin_file(case: Case) -> dict[str, Any]:
         return {}
     if hashlib.sha256(own.read_bytes()).hexdigest() != case.telemetry.attrs.get("sha256"):
         return {}
-    return tomllib.loads(truth.read_text("utf-8"))
+    return read_toml(truth.read_text("utf-8"), str(truth), InputError)
 
 
 def twin_truth(case: Case) -> np.ndarray | None:

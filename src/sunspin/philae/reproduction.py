@@ -7,11 +7,11 @@ import re
 import shlex
 import time
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import version
 from sunspin.output.folder import CITE, Picture, results_folder, write_run, write_whole
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
@@ -102,7 +102,7 @@ def reproduce(
     heading, section = titles(), sections()
     counts = result.counts()
     summary = {
-        "version": metadata.version("sunspin"),
+        "version": version(),
         "title": "How Philae tumbled",
         "seed": seed,
         "synthetic_telemetry": result.synthetic,

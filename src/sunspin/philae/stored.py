@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from sunspin.base.provenance import version
 from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.philae import rebound as rb
 from sunspin.philae.study import Reproduction
@@ -18,7 +18,7 @@ SUFFIX = {"Descent": "descent"}
 
 def store(result: Reproduction, folder: Path) -> None:
     """Write NetCDF files of every part that was computed, and the case's timeline."""
-    attrs = {"synthetic": int(result.synthetic), "seed": result.seed, "sunspin_version": metadata.version("sunspin")}
+    attrs = {"synthetic": int(result.synthetic), "seed": result.seed, "sunspin_version": version()}
     write_netcdf(folder / "sun.nc", result.sun)
     timeline = result.case.folder / "timeline.toml"
     write_whole(folder / "timeline.toml", lambda part: part.write_bytes(timeline.read_bytes()))

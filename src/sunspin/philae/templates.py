@@ -7,7 +7,6 @@ row's own values have their names (`{tolerance:g}`). What is computed, and which
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,6 +15,7 @@ from string import Formatter
 from typing import Any
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.toml import read_toml
 from sunspin.telemetry.case import Case
 
 TEXTS = ("what", "unit", "place", "note", "sentence", "other_reading", "changes")
@@ -62,10 +62,7 @@ def _read(path: Path) -> Mapping[str, Template]:
 
 def parse_templates(text: str, where: str) -> Mapping[str, Template]:
     """Read the text of a `rows.toml`; `where` names the file in messages."""
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(sentence(f"this is not valid TOML: {error}", do="correct that line", where=where)) from None
+    tables = read_toml(text, where, InputError)
     return {name: _template(table, f"{where}, {name}") for name, table in tables.items()}
 
 

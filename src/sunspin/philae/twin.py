@@ -9,13 +9,13 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import version
 from sunspin.compute.campaign import command
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.philae.twin_philae import philae_twin
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
     case = load_case(given.case)
     telemetry = twin(case, seed=given.seed)
     comments = [
-        f"synthetic: not measured; made by sunspin {metadata.version('sunspin')} from published facts",
+        f"synthetic: not measured; made by sunspin {version()} from published facts",
         f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed} {given.out.name}",
     ]
     more = ["synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"]

@@ -69,7 +69,11 @@ def synthetic_label(data: Any) -> str:
 
 def synthetic_note(data: Any) -> str:
     """The same at the end of a caption."""
-    return " Synthetic telemetry." if data.attrs.get("synthetic") else ""
+    return synthetic_words(data.attrs.get("synthetic"))
+
+
+def synthetic_words(synthetic: Any) -> str:
+    return " Synthetic telemetry." if synthetic else ""
 
 
 def vector(values: Iterable[float]) -> str:

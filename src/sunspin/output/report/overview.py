@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.output.kinds.kind import synthetic_words
 from sunspin.output.report import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Drawn, Plot, Section, Special, Table, clock, epoch_ms, packed, utc_text
@@ -96,7 +97,7 @@ def _caption(results: Results, speed: xr.Dataset) -> str:
         f"How fast Philae turned. Band: {about}, from the slowest to the fastest{meaning}. "
         f"Dashed: {recipe}, and its median; it has no stated confidence. After the collision: 95 % of the simulated "
         "collisions of the same motions. Diamonds: what the magnetometer said, which was not used."
-        + (" Synthetic telemetry." if results.synthetic else "")
+        + synthetic_words(results.synthetic)
     )
 
 

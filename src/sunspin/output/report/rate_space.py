@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.dynamics.gyrostat import total_momentum
 from sunspin.output.figures.scan import map_figure
-from sunspin.output.kinds.kind import Drawing
+from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.output.kinds.scan import DIMS, chosen
 from sunspin.output.report.drawn import item
 from sunspin.output.report.read import Results
@@ -265,6 +265,6 @@ def _flat(results: Results) -> list[Drawn]:
             f"map-{name}", partial(map_figure, field),
             f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: in valleys a motion fits better than its neighbours.",
             f"E over {x} and {y}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
-            + (" Synthetic telemetry." if results.synthetic else ""),
+            + synthetic_words(results.synthetic),
         )))  # fmt: skip
     return found

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.output.kinds.kind import synthetic_words
 from sunspin.output.report.measured import MOST_SAMPLES, PHASES
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, motion_order, packed, thin
@@ -59,7 +60,7 @@ def sun_path(results: Results) -> Section | None:
         "A sphere in body axes. Each dot is the direction in which the panels say that the Sun stood; a line is its path in one "
         "motion; labels stand where a panel looks straight at the Sun.",
         "Where the Sun stood as seen from the body. Drag, or use the arrow keys, to turn; + and − to zoom. Directions are unit "
-        "vectors without unit." + (" Synthetic telemetry." if results.synthetic and sun is not None else ""),
+        "vectors without unit." + synthetic_words(results.synthetic and sun is not None),
         560, views, "Path of", narrow={"scene.camera.eye": {"x": 1.25, "y": -1.3, "z": 0.8}},
         numbers=Table(["phase", "directions", "range of z", "mean of z"], numbers, "In numbers", closed=True),
     )  # fmt: skip
