@@ -16,14 +16,11 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
 from sunspin.environment.frames import SUN_Z_LOCAL
-from sunspin.estimate.rates import torque
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.estimate.rates.dense import Dense
-from sunspin.estimate.rates.earth import is_told, with_beam
-from sunspin.estimate.rates.field import with_drift
 from sunspin.estimate.rates.link import linked
-from sunspin.estimate.rates.motion import SUN_N, Body, require_followed
+from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
@@ -32,6 +29,11 @@ from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.terms.earth_light import faint
+from sunspin.estimate.terms.magnetic_torque import MagneticTorque
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.sensors import SENSORS
+from sunspin.estimate.terms.term import SUN_N
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -145,8 +147,8 @@ def rates(
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
     tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
     if not _torque_told(vehicle, o):
-        motion = replace(motion, torque=torque.prior_sigma(noise))
-    ready = [(with_unknowns(some), track) for some, track in tracks]
+        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
+    ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
     if given is None:
         motion = replace(motion, noise=refined(ready, motion))
     clock, late = _clock(sensors.clock, ready, motion)
@@ -174,7 +176,7 @@ def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
     """Whether the vehicle file has a dipole, and the field that pulls at it is measured."""
-    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field).all(axis=1).any())
+    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field_B).all(axis=1).any())
 
 
 def _clock(
@@ -224,7 +226,7 @@ def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
 def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
     """Modes found as if strong torques acted, then fitted with the inertia as it may be: where that of the file fits no motion."""
     loose = replace(motion, noise=max(LOOSER[0], motion.noise))
-    return with_common(with_unknowns(plain), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
+    return with_common(plain.freed(), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
 
 
 def finished(
@@ -234,7 +236,7 @@ def finished(
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
     found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
     plain = every.take(kept)
-    o = with_unknowns(plain)
+    o = plain.freed()
     common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
     if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
@@ -248,12 +250,6 @@ def finished(
     order, weight = _ranked(track)
     whole = between.filled(track, motion).take(order)
     return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
-
-
-def with_unknowns(o: Observations) -> Observations:
-    """A pass with all that is estimated beside its motion."""
-    drifting = with_drift(o)
-    return with_beam(drifting) if is_told(drifting) else drifting
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -306,10 +302,11 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
-        "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
-        "attitude_used": int(np.isfinite(o.attitude[index]).any()), "earth_light": o.earth_light if is_told(o) else 0.0,
+        "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
         "frame_N": SUN_Z_LOCAL,
     }  # fmt: skip
+    read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
+    attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),

@@ -81,7 +81,8 @@ def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple
         motion = replace(motion, noise=noises[k])
         track, last = cooled(guess, track, last, motion), noises[k]
         known = replace(motion, body=replace(body, errors=body.errors[:0]))
-        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
+        free = any(term.unknowns() for term in o.of_sun)
+        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if free else track
         found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
     return found
 
