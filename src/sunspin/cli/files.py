@@ -94,7 +94,7 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
         from sunspin.telemetry.sun import reconstructible_patterns
-        from sunspin.vehicle.response.cosine import lit_patterns
+        from sunspin.vehicle.response.panels import lit_patterns
 
         summary |= {"lit_patterns": len(lit_patterns(craft)), "reconstructible": len(reconstructible_patterns(craft))}
         lines.append(
