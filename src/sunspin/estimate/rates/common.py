@@ -108,7 +108,7 @@ def with_common(
     A lateness moves the states of all samples along the motion: where that is stiff it is loosened, and cooled again. `begin`: the
     acceleration noise (rad/s^1.5) under which the hypotheses were found, if they have to be cooled from there.
     """
-    places = _places(o, motion, clock)
+    places = places_of(o, motion, clock)
     error = np.zeros((len(track.omega), places.count))
     if o.light_unknowns:
         track, error[:, places.earth] = begun(o, track)
@@ -128,7 +128,7 @@ def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = N
 
 def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int) -> Common:
     """K hypotheses and their common errors fitted at once."""
-    places = _places(o, motion, clock)
+    places = places_of(o, motion, clock)
 
     def limit(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         error = state[2].copy()
@@ -171,7 +171,7 @@ class _Places(NamedTuple):
         return slice(self.gains.start, self.earth.stop)
 
 
-def _places(o: Observations, motion: Motion, clock: Clock | None) -> _Places:
+def places_of(o: Observations, motion: Motion, clock: Clock | None) -> _Places:
     gyro = o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
     moving = [len(motion.body.errors), torque.count(motion), field.count(o)]
     edges = np.cumsum([0, gyro, *moving, len(o.row_unknowns), o.light_unknowns, int(clock is not None)])
@@ -179,7 +179,7 @@ def _places(o: Observations, motion: Motion, clock: Clock | None) -> _Places:
     return _Places(spans[0], spans[1], spans[2], spans[3], spans[4], spans[5], spans[6], int(edges[-1]))
 
 
-def _with_light(o: Observations, error: np.ndarray, places: _Places) -> Observations:
+def lit_with(o: Observations, error: np.ndarray, places: _Places) -> Observations:
     """The same with the gains and the Earth's light of each hypothesis off by those of its errors (K, m), in sigmas."""
     lit = lit_by(o, error[:, places.earth]) if o.light_unknowns else o
     return replace(lit, rows=o.rows + np.einsum("km,mpj->kpj", error[:, places.gains], o.row_unknowns))
@@ -190,7 +190,7 @@ def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
 
 
 def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> Bordered:
-    n, places = len(o), _places(o, motion, clock)
+    n, places = len(o), places_of(o, motion, clock)
     blind = np.full((n, 3, 3), np.nan)
     nothing = replace(o, sun_cov=blind, power=np.zeros((n, 0)), power_sigma=np.zeros((n, 0)), gyro=np.full((n, 3), np.nan))
     own = error[:, places.moving].size > 0  # else one body serves all at once
@@ -269,10 +269,10 @@ class SunPart(NamedTuple):
 
 def sun_part(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> SunPart:
     """The Sun's readings, which answer to the states, to the gains and to how late the states are, at errors (K, m)."""
-    places = _places(o, motion, clock)
+    places = places_of(o, motion, clock)
     late = np.zeros(len(error)) if clock is None else _late(clock, error)
     seen = track if clock is None else seen_later(o, track, motion, late)
-    matrix, slope, cost = sun_measured(_with_light(o, error, places), seen, o.row_unknowns)
+    matrix, slope, cost = sun_measured(lit_with(o, error, places), seen, o.row_unknowns)
     # of a turn at the Sun's instant and the gains, what the states (6) and the errors (m) of the equations do to each
     bridge = np.zeros((*track.omega.shape[:2], slope.shape[-1], 6 + places.count))
     bridge[..., :3, :3] = seen.attitude @ np.swapaxes(track.attitude, -1, -2) if clock is not None else np.eye(3)

@@ -16,6 +16,7 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
 from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, speeds, table
 from sunspin.estimate.rates import torque
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
@@ -26,12 +27,14 @@ from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.motion import SUN_N, Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
+from sunspin.estimate.rates.residuals import Fitted, residuals
 from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.verdict import NARROWER, answers, misfit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -60,7 +63,8 @@ SUSPECTED = "the data alone, not counted"
 
 class Pass(NamedTuple):
     """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
-    smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3)."""
+    smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3);
+    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`."""
 
     index: np.ndarray
     kept: np.ndarray
@@ -68,6 +72,12 @@ class Pass(NamedTuple):
     weight: np.ndarray
     mean: np.ndarray
     mean_sigma: np.ndarray
+    residual: dict[str, np.ndarray]
+
+    def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
+        """The modes `order` with these weights."""
+        left = {name: part[order] for name, part in self.residual.items()}
+        return Pass(self.index, self.kept, self.track.take(order), weight, self.mean[order], self.mean_sigma[order], left)
 
 
 def rates(
@@ -152,9 +162,11 @@ def rates(
     clock, late = _clock(sensors.clock, ready, motion)
     each = zip(wholes, parts, (track for _, track in tracks), strict=True)
     found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise) for one in each], motion)
+    missed = [coarse(o.take(part), motion, rate_max) for part in parts]
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
-    missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
-    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
+    result = result.assign(_believed(o, found, motion, missed, telemetry.attrs.get("epoch_utc")))
+    walked = np.nan if walk is None else walk
+    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     return result.assign_attrs(verdict=verdict(result))
 
@@ -241,13 +253,15 @@ def finished(
         common = other if other.track.cost.min() < common.track.cost.min() else common
     if common is not None:  # with their common errors two hypotheses may have become one
         common = common.take(distinct_index(common.track, o.t_s))
+    fit = Fitted.of(o, track, common, motion, clock)
     between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
     track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
     if common is not None:
         track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
+    whole = between.filled(track, motion)
+    left = residuals(with_unknowns(every.take(index)), np.searchsorted(index, kept), whole, fit)
     order, weight = _ranked(track)
-    whole = between.filled(track, motion).take(order)
-    return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
+    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), sigma, left).take(order, weight / weight.sum())
 
 
 def with_unknowns(o: Observations) -> Observations:
@@ -265,7 +279,7 @@ def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass]
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")
         keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
-        result.append(Pass(p.index, p.kept, p.track.take(keep), weight[keep], p.mean[keep], p.mean_sigma[keep]))
+        result.append(p.take(keep, weight[keep]))
     return result, walk
 
 
@@ -282,6 +296,32 @@ def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarr
     """Sigma (3) about the best mode's mean rate when the other modes, by their weights, are counted in."""
     share = (weight / weight.sum())[:, None]
     return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
+
+
+def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[bool], epoch_utc: str | None) -> dict[str, Any]:
+    """What may be believed of each pass, and its motions at the sample nearest to its middle."""
+    rows, names = [], sorted({name for p in found for name in p.residual})
+    misfits = {name: np.full((len(found), 3), np.nan) for name in names}
+    for k, (p, is_missed) in enumerate(zip(found, missed, strict=True)):
+        t = o.t_s[p.index]
+        at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+        omega, covariance = p.track.omega[:, at], p.track.covariance[:, at, 3:, 3:]
+        sigma = np.sqrt(np.einsum("kii->ki", covariance))
+        told = {name: misfit(left[0]) for name, left in p.residual.items()}
+        for name, one in told.items():
+            misfits[name][k] = one
+        explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
+        said = answers(p.weight[0] >= DECIDED, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
+        row = PassMotions(
+            len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
+            UNCHECKED if list(told) == ["Sun"] else AS_STATED,
+        )  # fmt: skip
+        rows.append(row)
+    about = {"long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"}
+    return table(rows, epoch_utc) | {
+        "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
+        "sensor": names, "figure": ["readings", "beyond", "chance"],
+    }  # fmt: skip
 
 
 def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
@@ -318,7 +358,6 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
             "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
             "B_from_N": (("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
             "pass_of": ("time", np.repeat(np.arange(len(found)), [len(p.index) for p in found])),
-            "weight": (("pass_id", "mode"), padded([p.weight for p in found]), {"units": "1"}),
             "omega_mean_B": (("pass_id", "mode", "axis"), padded([m[0] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
@@ -337,15 +376,17 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
 
 def verdict(result: xr.Dataset) -> str:
     """What the data can tell, in words."""
-    best = result["weight"].values[:, 0]
-    bad = result["cost"].values[:, 0] > result["cost_limit"].values
-    decided = int(np.count_nonzero((best >= DECIDED) & ~bad))
-    text = f"{decided} of {len(best)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight"
-    if bad.any():
-        text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
-    if decided + np.count_nonzero(bad) < len(best):
+    decided, unique, fits, complete = (result[name].values for name in ("decided", "unique", "fits", "search_complete"))
+    informed = np.all([result[f"informed_{axis}"].values for axis in "xyz"], axis=0)
+    text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight, "
+    text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
+    if not fits.all():
+        text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    if count := int((fits & ~informed).sum()):
+        text += f"; in {count} the data do not inform every component, and the prior is given back in the others"
+    if (fits & informed & ~unique).any():
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
-    if missed := result.attrs["coarse_passes"]:
+    if missed := int((~complete).sum()):
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
     if result.attrs["sensors_late_from"] == SUSPECTED:
