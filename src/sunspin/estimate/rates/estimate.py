@@ -88,6 +88,7 @@ def rates(
     max_rate_rad_s: float | None = None,
     acceleration_noise: float | None = None,
     gap_s: float | None = None,
+    pass_id: int | None = None,
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
 ) -> xr.Dataset:
@@ -111,6 +112,8 @@ def rates(
         rad/s^1.5; default: the vehicle's, else the best supported by the first passes.
     gap_s : float, optional
         A longer gap parts two passes; default: six usual intervals.
+    pass_id : int, optional
+        Only this pass, counted from zero as in the result; default: all.
     environment : Environment, optional
         What surrounds the body, on the telemetry's clock, with z of its N to the Sun (:func:`sunspin.environment.circular`).
     torques : list, optional
@@ -139,6 +142,8 @@ def rates(
     _require_sun_along_z(environment)
     o, why, source = observations(vehicle, telemetry, source)
     parts = passes(o, why, gap_s)
+    ids = _asked_for(pass_id, len(parts))
+    parts = [parts[k] for k in ids]
     sensors = vehicle.sensors
     rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
     given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
@@ -164,11 +169,20 @@ def rates(
     found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise) for one in each], motion)
     missed = [coarse(o.take(part), motion, rate_max) for part in parts]
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
-    result = result.assign(_believed(o, found, motion, missed, telemetry.attrs.get("epoch_utc")))
+    result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed, telemetry.attrs.get("epoch_utc")))
     walked = np.nan if walk is None else walk
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _asked_for(pass_id: int | None, count: int) -> list[int]:
+    """Which of so many passes are estimated."""
+    if pass_id is None:
+        return list(range(count))
+    if isinstance(pass_id, bool) or not isinstance(pass_id, int | np.integer) or not 0 <= pass_id < count:
+        raise InputError(sentence("there is no such pass", got=pass_id, do=f"the file has passes 0 to {count - 1}"))
+    return [int(pass_id)]
 
 
 def _require_sun_along_z(environment: Environment | None) -> None:

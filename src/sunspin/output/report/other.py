@@ -36,7 +36,7 @@ STATED = (("chain", "candidate motions from"), ("noise", "readings"), ("calibrat
 """Entries of a study's summary that belong to where its results come from, and their names."""
 
 SEEN_OF = {
-    "posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "p_value", "effective_draws", "pareto_k", "predicted", "passes"},
+    "posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "passes", "p_value", "effective_draws", "pareto_k", "predicted"}
 }
 """The same, for one command's summary."""
 
