@@ -6,6 +6,7 @@ Nothing of the package's own dynamics makes them: Euler's equations with a torqu
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -25,8 +26,7 @@ CHANGE = np.radians(1.0)
 """rad/s by which a torque or a step changes the rate over a pass."""
 
 KINDS = {
-    "right model": 40, "steady torque": 10, "step of the rate": 10, "hardly informed": 20, "columns exchanged": 12,
-    "stop and go": 12,
+    "right model": 24, "steady torque": 8, "step of the rate": 8, "hardly informed": 12, "columns exchanged": 12, "stop and go": 8,
 }  # fmt: skip
 """Kind of pass -> how many."""
 
@@ -112,11 +112,17 @@ def stepped(rng: np.random.Generator, span_s: float) -> Push:
 
 
 def hardly_informed(rng: np.random.Generator) -> Made:
-    """Nine panels of much noise, a few samples far apart, and a largest rate that is told."""
+    """Nine panels of much noise, samples 30 to 120 s apart, and wheels that turn the body hither and thither, which nobody says."""
     normals = np.array([unit(rng) for _ in range(9)])
-    t = instants(rng, int(rng.integers(4, 15)), rng.uniform(30.0, 120.0))
-    rates, attitudes = spin(np.radians(rng.uniform(0.0, 0.3)) * unit(rng), t)
-    return seen(normals, rates, attitudes, t, rng.uniform(0.2, 0.6), rng, False, np.radians(rng.uniform(0.5, 3.0)))
+    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(size=(int(t[-1]) + 2, 3))  # white, one a second
+    drag = 0.05  # 1/s, so that the rates stay as small as those of a body under control
+    rates = np.zeros_like(pushes)
+    for k in range(1, len(pushes)):
+        rates[k] = (1 - drag) * rates[k - 1] + pushes[k]
+    attitude = np.array(list(accumulate(rates, lambda one, rate: Rotation.from_rotvec(-rate).as_matrix() @ one, initial=np.eye(3))))
+    at = t.astype(int)
+    return seen(normals, rates[at], attitude[at], at.astype(float), rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
 
 
 def exchanged(made: Made, rng: np.random.Generator) -> Made:
@@ -139,7 +145,7 @@ def stop_and_go(rng: np.random.Generator) -> Made:
     attitude = [np.eye(3)]
     for rate in omega[:-1]:
         attitude.append(Rotation.from_rotvec(-rate).as_matrix() @ attitude[-1])
-    return seen(FACES, omega, np.array(attitude), t, 0.02, rng, bool(rng.random() < 0.5))
+    return seen(FACES, omega, np.array(attitude), t, rng.uniform(0.02, 0.1), rng, bool(rng.random() < 0.5))
 
 
 def make(kind: str, seed: int, i: int) -> Made:

@@ -28,9 +28,10 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
 @click.option("--pass", "pass_id", type=click.IntRange(0), help="Only this pass, numbered from zero as in passes.csv.")
 @click.option("--from", "begin", help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.")
 @click.option("--to", "end", help="Use samples up to this time, likewise.")
+@click.option("--no-wirings", is_flag=True, help="Where a pass does not fit, do not try other wirings of panels and sensors.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
-          without) -> None:  # fmt: skip
+          no_wirings, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
@@ -51,7 +52,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     claim(out, "rates")
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
-        acceleration_noise=noise, gap_s=gap, pass_id=pass_id,
+        acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings,
     )  # fmt: skip
     deliver(result, out, as_json, quiet, vehicle, samples)
 

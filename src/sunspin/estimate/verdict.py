@@ -25,7 +25,7 @@ FEW_BEYOND, LEAST_BEYOND = 0.04, 4
 """Readings beyond three sigma that come one after another are no spikes, but a motion that is not this one: from this share on,
 and so many of them."""
 
-IN_RUNS = 1e-3
+IN_RUNS = 1e-2
 """Chance below which readings beyond three sigma would lie next to each other so often if they were strewn."""
 
 

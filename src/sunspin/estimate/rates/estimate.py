@@ -16,7 +16,7 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
 from sunspin.environment.frames import SUN_Z_LOCAL
-from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, speeds, table
+from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
 from sunspin.estimate.rates import torque
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
@@ -25,16 +25,17 @@ from sunspin.estimate.rates.earth import is_told, with_beam
 from sunspin.estimate.rates.field import with_drift
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.motion import SUN_N, Body, require_followed
-from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, refined, settled
+from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.residuals import Fitted, residuals
 from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
-from sunspin.estimate.rates.state import Motion, Observations, Track, joined
+from sunspin.estimate.rates.state import FIELD_TURN_RATE, Motion, Observations, Track, joined
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.verdict import NARROWER, answers, misfit
+from sunspin.estimate.wiring import better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -91,6 +92,7 @@ def rates(
     pass_id: int | None = None,
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
+    wirings: bool = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -119,6 +121,9 @@ def rates(
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
+    wirings : bool
+        Where a pass does not fit, try other wirings of panels and sensors on the one with the most samples
+        (:mod:`sunspin.estimate.wiring`), which takes minutes, and name the one that fits.
 
     Returns
     -------
@@ -173,7 +178,31 @@ def rates(
     walked = np.nan if walk is None else walk
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
+    if wirings and not result["fits"].values.all():
+        result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
+    """The result with the wiring that fits the longest pass that does not fit as stated, if one does."""
+    bad = np.flatnonzero(~result["fits"].values)
+    k = bad[np.argmax(result["samples"].values[bad])]
+    inside = result["time"].values[result["pass_of"].values == k]
+    part = telemetry.sel(time=slice(inside[0], inside[-1]))
+    source = None if result.attrs["source"] == "directions" else result.attrs["source"]
+
+    def evidence(other: Vehicle, data: xr.Dataset) -> float:
+        o, why, _ = observations(other, data, source)
+        return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+
+    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset:
+        return rates(other, data, source=source, max_rate_rad_s=rate_max, gap_s=np.inf, environment=environment, torques=torques)
+
+    found = better(vehicle, part, evidence, run, FIELD_TURN_RATE)
+    if found is None:
+        return result
+    wiring = np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)
+    return result.assign(wiring=("pass_id", wiring)).assign_attrs(wiring_doubt=found.words)
 
 
 def _asked_for(pass_id: int | None, count: int) -> list[int]:
@@ -396,6 +425,8 @@ def verdict(result: xr.Dataset) -> str:
     text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
     if not fits.all():
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    if "wiring_doubt" in result.attrs:
+        text += f"; {result.attrs['wiring_doubt']}"
     if count := int((fits & ~informed).sum()):
         text += f"; in {count} the data do not inform every component, and the prior is given back in the others"
     if (fits & informed & ~unique).any():

@@ -45,7 +45,8 @@ def residuals(every: Observations, kept: np.ndarray, whole: Track, fit: Fitted) 
     """Sensor -> residuals (K, n) in sigmas of the modes `whole` (K) at the samples of `every` (n), the last of each pair where
     neighbours are compared, NaN where it read nothing; `kept`: the places of the samples that the motions were fitted to."""
     found = {"Sun": _sun(every, kept, whole, fit)}
-    if (known := np.isfinite(every.gyro).all(axis=1)).any():
+    known = np.asarray(np.isfinite(every.gyro).all(axis=1))
+    if known.any():
         found["gyro"] = _gyro(every, known, kept, whole, fit)
     for name, pairs in _neighbours(fit).items():
         found[name] = np.full(found["Sun"].shape, np.nan)

@@ -26,7 +26,22 @@ def rates_summary(result: Any) -> Summary:
         "synthetic_telemetry": bool(result.attrs.get("synthetic", 0)),
     }  # fmt: skip
     lines = [result.attrs["verdict"], *(line for _, line in found)]
-    return Summary(numbers, lines + [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)])
+    counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
+    return Summary(numbers, [*lines, *_mirrored(numbers["passes"], numbers["source"]), *counted])
+
+
+def _mirrored(passes: list[dict[str, Any]], source: str) -> list[str]:
+    """What no data of panels alone can decide, with the rates of the first decided pass."""
+    sure = [one for one in passes if one["decided"] and one["wiring"] == "unchecked"]
+    if not sure or source != "panels":
+        return []
+    x, y, z = (sure[0]["modes"][0][f"omega_{axis}_deg_s"] for axis in "xyz")
+    digits = _digits(np.array([sure[0]["modes"][0][f"sigma_{axis}_deg_s"] for axis in "xyz"]))
+    stated, mirrored = (_row(np.array(rate), digits) for rate in ((x, y, z), (x, -y, -z)))
+    return [
+        "  wiring unchecked: panels alone cannot tell whether the columns of two opposite panels are exchanged; were it so "
+        f"along x, the motion at {sure[0]['utc_at']} would be ({mirrored}) and not ({stated}) deg/s"
+    ]
 
 
 def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
