@@ -49,6 +49,10 @@ def test_too_many_far_off_fit_nothing_however_they_are_strewn():
     assert not misfit(far).fits and misfit(np.full(10, 5.0)).share == 1.0 and not misfit(np.full(10, 5.0)).fits
 
 
+def test_one_spike_among_four_samples_is_forgiven_and_two_are_not():
+    assert misfit(np.array([1.0, 9.0, 1.0, 1.0])).fits and not misfit(np.array([1.0, 9.0, 1.0, 9.0])).fits
+
+
 def test_a_sensor_that_read_nothing_does_not_disagree():
     assert misfit(np.full(5, np.nan)) == Misfit(0, 0.0, 1.0) and misfit(np.full(5, np.nan)).fits
 

@@ -18,8 +18,8 @@ NARROWER = 0.5
 BEYOND = 2 * norm.sf(3.0)
 """Chance of a sound reading to lie beyond three sigma."""
 
-MOST_BEYOND = 0.2
-"""No motion fits where a larger share of one sensor's readings lies beyond three sigma, however they are strewn."""
+MOST_BEYOND, ONE_SPIKE = 0.2, 1.5
+"""No motion fits where a larger share of one sensor's readings, and more than one, lies beyond three sigma, however strewn."""
 
 FEW_BEYOND, LEAST_BEYOND = 0.04, 4
 """Readings beyond three sigma that come one after another are no spikes, but a motion that is not this one: from this share on,
@@ -39,8 +39,9 @@ class Misfit(NamedTuple):
     @property
     def fits(self) -> bool:
         """Whether the sensor agrees with the motion."""
-        in_runs = self.share > FEW_BEYOND and self.share * self.count >= LEAST_BEYOND and self.chance < IN_RUNS
-        return not (self.share > MOST_BEYOND or in_runs)
+        beyond = self.share * self.count
+        in_runs = self.share > FEW_BEYOND and beyond > LEAST_BEYOND - 0.5 and self.chance < IN_RUNS
+        return not (in_runs or (self.share > MOST_BEYOND and beyond > ONE_SPIKE))
 
 
 class Answers(NamedTuple):

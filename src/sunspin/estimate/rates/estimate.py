@@ -58,6 +58,9 @@ DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
 
+MOST_LATE = 0.1
+"""A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
+
 SUSPECTED = "the data alone, not counted"
 """Where a lateness comes from that the vehicle file does not speak of."""
 
@@ -239,7 +242,8 @@ def _clock(
     nothing = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
     if told is None:
         late = suspected(tracks, motion)
-        if late is None:
+        longest = max(float(np.ptp(o.t_s)) for o, _ in tracks)
+        if late is None or abs(late.late_s) > MOST_LATE * longest:  # it stands for a motion that does not fit
             return None, nothing
         return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
     clock = Clock(told.late_s, told.sigma_s)
