@@ -19,6 +19,7 @@ class Attitude(PairTerm):
     """Attitudes B_from_N (n, 3, 3) of some inertial frame, NaN where not read, with one sigma (rad)."""
 
     name: ClassVar[str] = "attitude"
+    called: ClassVar[str] = "attitude"
     per_sample: ClassVar[tuple[str, ...]] = ("B_from_N",)
 
     B_from_N: np.ndarray

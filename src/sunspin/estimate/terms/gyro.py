@@ -20,6 +20,7 @@ class Gyro(StateTerm):
     zero axis by axis, and its scale."""
 
     name: ClassVar[str] = "gyro"
+    called: ClassVar[str] = "gyro"
     per_sample: ClassVar[tuple[str, ...]] = ("rate_B", "common")
 
     rate_B: np.ndarray

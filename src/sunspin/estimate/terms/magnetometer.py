@@ -33,6 +33,7 @@ class Magnetometer(PairTerm):
     (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown."""
 
     name: ClassVar[str] = "field"
+    called: ClassVar[str] = "magnetometer"
     per_sample: ClassVar[tuple[str, ...]] = ("field_B", "drift_N")
 
     field_B: np.ndarray

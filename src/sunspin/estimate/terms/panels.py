@@ -38,10 +38,11 @@ class Panels(SunTerm):
     `gain` (n_panel): factors on the gains of the response; `gain_errors`, `gain_unknowns` (m, n_panel): one sigma of their errors
     in common that are considered, and of those that are estimated. `scale` (n), `scale_sigma` (n): the factor of all powers of a
     sample and its relative uncertainty. `earth_share`: how much of full Sun a panel gets that looks at the Earth, where no fit
-    estimates it; for those that do, `earth`, and `whole` (power, sigma, sigma of the scale): what was read, and how well, beside it.
+    estimates it; for those that do, `earth`, and `whole` (power, sigma, scale_sigma): what was read beside it, and how well.
     """
 
     name: ClassVar[str] = "panels"
+    called: ClassVar[str] = "Sun"
     per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma")
 
     power: np.ndarray
@@ -93,6 +94,13 @@ class Panels(SunTerm):
     def full(self) -> np.ndarray:
         """What each panel (n_panel) gets of a Sun that it looks at."""
         return self.gain * self.response.power(self.response.facing_B).diagonal()
+
+    def freedom(self) -> np.ndarray:
+        return np.isfinite(self.sigma).sum(axis=1)
+
+    def log_size(self) -> float:
+        sigma = np.where(np.isfinite(self.sigma), self.sigma, self.full)
+        return float(np.log(sigma).sum() + np.log(self.scale_sigma).sum())
 
     def relative(self) -> np.ndarray:
         """Readings (n, n_panel) as shares of full Sun, zero where they say nothing."""

@@ -30,6 +30,7 @@ class SunDirection(SunTerm):
     """Directions (n, 3) with covariance (n, 3, 3) of full rank; NaN: none."""
 
     name: ClassVar[str] = "sun"
+    called: ClassVar[str] = "Sun"
     per_sample: ClassVar[tuple[str, ...]] = ("direction_B", "covariance")
 
     direction_B: np.ndarray
@@ -50,6 +51,9 @@ class SunDirection(SunTerm):
 
     def points(self) -> np.ndarray:
         return self.present()
+
+    def freedom(self) -> np.ndarray:
+        return 2 * self.present()
 
     def directions(self, index: int) -> np.ndarray | None:
         sharp = self.present()[index] and np.trace(self.covariance[index]) < 3 * SHARP_RAD**2

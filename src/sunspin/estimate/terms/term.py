@@ -68,6 +68,8 @@ class Term:
     """What every term can be asked; n are its samples."""
 
     name: ClassVar[str]
+    called: ClassVar[str]
+    """What a person calls it; what reads the same thing has one such name."""
     per_sample: ClassVar[tuple[str, ...]] = ()
     """Its arrays whose first axis are the samples."""
 
@@ -82,6 +84,10 @@ class Term:
     def readings(self) -> int:
         """How many readings of three numbers it adds to those of the Sun."""
         return 0
+
+    def freedom(self) -> np.ndarray:
+        """How many numbers each reading (n) says."""
+        return 3 * self.present()
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """The same trusted no further than a start that is off by turns (n) and a rate of this size."""
@@ -127,6 +133,11 @@ class SunTerm(Term):
     def points(self) -> np.ndarray:
         """Which samples (n) have a direction of their own, whatever the motion."""
         return np.zeros_like(self.informs())
+
+    def log_size(self) -> float:
+        """Log of the readings' sigmas, where another reading of the same file changes them; what is left out counts as if it
+        might be anything."""
+        return 0.0
 
     def directions(self, index: int) -> np.ndarray | None:
         """The Sun's direction in the body (m, 3) at a sample, where that is a point to start from."""
