@@ -19,6 +19,8 @@ from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.terms.term import Seen, facing, normal, student
 from sunspin.solve.rotations import turn
+from sunspin.vehicle.response.choice import ResponseForm
+from sunspin.vehicle.response.grazing import Grazing
 from sunspin.vehicle.sensors import Sensors
 
 
@@ -79,6 +81,28 @@ def test_a_second_magnetometer_is_one_more_term():
     assert known[1] < known[0] - 0.1  # rates are known better
 
 
+@pytest.mark.evidence("rates", "verified", "panels that lose half of grazing light, read by that law and by the cosine")
+def test_another_law_of_the_panels_is_the_responses_alone():
+    """At the truth readings cost as sound ones do under the law that made them, more under the cosine; and slopes are its own."""
+    lossy = replace(CUBE, panel_response=ResponseForm(grazing=Grazing(loss=0.5)))
+    data, run = clock_twins.twin("gyro", 0.0, np.random.default_rng(4), 12)
+    rng, sun = np.random.default_rng(5), run["sun_B"].values
+    power = np.maximum(lossy.response_in().power(sun) + 0.01 * rng.normal(size=(12, 6)), 0.0)
+    data = data.assign(power_W=(("time", "panel"), power))
+    seen = Seen(facing(sun)[None], run["omega_B"].values[None])
+    cost = {}
+    for name, vehicle in (("law", lossy), ("cosine", CUBE)):
+        panels = replace(observations(vehicle, data)[0].of_sun[0], sigma=np.full(power.shape, 0.01), scale_sigma=np.full(12, 0.01))
+        cost[name] = normal(panels, seen)[2].sum()
+    assert cost["law"] < 12 * 3.6 and cost["cosine"] > 2 * cost["law"]  # 3.6: what a sound sample costs at most
+    panels = replace(observations(lossy, data)[0].of_sun[0], sigma=np.full(power.shape, 0.1))
+    beside = Seen(turn(seen.attitude, np.array([0.1, -0.15, 0.2])), seen.omega)
+    slope = normal(panels, beside)[1].sum(axis=1)[0]
+    steps = 1e-3 * np.eye(3)
+    ends = [[normal(panels, Seen(turn(beside.attitude, sign * one), seen.omega))[2].sum() for sign in (1, -1)] for one in steps]
+    np.testing.assert_allclose(slope, [(up - down) / 2e-3 for up, down in ends], rtol=0.02, atol=0.02 * np.abs(slope).max())
+
+
 def test_readings_apart_cost_the_mean_of_their_likelihood():
     """Of a gyro and a field, each against an average of the likelihood over what it may see."""
     o, truth = both(samples=3)
@@ -123,5 +147,5 @@ def test_a_pass_with_a_gyro_in_other_axes_says_so():
     (data, _), (other, _) = (clock_twins.twin(kind, 0.0, np.random.default_rng(4), 24) for kind in ("gyro", "field"))
     turned = data["gyro_B"].values @ turn(np.eye(3), np.radians([60.0, 0.0, 0.0])).T
     data = data.assign(field_B=other["field_B"], gyro_B=(data["gyro_B"].dims, turned))
-    found = ss.rates(craft(), data, max_rate_rad_s=0.15)
+    found = ss.rates(craft(), data, max_rate_rad_s=0.15, wirings=True)
     assert not found["fits"].values.any() and "without the gyro the other sensors agree" in found.attrs["verdict"]
