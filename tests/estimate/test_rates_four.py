@@ -39,8 +39,8 @@ def nearest(result, run):
 
 def test_gains_are_unknowns_only_where_brightness_does_not_tell_them():
     four, six = (seen(craft)[0].of_sun[0] for craft in (FOUR, CUBE))
-    assert len(four.row_unknowns) == 4 and not len(four.row_errors)
-    assert len(six.row_errors) == 6 and not len(six.row_unknowns)
+    assert len(four.gain_unknowns) == 4 and not len(four.gain_errors)
+    assert len(six.gain_errors) == 6 and not len(six.gain_unknowns)
 
 
 @pytest.mark.evidence("rates", "verified", "differences of the cost of the readings")
@@ -49,8 +49,8 @@ def test_the_gradient_of_the_readings_to_gains_is_that_of_their_cost():
     o, track = seen()
     panels = o.of_sun[0]
     slope = normal(panels, track, np.zeros((1, 4)))[1][0, :, 3:].sum(axis=0)
-    for unknown, told in zip(panels.row_unknowns, slope, strict=True):
-        beside = (o.swapped(panels, replace(panels, rows=panels.rows + sign * 1e-5 * unknown)) for sign in (1, -1))
+    for unknown, told in zip(panels.gain_unknowns, slope, strict=True):
+        beside = (o.swapped(panels, replace(panels, gain=panels.gain + sign * 1e-5 * unknown)) for sign in (1, -1))
         up, down = (measured(other, track)[2].sum() for other in beside)
         assert told == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
 

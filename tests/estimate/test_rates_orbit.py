@@ -17,15 +17,19 @@ from sunspin.estimate.rates.motion import Body, Ends, step
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import between
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.terms.earth_light import earth_lit
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import LEFT, TURN_RATE, Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import normal
 from sunspin.solve.rotations import turn, turn_between
+from sunspin.vehicle import Panel, Vehicle
 
 EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
 """rad; that of the Earth's disk from 550 km."""
+
+
+def panels_of(normals, gain=1.0):
+    return Vehicle("faces", panels=[Panel(f"p{i}", normal, gain) for i, normal in enumerate(normals)]).response_in()
 
 
 def pass_of(vehicle, data) -> Observations:
@@ -51,17 +55,17 @@ def test_the_law_of_the_earths_light_is_that_of_a_wide_disk(reached):
     normals = np.column_stack([np.sin(turned), np.zeros(19), np.cos(turned)])
     area = np.sin(away) * EARTH_RADIUS / 300 * 2 * np.pi / 300 / (np.pi * np.sin(EARTH_RADIUS) ** 2)
     true = (np.maximum(ray @ normals.T, 0) * area[..., None]).sum(axis=(0, 1))
-    told, _ = earth_lit(normals, np.array([[[0.0, 0.0, 1.0]]]))
-    reached("light of the Earth on a panel", np.abs(told[0, 0] - true), "of the most", limit=0.06)
-    assert np.abs(told[0, 0] - true).max() < 0.06
+    told, _ = panels_of(normals).disc(np.array([0.0, 0.0, 1.0]), np.array(1.0))
+    reached("light of the Earth on a panel", np.abs(told - true), "of the most", limit=0.06)
+    assert np.abs(told - true).max() < 0.06
 
 
 def test_opposite_panels_differ_by_the_component_of_the_beam():
     rng = np.random.default_rng(2)
     normal, beam = rng.normal(size=(2, 3))
     normal /= np.linalg.norm(normal)
-    light, _ = earth_lit(1.3 * np.array([normal, -normal]), beam[None, None])
-    assert light[0, 0, 0] - light[0, 0, 1] == pytest.approx(1.3 * normal @ beam, rel=1e-12)
+    light, _ = panels_of(np.array([normal, -normal]), 1.3).disc(beam / np.linalg.norm(beam), np.linalg.norm(beam))
+    assert light[0] - light[1] == pytest.approx(1.3 * normal @ beam, rel=1e-12)
 
 
 def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_their_cost():

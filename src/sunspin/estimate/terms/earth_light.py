@@ -2,9 +2,9 @@
 
 It comes from where the Earth is, from a low orbit a wide disk, up to a third of full Sun on a panel that looks there, and turns
 with the orbit. Its three components in N and their drift are estimated with the motion: as noise it would drown weak light.
-The law of :func:`earth_lit` makes two opposite panels differ by just the component of the beam along them, so the differences of
-opposite panels follow one vector, Sun and beam together, that stays in space too: the search uses those, and needs to know nothing
-of the beam. What a smooth beam leaves, clouds and coasts, stays noise. What panels read too much all the time, zeros of converters
+By the response's `disc` two opposite panels differ by just the component of the beam along them, so the differences of opposite
+panels follow one vector, Sun and beam together, that stays in space too: the search uses those, and needs to know nothing of the
+beam. What a smooth beam leaves, clouds and coasts, stays noise. What panels read too much all the time, zeros of converters
 that nobody subtracts, looks much the same in their brightness: it is estimated beside.
 """
 
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.terms.term import SUN_N, Unknown, drifting
 from sunspin.solve.rotations import cross_matrix
+from sunspin.vehicle.response.protocol import PanelResponse
 
 TURN_RATE = 1.5e-3
 """rad/s; the beam turns with the orbit, 1.1e-3, and brightens or fades as the ground below does."""
@@ -27,6 +28,9 @@ LEAST = 0.03
 
 WIDER = 1.5
 """Prior sigma of the beam, in units of what faces away from the Sun get on average."""
+
+LEAST_BEAM = 1e-12
+"""Share of full Sun at which a beam is taken for this weak, so that it has a direction."""
 
 OPPOSITE = -0.99
 """Cosine of the angle between opposite panels, at most."""
@@ -63,11 +67,16 @@ class EarthLight:
         zeros = zip(panels, self.zeros, strict=True)
         return (*beam, *(Unknown(f"zero_{name}", "panel_zero", "reading", 0.0, float(s), i) for i, (name, s) in enumerate(zeros)))
 
-    def light(self, rows: np.ndarray, attitude: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Light of the beam (K, n, n_panel) on panels `rows`, its derivative (K, n, n_panel, 3 + u) to a turn and the unknowns."""
+    def light(
+        self, response: PanelResponse, gain: np.ndarray, attitude: np.ndarray, error: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Light of the beam (K, n, n_panel) on panels with factors `gain`, and its derivative (K, n, n_panel, 3 + u) to a turn and
+        the unknowns."""
         beam_N = np.einsum("km,nmj->knj", error[:, : self.beam_N.shape[1]], self.beam_N)
         beam = (attitude @ beam_N[..., None])[..., 0]
-        more, to_beam = earth_lit(rows, beam)
+        size = np.maximum(np.linalg.norm(beam, axis=-1), LEAST_BEAM)
+        more, to_beam = response.disc(beam / size[..., None], size)
+        more, to_beam = more * gain, to_beam * gain[..., None]
         own = np.einsum("knpj,knji,nmi->knpm", to_beam, attitude, self.beam_N)
         zeros = np.broadcast_to(np.diag(self.zeros), (*more.shape, len(self.zeros)))
         return more, np.concatenate([to_beam @ cross_matrix(beam), own, zeros], axis=-1)
@@ -104,14 +113,12 @@ def faint(share: float) -> bool:
 
 
 def pairs_differing(
-    rows: np.ndarray, whole: np.ndarray, whole_sigma: np.ndarray, power: np.ndarray, sigma: np.ndarray
+    facing: np.ndarray, gain: np.ndarray, whole: np.ndarray, whole_sigma: np.ndarray, power: np.ndarray, sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Powers and sigmas (n, n_panel) with those of two opposite panels replaced by their difference, on the brighter one."""
-    gain = np.linalg.norm(rows, axis=1)
-    normals = rows / gain[:, None]
     share, error = whole / gain, whole_sigma / gain
     power, sigma = power.copy(), sigma.copy()
-    for i, j in np.argwhere(normals @ normals.T < OPPOSITE):
+    for i, j in np.argwhere(facing @ facing.T < OPPOSITE):
         both = np.isfinite(error[:, i]) & np.isfinite(error[:, j])
         power[both, i] = gain[i] * np.maximum(share[both, i] - share[both, j], 0.0)
         sigma[both, i] = gain[i] * np.hypot(error[both, i], error[both, j])
@@ -125,20 +132,3 @@ def _sun_first(beam: np.ndarray) -> np.ndarray:
     sun = -across + SUN_N * np.sqrt(max(1 - across @ across, 0.0))
     axis = np.cross(SUN_N, sun)  # as long as the sine of the angle between them, which is less than a quarter turn
     return Rotation.from_rotvec(axis * np.arcsin(min(np.linalg.norm(axis), 1.0)) / max(np.linalg.norm(axis), 1e-300)).as_matrix()
-
-
-def earth_lit(rows: np.ndarray, beam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Light (K, n, n_panel) on panels `rows` (n_panel, 3) or (K, n_panel, 3), gain times normal, under the Earth's beam (K, n, 3)
-    in B, as long as the light on a panel that looks there; and its derivative (K, n, n_panel, 3).
-
-    The Earth fills a disk of 66 degrees' radius seen from 550 km: on a panel turned away by an angle a its light falls as
-    ((1 + cos a) / 2)^2, to 0.05 of what it is at most.
-    """
-    size = np.maximum(np.linalg.norm(beam, axis=-1), 1e-12)[..., None]
-    gain = np.linalg.norm(rows, axis=-1)
-    gain = gain if gain.ndim == 1 else gain[:, None]
-    both = gain * size + beam @ np.swapaxes(rows, -1, -2)
-    part, toward = both / (gain * size), (beam / size)[..., None, :]
-    normal = rows if rows.ndim == 2 else rows[:, None]
-    slope = part[..., None] / 2 * (gain[..., None] * toward + normal) - (part**2 / 4 * gain)[..., None] * toward
-    return part * both / 4, slope

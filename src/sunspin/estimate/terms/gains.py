@@ -13,11 +13,11 @@ MOST_SIGMAS = 4.0
 
 
 def errors(vehicle: Vehicle, quality: xr.Dataset) -> np.ndarray:
-    """One sigma (m, n_panel, 3) of each independent error of gain times normal, estimated or as the vehicle file has them."""
-    return np.linalg.cholesky(quality["gain_cov"].values).T[:, :, None] * vehicle.panel_normals_B
+    """One sigma (m, n_panel) of each independent error of the factors on the vehicle's gains, estimated or as its file has them."""
+    return np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.panel_gains
 
 
-def unknowns(free: np.ndarray, rows: np.ndarray) -> tuple[Unknown, ...]:
-    """Those that are estimated (m, n_panel, 3), of panels `rows` (n_panel, 3), relative to the gains."""
-    sizes = np.linalg.norm(free, axis=(1, 2)) / max(float(np.linalg.norm(rows, axis=1).max()), 1e-300)
+def unknowns(free: np.ndarray) -> tuple[Unknown, ...]:
+    """Those that are estimated (m, n_panel)."""
+    sizes = np.linalg.norm(free, axis=1)
     return tuple(Unknown(f"gain_{i}", "gain", "1", 0.0, float(size), i, limit=MOST_SIGMAS) for i, size in enumerate(sizes))

@@ -27,6 +27,7 @@ class MagneticTorque(MotionTerm):
     """`sigma` (rad/s2) of the acceleration."""
 
     name: ClassVar[str] = "magnetic torque"
+    called: ClassVar[str] = "magnetic torque"
 
     sigma: float
 
