@@ -133,8 +133,9 @@ class Tabled(Flat):
 
     def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
         power, to_sun = self._along_sphere(sun_B, gain, tilt)
-        zero = np.zeros((len(self.gains), 3)) if tilt is None else tilt
-        turned = [[self.power(sun_B, gain=gain, tilt=zero + sign * STEP * one) for sign in (1, -1)] for one in np.eye(3)]
+        if tilt is None:
+            return Slopes(power, to_sun, None)
+        turned = [[self.power(sun_B, gain=gain, tilt=tilt + sign * STEP * one) for sign in (1, -1)] for one in np.eye(3)]
         return Slopes(power, to_sun, np.stack([self._lit_side(power, *both) for both in turned], axis=-1))
 
     def _along_sphere(
