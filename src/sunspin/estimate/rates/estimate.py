@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -96,6 +97,7 @@ def rates(
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
     wirings: bool = False,
+    progress: bool = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -127,6 +129,8 @@ def rates(
     wirings : bool
         Where a pass does not fit, try other wirings of panels and sensors on the one with the most samples
         (:mod:`sunspin.estimate.wiring`), which takes minutes, and name the one that fits.
+    progress : bool
+        Show how many passes have been searched, and how long the others will take.
 
     Returns
     -------
@@ -166,7 +170,8 @@ def rates(
     motion = Motion(body, noise, rate_max / 2)
     use = usable(o, why)
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
-    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
+    searched = tqdm(parts, unit="pass", desc="rates", disable=not progress, leave=False)
+    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in searched]
     if not _torque_told(vehicle, o):
         motion = replace(motion, torque=torque.prior_sigma(noise))
     ready = [(with_unknowns(some), track) for some, track in tracks]
@@ -190,16 +195,23 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     """The result with the wiring that fits the longest pass that does not fit as stated, if one does."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
-    inside = result["time"].values[result["pass_of"].values == k]
-    part = telemetry.sel(time=slice(inside[0], inside[-1]))
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
+    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment}
 
     def evidence(other: Vehicle, data: xr.Dataset) -> float:
-        o, why, _ = observations(other, data, source)
-        return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+        try:
+            o, why, _ = observations(other, data, source)
+            return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+        except InputError:
+            return -np.inf
 
-    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset:
-        return rates(other, data, source=source, max_rate_rad_s=rate_max, gap_s=np.inf, environment=environment, torques=torques)
+    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
+        try:
+            return rates(other, data, torques=torques, **setting)
+        except InputError:
+            return None
 
     found = better(vehicle, part, evidence, run, FIELD_TURN_RATE)
     if found is None:
