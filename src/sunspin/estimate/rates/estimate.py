@@ -443,9 +443,9 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
     if "wiring_doubt" in result.attrs:
         text += f"; {result.attrs['wiring_doubt']}"
-    if count := int((fits & ~informed).sum()):
-        text += f"; in {count} the data do not inform every component, and the prior is given back in the others"
-    if (fits & informed & ~unique).any():
+    if count := int((fits & unique & ~informed).sum()):
+        text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if (fits & ~unique).any():
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
     if missed := int((~complete).sum()):
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
