@@ -36,7 +36,7 @@ from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import FIELD_TURN_RATE, Motion, Observations, Track, joined
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.verdict import NARROWER, answers, misfit
-from sunspin.estimate.wiring import better
+from sunspin.estimate.wiring import Better, better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -192,7 +192,7 @@ def rates(
 
 
 def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
-    """The result with the wiring that fits the longest pass that does not fit as stated, if one does."""
+    """The result with the wiring that fits the longest pass that does not fit as stated, or the sensor that is in its way."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
     times, first = np.unique(telemetry["time"].values, return_index=True)
@@ -216,8 +216,9 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     found = better(vehicle, part, evidence, run, FIELD_TURN_RATE)
     if found is None:
         return result
-    wiring = np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)
-    return result.assign(wiring=("pass_id", wiring)).assign_attrs(wiring_doubt=found.words)
+    if isinstance(found, Better):
+        result = result.assign(wiring=("pass_id", np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)))
+    return result.assign_attrs(wiring_doubt=found.words)
 
 
 def _asked_for(pass_id: int | None, count: int) -> list[int]:
