@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -40,7 +41,7 @@ from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import NARROWER, answers, misfit
-from sunspin.estimate.wiring import better
+from sunspin.estimate.wiring import Better, better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -101,6 +102,7 @@ def rates(
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
     wirings: bool = False,
+    progress: bool = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -130,9 +132,11 @@ def rates(
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
     wirings : bool
-        Where a pass does not fit, try on the one with the most samples to leave out each sensor
-        (:mod:`sunspin.estimate.rates.hypotheses`) and other wirings of panels and sensors (:mod:`sunspin.estimate.wiring`), which
-        takes minutes, and name what fits.
+        Where a pass does not fit, try on the one with the most samples other wirings of panels and sensors
+        (:mod:`sunspin.estimate.wiring`), and if none fits to leave out each sensor, the Sun's too
+        (:mod:`sunspin.estimate.rates.hypotheses`); this takes minutes. Name what fits.
+    progress : bool
+        Show how many passes have been searched, and how long the others will take.
 
     Returns
     -------
@@ -172,7 +176,8 @@ def rates(
     motion = Motion(body, noise, rate_max / 2)
     use = usable(o, why)
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
-    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
+    searched = tqdm(parts, unit="pass", desc="rates", disable=not progress, leave=False)
+    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in searched]
     if not _torque_told(vehicle, o):
         o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
     ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
@@ -188,9 +193,10 @@ def rates(
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     if wirings and not result["fits"].values.all():
-        bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
-        result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
+        if "wiring_doubt" not in result.attrs:
+            bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
+            result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
     return result.assign_attrs(verdict=verdict(result))
 
 
@@ -215,29 +221,37 @@ def _odd_sensor(
     odd = odd_one(ranked([stated, *sensors_left_out(stated)], run))
     if odd is None:
         return {}
-    return {"odd_sensor": f"{odd.hypothesis.what} the other sensors agree: it does not read what they read"}
+    return {"odd_sensor": f"{odd.hypothesis.what} the other readings fit: it does not see what they see"}
 
 
 def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
-    """The result with the wiring that fits the longest pass that does not fit as stated, if one does."""
+    """The result with the wiring that fits the longest pass that does not fit as stated, or the sensor that is in its way."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
-    inside = result["time"].values[result["pass_of"].values == k]
-    part = telemetry.sel(time=slice(inside[0], inside[-1]))
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
+    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment}
 
     def evidence(other: Vehicle, data: xr.Dataset) -> float:
-        o, why, _ = observations(other, data, source)
-        return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+        try:
+            o, why, _ = observations(other, data, source)
+            return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+        except InputError:
+            return -np.inf
 
-    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset:
-        return rates(other, data, source=source, max_rate_rad_s=rate_max, gap_s=np.inf, environment=environment, torques=torques)
+    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
+        try:
+            return rates(other, data, torques=torques, **setting)
+        except InputError:
+            return None
 
     found = better(vehicle, part, evidence, run, TURN_RATE)
     if found is None:
         return result
-    wiring = np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)
-    return result.assign(wiring=("pass_id", wiring)).assign_attrs(wiring_doubt=found.words)
+    if isinstance(found, Better):
+        result = result.assign(wiring=("pass_id", np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)))
+    return result.assign_attrs(wiring_doubt=found.words)
 
 
 def _asked_for(pass_id: int | None, count: int) -> list[int]:
@@ -456,20 +470,18 @@ def verdict(result: xr.Dataset) -> str:
     text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
     if not fits.all():
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
-    if "odd_sensor" in result.attrs:
-        text += f"; {result.attrs['odd_sensor']}"
-    if "wiring_doubt" in result.attrs:
-        text += f"; {result.attrs['wiring_doubt']}"
-    if count := int((fits & ~informed).sum()):
-        text += f"; in {count} the data do not inform every component, and the prior is given back in the others"
-    if (fits & informed & ~unique).any():
+    for doubt in ("wiring_doubt", "odd_sensor"):
+        text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
+    if count := int((fits & unique & ~informed).sum()):
+        text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if (fits & ~unique).any():
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
     if missed := int((~complete).sum()):
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
-    if result.attrs["sensors_late_from"] == SUSPECTED:
+    if result.attrs["sensors_late_from"] == SUSPECTED and "wiring_doubt" not in result.attrs:
         text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
-    elif np.isfinite(result.attrs["sensors_late_s"]):
+    elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
