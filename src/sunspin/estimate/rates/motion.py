@@ -19,13 +19,10 @@ from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble.attitude import carry
 from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.environment import unknown
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
+from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.rotations import turn, turn_between
 from sunspin.vehicle import Vehicle
-
-SUN_N = unknown().at(0.0).sun_N[0]
-"""The Sun in the local frame N."""
 
 STEP_ANGLE = 0.4
 """rad turned in one Runge-Kutta step at most: the error over a turn is some 1e-4 rad, far below any panel's."""
