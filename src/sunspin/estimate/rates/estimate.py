@@ -20,6 +20,8 @@ from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions,
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.estimate.rates.dense import Dense
+from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
+from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
@@ -128,8 +130,9 @@ def rates(
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
     wirings : bool
-        Where a pass does not fit, try other wirings of panels and sensors on the one with the most samples
-        (:mod:`sunspin.estimate.wiring`), which takes minutes, and name the one that fits.
+        Where a pass does not fit, try on the one with the most samples to leave out each sensor
+        (:mod:`sunspin.estimate.rates.hypotheses`) and other wirings of panels and sensors (:mod:`sunspin.estimate.wiring`), which
+        takes minutes, and name what fits.
 
     Returns
     -------
@@ -185,8 +188,34 @@ def rates(
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     if wirings and not result["fits"].values.all():
+        bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
+        result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _odd_sensor(
+    o: Observations, p: Pass, motion: Motion, clock: Clock | None, rate_max: float, begin: float
+) -> dict[str, str]:
+    """Of a pass that does not fit: the sensor without which it does, in words, if there is one."""
+    stated = Hypothesis(AS_READ, o.take(p.index), np.searchsorted(p.index, p.kept), motion, clock)
+
+    def run(one: Hypothesis) -> Fit | None:
+        if one is stated:
+            return Fit(p.track.log_weight, False)
+        part = one.o.take(one.kept)
+        try:
+            track = leading(part, replace(motion, noise=begin), rate_max)
+        except InputError:
+            return None
+        made = finished(one.o, np.arange(len(one.o)), one.kept, track, motion, clock, rate_max, begin)
+        fits = all(misfit(left[0]).fits for left in made.residual.values())
+        return Fit(made.track.log_weight, bool(fits and made.track.cost[0] <= cost_limit(part)))
+
+    odd = odd_one(ranked([stated, *sensors_left_out(stated)], run))
+    if odd is None:
+        return {}
+    return {"odd_sensor": f"{odd.hypothesis.what} the other sensors agree: it does not read what they read"}
 
 
 def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
@@ -427,6 +456,8 @@ def verdict(result: xr.Dataset) -> str:
     text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
     if not fits.all():
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    if "odd_sensor" in result.attrs:
+        text += f"; {result.attrs['odd_sensor']}"
     if "wiring_doubt" in result.attrs:
         text += f"; {result.attrs['wiring_doubt']}"
     if count := int((fits & ~informed).sum()):

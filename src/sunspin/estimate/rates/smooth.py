@@ -81,7 +81,7 @@ def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
 def cost_limit(o: Observations) -> float:
     """The cost beyond which even the best motion does not fit: so much for each sample's Sun, and what sound readings of the
     other sensors cost in the mean."""
-    return BAD_COST * len(o) + THREE_READINGS * sum(term.readings() for term in o.terms)
+    return BAD_COST * len(o) * bool(o.of_sun) + THREE_READINGS * sum(term.readings() for term in o.terms)
 
 
 def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
@@ -95,12 +95,18 @@ def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
     slope[:, :-1] += np.einsum("knmi,knm->kni", first, value)
     slope[:, 1:] += np.einsum("knmi,knm->kni", second, value)
     total = cost.sum(axis=1) + (value**2).sum(axis=(1, 2)) / 2
-    sun = track.sun_B[:, 0]
-    diagonal[:, 0, :3, :3] += sun[:, :, None] * sun[:, None, :] / TURN_PRIOR**2
+    diagonal[:, 0, :3, :3] += free_turn(o, track.sun_B[:, 0])
     diagonal[:, 0, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 0, 3:] += track.omega[:, 0] / motion.rate_prior**2
     total += (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2)
     return Bordered(total, diagonal, upper, slope, damping)
+
+
+def free_turn(o: Observations, sun_B: np.ndarray) -> np.ndarray:
+    """The weak prior (K, 3, 3) of what no reading says of the attitude: the turn about the Sun (K, 3); without a Sun, any turn."""
+    if not o.of_sun:
+        return np.tile(np.eye(3) / TURN_PRIOR**2, (len(sun_B), 1, 1))
+    return sun_B[:, :, None] * sun_B[:, None, :] / TURN_PRIOR**2
 
 
 def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:

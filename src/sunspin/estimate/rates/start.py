@@ -12,6 +12,7 @@ import numpy as np
 from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.smooth import measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.term import SUN_N, facing
 from sunspin.vehicle.response.cosine import sphere
 
 ANGLES = 36
@@ -50,16 +51,10 @@ def mirrored(track: Track, axis: np.ndarray) -> Track:
     return Track(mirror @ track.attitude @ np.diag([-1.0, 1.0, 1.0]), -track.omega @ mirror)
 
 
-def facing(sun_B: np.ndarray) -> np.ndarray:
-    """Some attitude (..., 3, 3), B_from_N, that shows the Sun of N in the direction `sun_B` (..., 3)."""
-    other = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = np.cross(other, sun_B)
-    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(sun_B, x), sun_B], axis=-1)
-
-
 def candidates(o: Observations, index: int) -> np.ndarray:
-    """Directions (n, 3) of the Sun that the sample `index` allows, best first."""
+    """Directions (n, 3) of the Sun that the sample `index` allows, best first; where nothing sees it, its own."""
+    if not o.of_sun:
+        return SUN_N[None]
     for term in o.of_sun:
         if (sharp := term.directions(index)) is not None:
             return sharp

@@ -51,6 +51,11 @@ class Attitude(PairTerm):
         turns = np.arange(-int(rate_max * dt / (2 * np.pi)) - 1, int(rate_max * dt / (2 * np.pi)) + 1)
         return angle / dt * (1 + 2 * np.pi * turns[:, None] / size)
 
+    def unrelated(self, t_s: np.ndarray) -> float:
+        """A turn to sqrt(2) sigmas, of all turns that there are (8 pi^2)."""
+        filled = (2 * np.pi * 2 * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
+        return self.readings() * min(float(np.log(filled)), 0.0)
+
     def between(self, t_s: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The turn less that of the given attitudes; small, so that turns add as vectors."""
         pair = self.pairs()

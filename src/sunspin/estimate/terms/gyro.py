@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
+from scipy.special import gamma
 
-from sunspin.estimate.terms.term import Residual, Seen, StateTerm, Unknown
+from sunspin.estimate.terms.reading import Reading
+from sunspin.estimate.terms.term import STUDENT, Residual, Seen, StateTerm, Unknown
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Gyro as Part
 
@@ -53,6 +55,14 @@ class Gyro(StateTerm):
     def rate_sigma(self, index: int) -> float:
         return self.sigma if np.isfinite(self.rate_B[index : index + 2]).all() else np.inf
 
+    def unrelated(self, t_s: np.ndarray) -> float:
+        """Rates of the size of those that it reads, from one law for all."""
+        read = self.rate_B[self.present()]
+        square = max(float((read**2).mean()), self.sigma**2)
+        filled = (STUDENT * np.pi * self.sigma**2) ** 1.5 * gamma((STUDENT - 1) / 2) / gamma((STUDENT + 2) / 2)
+        found = np.log(filled) - 1.5 * np.log(2 * np.pi * square) - (read**2).sum(axis=1) / (2 * square)
+        return float(np.minimum(found, 0.0).sum())
+
     def unknowns(self) -> tuple[Unknown, ...]:
         if not (self.present().any() and np.any(self.common)):
             return ()
@@ -73,6 +83,19 @@ class Gyro(StateTerm):
             parts.append(np.swapaxes(column, -1, -2))
         slope = np.concatenate(parts, axis=-1)
         yield value, np.broadcast_to(slope, (len(value), *slope.shape))
+
+
+@dataclass(frozen=True)
+class GyroReading(Reading):
+    """One body rate, rad/s."""
+
+    kind: str = field(default="gyro", init=False)
+
+    def predicted(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
+        return omega_B
+
+    def slope(self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray) -> np.ndarray:
+        return to_omega
 
 
 def _common(part: Part | None, rate: np.ndarray) -> np.ndarray:

@@ -65,6 +65,14 @@ class Magnetometer(PairTerm):
         size = np.linalg.norm(np.nan_to_num(self.field_B), axis=1).max(initial=0.0)
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad.max() * size / 2)))
 
+    def unrelated(self, t_s: np.ndarray) -> float:
+        """The next reading's direction is any: the mean of its law over the sphere that the first one can be carried to."""
+        pair = self.pairs()
+        start, end = (np.linalg.norm(part[pair], axis=1) for part in (self.field_B[:-1], self.field_B[1:]))
+        variance = self.sigmas(t_s)[pair] ** 2
+        both = start * end / variance
+        return float((np.log(-np.expm1(-2 * both) / (2 * both)) - (start - end) ** 2 / (2 * variance)).sum())
+
     def freed(self, t_s: np.ndarray) -> Self:
         if not self.pairs().any():
             return self

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
 
+from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm
 from sunspin.solve.rotations import cross_matrix
 from sunspin.vehicle import Vehicle
@@ -55,6 +56,12 @@ class SunDirection(SunTerm):
     def freedom(self) -> np.ndarray:
         return 2 * self.present()
 
+    def unrelated(self, t_s: np.ndarray) -> float:
+        """Under the Student law a direction fills 2 pi times the product of its sigmas; of a sphere, that is."""
+        along = np.einsum("ni,nij,nj->n", self.direction_B, self.covariance, self.direction_B)
+        across = np.sqrt(np.linalg.det(self.covariance[self.present()]) / along[self.present()])
+        return float(np.minimum(np.log(across / 2), 0.0).sum())
+
     def directions(self, index: int) -> np.ndarray | None:
         sharp = self.present()[index] and np.trace(self.covariance[index]) < 3 * SHARP_RAD**2
         return self.direction_B[index : index + 1] if sharp else None
@@ -69,6 +76,19 @@ class SunDirection(SunTerm):
             white[read] = np.swapaxes(np.linalg.cholesky(np.linalg.inv(self.covariance[read])), -1, -2)
             off = sun - np.where(read[:, None], self.direction_B, 0.0)
             yield np.einsum("nij,knj->kni", white, off), white @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
+
+
+@dataclass(frozen=True)
+class SunReading(Reading):
+    """One direction of the Sun in B, seen otherwise than by panels."""
+
+    kind: str = field(default="direction", init=False)
+
+    def predicted(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
+        return sun_B
+
+    def slope(self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray) -> np.ndarray:
+        return to_sun
 
 
 def _full_rank(direction: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ A fit is a list of terms. Each is asked by the same methods, so that what a sens
 - `wider`, `forgiving`, `guesses`, `directions`, `rates`, `rate_sigma`: what the search needs, which knows no unknowns.
 - `freed`, `unknowns`, `begin`: what is estimated beside the motion, in units of its prior sigma.
 - `residuals` (of samples), `between` and `gained` (of neighbours), `pushes` (of the motion): in sigmas, with derivatives.
-- `considered`: what is not estimated and counts in the result's error.
+- `considered`: what is not estimated and counts in the result's error; `unrelated`: what a fit without it owes.
 
 Four kinds differ in what a residual depends on: the attitude at the Sun's instant (`SunTerm`), attitude and rate at a sample
 (`StateTerm`), the turn between neighbours (`PairTerm`), or the motion itself (`MotionTerm`). Readings are those of a row's time.
@@ -21,12 +21,16 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from sunspin.environment import unknown
+from sunspin.vehicle.response.protocol import sphere
 
 SUN_N = unknown().at(0.0).sun_N[0]
 """The Sun in the local frame N."""
 
 STUDENT = 4.0
 """Degrees of freedom of the Student law of readings at a sample: tails that let one bad sample in ten be outvoted."""
+
+EVERYWHERE = 2000
+"""Directions over which the likelihood of a reading of the Sun is averaged, 5 degrees apart."""
 
 Scope = Literal["sample", "pass", "file"]
 
@@ -117,6 +121,11 @@ class Term:
         """What is estimated of it beside the motion."""
         return ()
 
+    def unrelated(self, t_s: np.ndarray) -> float:
+        """Log of the mean likelihood of its readings, at these times (n), if what it sees were another at every reading: what
+        leaving it out costs, in the measure of its own cost."""
+        return 0.0
+
     def considered(self, seen: Seen) -> list[tuple[Self, float]]:
         """It as an error that is not estimated would change it, and by what part that counts."""
         return []
@@ -129,6 +138,11 @@ class SunTerm(Term):
     def informs(self) -> np.ndarray:
         """Which samples (n) say something of the Sun's direction."""
         raise NotImplementedError("every term of the Sun says where it informs")
+
+    def unrelated(self, t_s: np.ndarray) -> float:
+        everywhere = facing(sphere(EVERYWHERE))[:, None]
+        seen = Seen(np.repeat(everywhere, len(t_s), axis=1), np.zeros((EVERYWHERE, len(t_s), 3)))
+        return float(np.log(np.exp(-normal(self, seen)[2]).mean(axis=0)).sum())
 
     def points(self) -> np.ndarray:
         """Which samples (n) have a direction of their own, whatever the motion."""
@@ -207,6 +221,14 @@ def normal(term: SunTerm | StateTerm, seen: Seen, error: np.ndarray | None = Non
         slope += np.einsum("kn,knmi,knm->kni", weight, jacobian, value)
         cost += part
     return matrix, slope, cost
+
+
+def facing(sun_B: np.ndarray) -> np.ndarray:
+    """Some attitude (..., 3, 3), B_from_N, that shows the Sun of N in the direction `sun_B` (..., 3)."""
+    other = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    x = np.cross(other, sun_B)
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, np.cross(sun_B, x), sun_B], axis=-1)
 
 
 def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
