@@ -182,8 +182,7 @@ def run_rows(
     if acting.torques:
         modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
     work = work_array(vehicle, rows, commands, modes, acting)
-    told = np.zeros(0) if mask is None else mask.normals_B if mask.table is None else mask.table
-    normals = np.asarray(told, dtype=np.float32).ravel()
+    normals = np.zeros(0, np.float32) if mask is None else mask.numbers
     result = BlockResult(
         np.zeros((n, bins), dtype=np.float32), np.zeros((n, 0 if bins else ends.size, layout.n_output)),
         np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, "series"), np.ones(n), layout,

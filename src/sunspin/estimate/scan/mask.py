@@ -13,7 +13,6 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.ensemble import Mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cube import read_one
 from sunspin.vehicle.response.panels import lit_patterns
 
 
@@ -40,8 +39,4 @@ def reconstructible_mask(vehicle: Vehicle) -> Mask:
 
 def allows(mask: Mask, sun_B: np.ndarray) -> np.ndarray:
     """Whether the mask allows each direction sun_B (..., 3)."""
-    if mask.table is not None:
-        return read_one(mask.table, sun_B) > 0
-    lit = sun_B @ mask.normals_B.T > 0
-    clauses = [np.all([lit[..., k] == wanted for k, wanted in clause], axis=0) for clause in mask.clauses]
-    return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
+    return mask.holds(np.asarray(sun_B))

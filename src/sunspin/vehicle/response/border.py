@@ -27,7 +27,8 @@ def angle_to_border(counts: Callable[[np.ndarray], np.ndarray], size: int) -> np
         other, mine = looks[seen != side], np.flatnonzero(inside == side)
         if not len(other) or not len(mine):
             continue
-        far, nearest = KDTree(other).query(where[mine], k=range(1, min(NEAREST, len(other)) + 1))
+        count = min(NEAREST, len(other))
+        far, nearest = (np.asarray(each).reshape(-1, count) for each in KDTree(other).query(where[mine], k=count))
         angle = 2 * np.arcsin(np.clip(far[:, 0] / 2, 0, 1))
         near = angle < 6 * np.pi / (2 * size)
         begin, end = where[mine[near], None], other[nearest[near]]

@@ -44,6 +44,21 @@ class Counted:
     clauses: tuple[Literals, ...]
     table: np.ndarray | None = None
 
+    def holds(self, sun_B: np.ndarray) -> np.ndarray:
+        """Whether each direction (..., 3) counts."""
+        if self.table is not None:
+            from sunspin.vehicle.response.cube import read_one  # and with it a compiler
+
+            return read_one(self.table, sun_B) > 0
+        lit = sun_B @ self.normals_B.T > 0
+        clauses = [np.all([lit[..., k] == wanted for k, wanted in clause], axis=0) for clause in self.clauses]
+        return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """What compiled code reads, in float32."""
+        return np.asarray(self.normals_B if self.table is None else self.table, dtype=np.float32).ravel()
+
 
 class PanelResponse(Protocol):
     """How panels of one vehicle see light."""

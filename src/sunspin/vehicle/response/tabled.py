@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.solve.least_squares import least_squares
+from sunspin.solve.least_squares import Stop, least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import moved, seen_turned, tangents
 from sunspin.vehicle.response.cosine import RANK_TOLERANCE, Flat, blurred
@@ -34,15 +34,20 @@ JUMP = 1e-3
 GRAZING = 1.5
 """A panel of a smaller share than so many rad of its slope may be dark next to this direction."""
 
-BASINS, POLISHED = 10, 3
-"""Local minima of Delta that are refined, and of these polished across edges."""
+BASINS = 10
+"""Local minima of Delta among the nodes, at most."""
 
-STEPS, ROUNDING = 20, 1e-22
+HOPELESS, NEARLY = 0.15, 0.03
+"""A node whose Delta exceeds the best by more than the first is in no better basin: neighbours differ by less. And what slopes have
+left at an edge is polished across it if it may become the best."""
+
+STEPS, ROUNDING = 25, 1e-18
 """Trials of least squares from a local minimum, and the gain in Delta squared at which they end."""
 
-AROUND = np.stack([np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8)], axis=-1)
+AROUND, CLOSELY = (np.stack([np.cos(a), np.sin(a)], axis=-1) for a in (np.arange(n) * 2 * np.pi / n for n in (16, 64)))
 FIRST_RAD, LAST_RAD = 0.01, 1e-9
-"""Directions in which the polish looks for something better, at first so far away, at last so near."""
+"""Directions in which the polish looks for something better, at first so far away, at last so near. Along an edge only directions
+nearly along it lead on: what is left there of Delta is a few 1e-5 at most."""
 
 HALVINGS = 40
 """Of the way between two neighbours, to the edge between them."""
@@ -100,9 +105,19 @@ class Tabled(Flat):
         normals = self.normals_B if tilt is None else self.turned(tilt)
         return self.strengths(gain) * np.maximum(0.0, self.law.share(self.names, sun_B, normals, self.cosines(sun_B, tilt)))
 
+    @cached_property
+    def _facing(self) -> np.ndarray:
+        sun, far = _even(LOOKS)[np.argmax(self._base._seen, axis=0)], _gap(LOOKS)
+        own = np.arange(len(sun))
+        while far > LAST_RAD:
+            around = np.concatenate([sun[None], *[moved(sun, np.tile(far * step, (len(sun), 1)))[None] for step in AROUND]])
+            best = np.argmax(self.power(around)[:, own, own], axis=0)
+            sun, far = around[best, own], far / (1 if best.any() else 2)
+        return sun
+
     @property
     def facing_B(self) -> np.ndarray:
-        return _even(LOOKS)[np.argmax(self._seen, axis=0)]
+        return self._base._facing
 
     @property
     def largest(self) -> float:
@@ -111,6 +126,15 @@ class Tabled(Flat):
     # -------------------------------------------------------------------------------------------------------------- derivatives
 
     def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
+        power, to_sun = self._along_sphere(sun_B, gain, tilt)
+        zero = np.zeros((len(self.gains), 3)) if tilt is None else tilt
+        turned = [[self.power(sun_B, gain=gain, tilt=zero + sign * STEP * one) for sign in (1, -1)] for one in np.eye(3)]
+        return Slopes(power, to_sun, np.stack([self._lit_side(power, *both) for both in turned], axis=-1))
+
+    def _along_sphere(
+        self, sun_B: np.ndarray, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Powers (..., n_panel) and their slopes (..., n_panel, 3) by the Sun."""
         flat = np.asarray(sun_B, dtype=np.float64).reshape(-1, 3)
 
         def to_both_sides(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -121,9 +145,7 @@ class Tabled(Flat):
         frame = [axis.reshape(*sun_B.shape[:-1], 1, 3) for axis in tangents(flat)]
         along = [self._lit_side(power, *to_both_sides(step)) for step in STEP * np.eye(2)]
         to_sun = along[0][..., None] * frame[0] + along[1][..., None] * frame[1]
-        zero = np.zeros((len(self.gains), 3)) if tilt is None else tilt
-        turned = [[self.power(sun_B, gain=gain, tilt=zero + sign * STEP * one) for sign in (1, -1)] for one in np.eye(3)]
-        return Slopes(power, to_sun, np.stack([self._lit_side(power, *both) for both in turned], axis=-1))
+        return power, to_sun
 
     def _lit_side(self, here: np.ndarray, ahead: np.ndarray, behind: np.ndarray) -> np.ndarray:
         """The slope (..., n_panel) from powers a `STEP` ahead and behind: across an edge that of the side that is lit like here."""
@@ -139,7 +161,7 @@ class Tabled(Flat):
 
     def design(self, sun_B: np.ndarray) -> np.ndarray:
         """The derivative (..., n_panel, 3) of powers by the vector brightness times direction, at brightness 1."""
-        power, to_sun, _ = self.slopes(sun_B)
+        power, to_sun = self._along_sphere(sun_B)
         return power[..., None] * sun_B[..., None, :] + to_sun
 
     def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,11 +197,16 @@ class Tabled(Flat):
     @cached_property
     def _node_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest power (NODES, n_panel) within the gap around each node."""
-        power, to_sun, _ = self.slopes(_even(NODES))
+        power, to_sun = self._along_sphere(_even(NODES))
         more = np.linalg.norm(to_sun, axis=-1) * _gap(NODES)
         return np.maximum(power - more, 0.0), power + more
 
     # ------------------------------------------------------------------------------------------------------------------ regions
+
+    @cached_property
+    def _base(self) -> Tabled:
+        """The same law with gains of one, whose looks are shared by all gains."""
+        return _of_unit_gains(self.law, self.names, tuple(map(tuple, self.normals_B.tolist())))
 
     @cached_property
     def _seen(self) -> np.ndarray:
@@ -204,11 +231,11 @@ class Tabled(Flat):
         return Regions(where[chosen], lit[chosen])
 
     def regions(self) -> Regions:
-        return self._regions
+        return self._base._regions
 
     @cached_property
     def _jumps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (m, 3) to both sides of edges at which a power jumps, and their powers as unit vectors (m, n_panel)."""
+        """Directions (m, 3) to both sides of edges at which a power jumps, and their shares (m, n_panel)."""
         code = _code(self._seen > 0)
         a, b = _neighbours()[code[_neighbours()[:, 0]] != code[_neighbours()[:, 1]]].T
         low, high = _even(LOOKS)[a], _even(LOOKS)[b]
@@ -218,8 +245,8 @@ class Tabled(Flat):
             near = (_code(self.power(middle) > 0) == code[a])[:, None]
             low, high = np.where(near, middle, low), np.where(near, high, middle)
         power = self.power(low), self.power(high)
-        jump = (np.abs(power[0] - power[1]) > JUMP * self.gains).any(axis=1)
-        return np.concatenate([low[jump], high[jump]]), unit_readings(np.concatenate([each[jump] for each in power]))
+        jump = (np.abs(power[0] - power[1]) > JUMP).any(axis=1)
+        return np.concatenate([low[jump], high[jump]]), np.concatenate([each[jump] for each in power])
 
     @cached_property
     def _edges(self) -> Regions:
@@ -229,13 +256,13 @@ class Tabled(Flat):
         return Regions(_even(LOOKS)[first], lit)
 
     def edges(self) -> np.ndarray:
-        return self._edges.lit
+        return self._base._edges.lit
 
     def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
         if not lit.any():
             return 0
         if sun_B is None:
-            every = Regions(*(np.concatenate(both) for both in zip(self._regions, self._edges, strict=True)))
+            every = Regions(*(np.concatenate(both) for both in zip(self._base._regions, self._base._edges, strict=True)))
             there = every.sun_B[(every.lit == lit).all(axis=1)]
             return max((self.rank(lit, sun) for sun in there), default=min(int(lit.sum()), 3))
         design = (self.design(sun_B) / self.gains[:, None])[lit]
@@ -245,16 +272,26 @@ class Tabled(Flat):
 
     def candidates(self, share: np.ndarray) -> np.ndarray:
         target = unit_readings(share)
-        found = np.empty((len(target), BASINS, 3))
-        for start in range(0, len(target), chunk := max(1, NUMBERS // NODES)):
-            part = slice(start, start + chunk)
-            found[part] = self._refined(self._basins(target[part]), target[part, None])
-        return found
+        return np.concatenate([self._candidates(target[part])[0] for part in _chunks(len(target))])
+
+    def _candidates(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (n, BASINS or one more, 3), and which of them (n, ...) slopes have taken to a minimum."""
+        found = self._basins(target)
+        away = misfit(self.power(found), target[:, None])
+        sample, which = np.nonzero(away < away.min(axis=1, keepdims=True) + HOPELESS)
+        settled = np.zeros(found.shape[:2], dtype=bool)
+        found[sample, which], settled[sample, which] = self._refined(found[sample, which], target[sample])
+        edge, shape = self._base._jumps
+        if len(edge):
+            nearest = edge[np.argmax(target @ unit_readings(self.gains * shape).T, axis=1)]
+            found = np.concatenate([found, nearest[:, None]], axis=1)
+            settled = np.concatenate([settled, np.zeros((len(target), 1), dtype=bool)], axis=1)
+        return found, settled
 
     def _basins(self, target: np.ndarray) -> np.ndarray:
         """Nodes (n, BASINS, 3) at which Delta is less than at their neighbours."""
-        unit, neighbours = self._unit_nodes
-        along = target @ unit.T
+        shares, neighbours = self._base._nodes
+        along = target @ unit_readings(self.gains * shares).T
         highest = np.full(along.shape, -np.inf)
         for column in neighbours.T:
             np.maximum(highest, along[:, column], out=highest)
@@ -263,24 +300,24 @@ class Tabled(Flat):
         return _even(NODES)[first]
 
     @cached_property
-    def _unit_nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Powers at the nodes as unit vectors (NODES, n_panel), and the numbers of the eight neighbours of each, of those
+    def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Shares at the nodes (NODES, n_panel), and the numbers of the eight neighbours of each, of those
         where other panels are lit its own: each region has its minima."""
         from scipy.spatial import KDTree
 
-        neighbours = KDTree(_even(NODES)).query(_even(NODES), k=9)[1]
+        neighbours = np.asarray(KDTree(_even(NODES)).query(_even(NODES), k=9)[1])
         power = self.power(_even(NODES))
         code = _code(power > 0)
         neighbours = np.where(code[neighbours] == code[:, None], neighbours, neighbours[:, :1])
-        return unit_readings(power), neighbours[:, 1:]
+        return power, neighbours[:, 1:]
 
-    def _refined(self, start: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Directions (n, k, 3) taken down to the local minimum of Delta by their slopes, as far as no edge lies between."""
-        targets = np.broadcast_to(target, (*start.shape[:2], target.shape[-1])).reshape(-1, target.shape[-1])
+    def _refined(self, start: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (n, 3) taken down to the local minimum of Delta by their slopes, as far as no edge lies between, and which (n)
+        came to one."""
 
         def linearise(state: tuple[np.ndarray, np.ndarray]) -> Dense:
             sun, wanted = state
-            power, to_sun, _ = self.slopes(sun)
+            power, to_sun = self._along_sphere(sun)
             size = np.linalg.norm(power, axis=1)[:, None]
             shape = power / np.where(size > 0, size, 1.0)
             change = to_sun @ np.stack(tangents(sun), axis=-1) / np.where(size > 0, size, 1.0)[..., None]
@@ -288,39 +325,42 @@ class Tabled(Flat):
             system = Dense.of(shape - wanted, change, np.ones((len(sun), 2)))
             return system._replace(cost=np.where(size[:, 0] > 0, system.cost, 2.0))
 
-        state = (start.reshape(-1, 3), targets)
-        found = least_squares(linearise, lambda s, step: (moved(s[0], step), s[1]), dense, state, steps=STEPS, tolerance=ROUNDING)
-        return found.state[0].reshape(start.shape)
+        found = least_squares(
+            linearise, lambda s, step: (moved(s[0], step), s[1]), dense, (start, target), steps=STEPS, tolerance=ROUNDING
+        )
+        return found.state[0], found.stop == Stop.ARRIVED
 
     def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         target, direction = unit_readings(readings), np.zeros((len(readings), 3))
-        for start in range(0, len(target), chunk := max(1, NUMBERS // NODES)):
-            part = slice(start, start + chunk)
-            found, wanted = self.candidates(readings[part]), target[part, None]
-            edge, shape = self._jumps
-            if len(edge):
-                found = np.concatenate([found, edge[np.argmax(target[part] @ shape.T, axis=1)][:, None]], axis=1)
-            first = np.argsort(misfit(self.power(found), wanted), axis=1)[:, :POLISHED]
-            found = self._polished(np.take_along_axis(found, first[..., None], axis=1), wanted)
-            least = np.argmin(misfit(self.power(found), wanted), axis=1)
+        for part in _chunks(len(target)):
+            wanted = target[part]
+            found, settled = self._candidates(wanted)
+            away = misfit(self.power(found), wanted[:, None])
+            sample, which = np.nonzero(~settled & (away < away.min(axis=1, keepdims=True) + NEARLY))
+            found[sample, which] = self._polished(found[sample, which], wanted[sample])
+            least = np.argmin(misfit(self.power(found), wanted[:, None]), axis=1)
             direction[part] = found[np.arange(len(found)), least]
         return direction, misfit(self.power(direction), target)
 
     def _polished(self, start: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Directions (n, k, 3) moved to better ones around them, on whatever side of an edge, ever nearer."""
-        sun, far = start.reshape(-1, 3).copy(), np.full(start.shape[0] * start.shape[1], FIRST_RAD)
-        wanted = np.broadcast_to(target, (*start.shape[:2], target.shape[-1])).reshape(-1, 1, target.shape[-1])
-        delta = misfit(self.power(sun), wanted[:, 0])
+        """Directions (n, 3) moved to better ones around them, on whatever side of an edge, ever nearer."""
+        sun = start.copy()
+        for around in (AROUND, CLOSELY):
+            self._look_around(sun, target, around)
+        return sun
+
+    def _look_around(self, sun: np.ndarray, target: np.ndarray, around: np.ndarray) -> None:
+        """Move directions (n, 3), in place."""
+        delta, far = misfit(self.power(sun), target), np.full(len(sun), FIRST_RAD)
         while len(on := np.flatnonzero(far > LAST_RAD)):
-            steps = far[on, None, None] * AROUND
-            tried = moved(np.repeat(sun[on], len(AROUND), axis=0), steps.reshape(-1, 2)).reshape(len(on), len(AROUND), 3)
-            new = misfit(self.power(tried), wanted[on])
+            steps = far[on, None, None] * around
+            tried = moved(np.repeat(sun[on], len(around), axis=0), steps.reshape(-1, 2)).reshape(len(on), len(around), 3)
+            new = misfit(self.power(tried), target[on, None])
             best = np.argmin(new, axis=1)
             least = new[np.arange(len(on)), best]
             better = least < delta[on] * (1 - 1e-12)
             sun[on[better]], delta[on[better]] = tried[better, best[better]], least[better]
             far[on[~better]] /= 3
-        return sun.reshape(start.shape)
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: float) -> np.ndarray:
         sun, _ = self.best(readings)
@@ -337,11 +377,11 @@ class Tabled(Flat):
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
         """Followed from the best direction to both sides, along which the lit panels' powers keep their proportions."""
         target = np.where(lit, readings, 0.0)[None]
-        shown = _even(LOOKS)[((self._seen > 0) == lit).all(axis=1)]
+        shown = _even(LOOKS)[((self._base._seen > 0) == lit).all(axis=1)]
         if not len(shown):
             return np.full((2, 3), np.nan)
         away = misfit(self.power(shown) * lit, unit_readings(target))
-        middle = self._refined(shown[[np.argmin(away)]][:, None], unit_readings(target)[:, None])[0, 0]
+        middle = self._refined(shown[[np.argmin(away)]], unit_readings(target))[0][0]
         return np.array([self._followed(middle, lit, sign) for sign in (1.0, -1.0)])
 
     def _followed(self, sun: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
@@ -349,7 +389,7 @@ class Tabled(Flat):
         free, step = None, 0.02
         for _ in range(2000):
             frame = np.stack(tangents(sun[None]), axis=-1)[0]
-            power, to_sun, _ = (value[lit] for value in self.slopes(sun))
+            power, to_sun = (value[lit] for value in self._along_sphere(sun))
             across = to_sun @ frame
             across = across - np.outer(power, power @ across) / (power @ power)
             along = frame @ np.linalg.svd(across)[2][1]
@@ -364,14 +404,7 @@ class Tabled(Flat):
     # ------------------------------------------------------------------------------------------------------------------- tables
 
     def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
-        from sunspin.vehicle.response.border import angle_to_border
-
-        wanted = np.unique(_code(good))
-
-        def counts(sun: np.ndarray) -> np.ndarray:
-            return np.isin(_code(self.power(sun) > 0), wanted)
-
-        return Counted(self.normals_B, (), angle_to_border(counts, MASK_SIZE))
+        return Counted(self.normals_B, (), _border(self._base, tuple(np.unique(_code(good)).tolist())))
 
     def table(self, error: float) -> SphereTable:
         """The smallest table that gives powers to `error`, a share of the gain, beside edges."""
@@ -379,10 +412,10 @@ class Tabled(Flat):
 
         asked = _even(LOOKS)
         for size in SIZES:
-            power, to_sun, _ = self.slopes(nodes(size))
+            power, to_sun = self._along_sphere(nodes(size))
             numbers = np.concatenate([power[..., None], to_sun], axis=-1) / self.gains[:, None]
             found = SphereTable(size, numbers.astype(np.float32), np.nan, np.nan)
-            away = np.abs(found.read(asked)[0] - self._seen)
+            away = np.abs(found.read(asked)[0] - self._base._seen)
             least, most = self._around(asked, 2.0 / size)
             edge = ((least > 0) != (most > 0)) | (most - least > 6.0 / size)
             found = found._replace(error=float(away[~edge].max(initial=0.0)), edges=float(edge.any(axis=1).mean()))
@@ -397,9 +430,30 @@ class Tabled(Flat):
         return ring.min(axis=0), ring.max(axis=0)
 
 
+@lru_cache(maxsize=16)
+def _of_unit_gains(law: Law, names: tuple[str, ...], normals_B: tuple[tuple[float, ...], ...]) -> Tabled:
+    return Tabled(np.array(normals_B).reshape(-1, 3), np.ones(len(names)), law, names)
+
+
+@lru_cache(maxsize=16)
+def _border(response: Tabled, wanted: tuple[int, ...]) -> np.ndarray:
+    """The table of a mask of directions in which one of these sets of panels is lit."""
+    from sunspin.vehicle.response.border import angle_to_border
+
+    found = angle_to_border(lambda sun: np.isin(_code(response.power(sun) > 0), wanted), MASK_SIZE)
+    found.setflags(write=False)
+    return found
+
+
 def _code(lit: np.ndarray) -> np.ndarray:
     """Sets of lit panels (..., n_panel) as numbers (...)."""
     return lit @ (1 << np.arange(lit.shape[-1], dtype=np.int64))
+
+
+def _chunks(n: int) -> list[slice]:
+    """Of n samples, those that are looked at together."""
+    size = max(1, NUMBERS // NODES)
+    return [slice(at, at + size) for at in range(0, max(n, 1), size)]
 
 
 def _gap(n: int) -> float:
