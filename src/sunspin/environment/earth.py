@@ -34,7 +34,7 @@ class Instants(NamedTuple):
 
     @classmethod
     def of(cls, epoch_utc: str, t_s: np.ndarray) -> Instants:
-        """Times (n) in s from an ISO-8601 UTC epoch. A leap second between them is not counted, as a clock in Unix seconds does not."""
+        """Times (n) in s from an ISO-8601 UTC epoch. A leap second between them is not counted, as in Unix time."""
         import erfa
 
         moment = datetime.fromisoformat(epoch_utc.replace("Z", "+00:00"))

@@ -1,7 +1,7 @@
 """The Earth's magnetic field by IGRF, as a map that is read quickly.
 
-`ppigrf` sums the 195 coefficients; 20,000 places take it a second. A map of 5 degrees in latitude and longitude on a few spheres, in
-Earth-fixed components, read by cubic splines and a polynomial of the radius, gives the same field to 1 nT.
+`ppigrf` sums the 195 coefficients; 20,000 places take it a second. A map of 5 degrees in latitude and longitude on a few spheres,
+in Earth-fixed components, read by cubic splines and a polynomial of the radius, gives the same field to 2 nT.
 """
 
 from __future__ import annotations
@@ -88,6 +88,5 @@ def _igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarra
     up, south, east = (part[0] * 1e-9 for part in ppigrf.igrf_gc(radius_m / 1e3, colatitude, longitude[None], date))
     theta, phi = np.radians(colatitude), np.radians(longitude)[None]
     level = up * np.sin(theta) + south * np.cos(theta)
-    return np.array([
-        level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi), up * np.cos(theta) - south * np.sin(theta)
-    ])  # fmt: skip
+    x, y = level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi)
+    return np.array([x, y, up * np.cos(theta) - south * np.sin(theta)])

@@ -18,8 +18,8 @@ CHUNK = 4000
 
 
 def lit(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
-    """The part (n) of the Sun's disc that is seen, 0 to 1, from places (n, 3) with the Sun at `sun` (n, 3), m from the Earth's centre
-    in axes whose z is the Earth's.
+    """The part (...) of the Sun's disc that is seen, 0 to 1, from places (..., 3) with the Sun at `sun` (..., 3): m from the
+    Earth's centre, in axes whose z is the Earth's.
 
     Both are discs on the sky; the flattened Earth is made a sphere by stretching z. The air, which bends and reddens the light over
     the last 20 km, is left out: a penumbra lasts 8 s in a low orbit and the air makes it some 3 s longer.
@@ -45,9 +45,9 @@ def covered(apart: np.ndarray, disc: np.ndarray, before: np.ndarray) -> np.ndarr
 
 
 def albedo_light(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
-    """The Earth's light (n, 3) in parts of full Sun, from where it comes: the sum over the lit cap that is seen, each piece of ground
-    scattering evenly to all sides (Lambert) with one reflectivity. A panel that sees the whole disc gets the component along its
-    normal. `place`, `sun` (n, 3) in m from the Earth's centre; the Earth is a sphere here."""
+    """The Earth's light (n, 3) in parts of full Sun, from where it comes: the sum over the lit cap that is seen, each piece of
+    ground scattering evenly to all sides (Lambert) with one reflectivity. A panel that sees the whole disc gets the component
+    along its normal. `place`, `sun` (n, 3) in m from the Earth's centre; the Earth is a sphere here."""
     if len(place) > CHUNK:
         cuts = range(0, len(place), CHUNK)
         return np.concatenate([albedo_light(place[at : at + CHUNK], sun[at : at + CHUNK]) for at in cuts])

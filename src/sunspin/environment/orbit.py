@@ -1,15 +1,14 @@
 """The surroundings of a spacecraft in an orbit about the Earth that others have determined.
 
-Two numbers say how far that orbit may be trusted along its track, each with its error: `shift_s`, how far the spacecraft is ahead of
-the elements (negative: it comes later), and `clock_s`, how far the telemetry's clock is behind UTC. The Sun and the Earth's turn
-follow the clock, the place follows clock plus shift: the Earth turns by 15 degrees an hour, so that data of a few orbits
-determine the sum to seconds and either part to some ten minutes.
+Two numbers say how far that orbit may be trusted along its track, each with its error: `shift_s`, how far the spacecraft is ahead
+of the elements (negative: it comes later), and `clock_s`, how far the telemetry's clock is behind UTC. The Sun and the Earth's
+turn follow the clock, the place follows clock plus shift. The Earth turns by only a degree in four minutes, so that what data
+determine well is the sum.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -105,10 +104,9 @@ class Orbit:
     def notes(self, t_s: npt.ArrayLike) -> list[str]:
         """What has to be said of these elements at these times."""
         when = self.instants(t_s)
-        days = max(min((abs(one.days_to(jd)) for one in self.elements)) for jd in (when.jd + when.fraction)[[0, -1]])
-        return [] if days < OLD_DAYS else [
-            f"the elements are {days:.0f} days from the telemetry: the place along the track is known to some {self.shift_sigma_s:.0f} s"
-        ]  # fmt: skip
+        days = max(min(abs(one.days_to(jd)) for one in self.elements) for jd in (when.jd + when.fraction)[[0, -1]])
+        known = f"the place along the track is known to some {self.shift_sigma_s:.0f} s"
+        return [] if days < OLD_DAYS else [f"the elements are {days:.0f} days from the telemetry: {known}"]
 
 
 def turned(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -133,8 +131,8 @@ def in_orbit(
 ) -> Orbit:
     """The environment of telemetry whose times (n) count from `epoch_utc`, in an orbit by these elements (`read_elements`).
 
-    Of several element sets the one whose epoch is nearest serves each time. `shift_s`, `clock_s` and their sigmas (s): see the module;
-    by default the shift is as uncertain as the elements are old, and the clock by 1 s.
+    Of several element sets the one whose epoch is nearest serves each time. `shift_s`, `clock_s` and their sigmas (s): see the
+    module; by default the shift is as uncertain as the elements are old, and the clock by 1 s.
     """
     orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s)
     if shift_sigma_s is None:

@@ -1,10 +1,10 @@
 """Does this orbit belong to this telemetry? A check that needs no attitude.
 
 Three things that a tumbling body sees do not depend on how it is turned: how strong the field is, the angle between field and Sun,
-and whether the Sun is up. The orbit predicts all three up to its shift along the track; the magnetometer's zero and its matrix (scale,
-soft iron, axes) are fitted with the shift, so that a badly calibrated sensor is no reason to refuse an orbit. The same is fitted
-to copies of the orbit, its node and phase turned at random. Elements that are right predict better than nearly all copies; the rank
-among them is the answer, and how clearly the copies differ from the orbit in these data says whether there is one.
+and whether the Sun is up. The orbit predicts all three up to its shift along the track; the magnetometer's zero and its matrix
+(scale, soft iron, axes) are fitted with the shift, so that a badly calibrated sensor is no reason to refuse an orbit. The same is
+fitted to copies of the orbit, its node and phase turned at random. Elements that are right predict better than nearly all copies;
+the rank among them is the answer, and how clearly the copies differ from the orbit in these data says whether there is one.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class Verdict(Enum):
 
 
 class Seen(NamedTuple):
-    """What n samples show whatever the attitude: `t_s`; `field` (n, 3), any unit, NaN where none; `sun` (n, 3) and its covariance, NaN
-    where none; `light` (n): 1 the Sun is up, 0 it is dark, NaN not known."""
+    """What n samples show whatever the attitude: `t_s`; `field` (n, 3), any unit, NaN where none; `sun` (n, 3) and its
+    covariance, NaN where none; `light` (n): 1 the Sun is up, 0 it is dark, NaN not known."""
 
     t_s: np.ndarray
     field: np.ndarray
@@ -100,8 +100,8 @@ class Predicted(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """For K shifts: the cost; matrix and zero of the magnetometer (K, 12); scatter (K, 2) of strength (part of the field) and of the
-    component to the Sun (sigmas of the Sun)."""
+    """For K shifts: the cost; matrix and zero of the magnetometer (K, 12); scatter (K, 2) of strength (part of the field) and of
+    the component to the Sun (sigmas of the Sun)."""
 
     cost: np.ndarray
     calibration: np.ndarray
@@ -110,8 +110,8 @@ class Fits(NamedTuple):
 
 @dataclass(frozen=True)
 class OrbitCheck:
-    """The answer: `better` copies of `copies` predict better; residuals are medians; `calibration`: field (T) = matrix reading - zero,
-    None without magnetometer. `eclipse` counts samples that show the Sun in the predicted shadow, and all there."""
+    """The answer: `better` copies of `copies` predict better; residuals are medians; `calibration`: field (T) = matrix reading -
+    zero, None without magnetometer. `eclipse` counts samples that show the Sun in the predicted shadow, and all there."""
 
     verdict: Verdict
     better: int
@@ -295,8 +295,8 @@ class _Model:
 
 
 def _eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Minus the log likelihood (K) of light and dark where part (K, n) of the Sun is predicted; how often it is dark in the Sun (a face
-    that sees nothing, an idle panel) is fitted."""
+    """Minus the log likelihood (K) of light and dark where part (K, n) of the Sun is predicted; how often it is dark in the Sun
+    (a face that sees nothing, an idle panel) is fitted."""
     known = np.isfinite(light)
     dark, sunny = light[known] == 0, part[:, known]
     in_sun = (sunny * dark).sum(axis=1) / np.maximum(sunny.sum(axis=1), 1)
@@ -316,10 +316,11 @@ def _nearly(seen: Seen, copy: Predicted, prior: np.ndarray, reach: float, scatte
 
 
 def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits, prior: np.ndarray) -> float:
-    """How many copies are expected to predict better than this orbit if it is right, by the noise that the best of all orbits leaves.
+    """How many copies are expected to predict better than this orbit if it is right, by the noise that the best
+    of all orbits leaves.
 
-    Data without noise, as the orbit predicts them, are fitted by every copy; what a copy leaves of them is the mean of the D by which
-    its cost is higher, and noise of the data makes that D +- sqrt(2 D).
+    Data without noise, as the orbit predicts them, are fitted by every copy; what a copy leaves of them is the mean of the D by
+    which its cost is higher, and noise of the data makes that D +- sqrt(2 D).
     """
     k = int(best.cost.argmin())
     clean, scatter = _as_predicted(seen, right, best.calibration[k]), np.minimum(best.scatter[k], MOST_SCATTER)
@@ -329,8 +330,8 @@ def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits,
 
 
 def _as_predicted(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen:
-    """The samples as they would be if the orbit were right and nothing had noise: the field of the predicted strength and angle to the
-    Sun, in the half plane where it was read; dark in the predicted shadow."""
+    """The samples as they would be if the orbit were right and nothing had noise: the field of the predicted strength and angle
+    to the Sun, in the half plane where it was read; dark in the predicted shadow."""
     light = np.where(np.isfinite(seen.light) & (right.lit[0] < 0.5), 0.0, seen.light)
     if not np.isfinite(calibration).all():
         return seen._replace(light=light)
@@ -374,8 +375,8 @@ def _answer(
 def _shift(seen: Seen, grid: _Grid, here: Predicted, own: Fits) -> tuple[float, float, bool]:
     """The shift beside the orbit's own, its sigma, and whether it lies at the border of what was tried.
 
-    The sigma is the larger of what the cost's curvature says, if samples erred independently, and of what leaving out each eighth of
-    the file changes (jackknife): calibration drifts, and a pass of beacons errs as one.
+    The sigma is the larger of what the cost's curvature says, if samples erred independently, and of what leaving out each eighth
+    of the file changes (jackknife): calibration drifts, and a pass of beacons errs as one.
     """
     k = int(own.cost.argmin())
     near = slice(max(k - BESIDE, 0), k + BESIDE + 1)

@@ -27,7 +27,7 @@ from sunspin.vehicle.part import (
     no_entries,
     part,
 )
-from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Panel, SunRule, Wheel
+from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Orbit, Panel, SunRule, Wheel
 from sunspin.vehicle.sensors import Sensors
 
 MAX_PANELS = 32
@@ -141,6 +141,7 @@ class Vehicle(Part):
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()
     sensors: Sensors = Sensors()
+    orbit: Orbit | None = None
     facts: Facts = field(default_factory=no_entries)
 
     def __post_init__(self) -> None:

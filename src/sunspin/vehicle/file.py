@@ -51,6 +51,7 @@ class VehicleFile(Part):
     magnetometer: sensors.Magnetometer | None = None
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
+    orbit: parts.Orbit | None = None
 
 
 def read_vehicle(source: object) -> craft.Vehicle:
@@ -123,6 +124,7 @@ def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
         sensors=sensors.Sensors(file.sun_sensor, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock),
+        orbit=file.orbit,
         facts=dict(_facts(table)),
     )
 
