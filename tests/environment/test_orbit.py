@@ -238,7 +238,7 @@ SWAPPED = "\n".join([VANGUARD.splitlines()[1], VANGUARD.splitlines()[0]])
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (VANGUARD.replace("4753", "4754"), "case, line 1: the checksum of the line is 3, but its last character says '4'; the line"),
+        (VANGUARD.replace("4753", "4754"), "case, line 1: the checksum of the line is 3, but its last character says '4';"),
         (VANGUARD.replace("34.2682", "34.2672"), "case, line 2: the checksum of the line is 6, but its last character says '7'"),
         (SWAPPED, "case, line 1: line 2 of the elements comes before line 1; exchange the two lines"),
         (_line(VANGUARD, "2 00005", "2 00006"), "the two lines are of different satellites .found 00005 and 00006."),

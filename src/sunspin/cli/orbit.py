@@ -38,6 +38,7 @@ def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: fl
     summary = {
         "satellite": one.number, "name": one.name, "verdict": found.verdict.name.lower(), "copies": found.copies,
         "better_copies": found.better, "copies_expected_better_by_chance": found.mistaken,
+        "node_turn_rad": found.turn_rad, "node_turn_times": found.turn_times,
         "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border, "samples": found.samples,
         "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
         "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0], "magnetometer": calibration, "notes": notes,
@@ -52,6 +53,9 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     lines = [f"Orbit of {named}: {found.verdict.value}", *(f"  {note}" for note in notes)]
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     lines.append(f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)")
+    if found.turn_times > 1.05:
+        turn = f"with the node turned by {np.degrees(found.turn_rad):+.0f} deg"
+        lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
     both = " (with the clock: of both, the data determine the sum)"
     lines.append(f"  shift along the track {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s{both}{border}")

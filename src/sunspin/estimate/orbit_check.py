@@ -22,13 +22,18 @@ from sunspin.environment.light import lit
 from sunspin.environment.orbit import Orbit, turned
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
-from sunspin.telemetry.quality import panel_quality
-from sunspin.telemetry.sun import SunStatus, sun_directions
+from sunspin.telemetry.quality import lit_threshold, panel_quality
+from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
 
 COPIES = 50
 BETTER = 1
 """Copies that may predict better: right elements are refused once in 50 times at most."""
+
+TURNS_DEG = (-24.0, -12.0, -6.0, -3.0, 3.0, 6.0, 12.0, 24.0)
+TIMES = 1.3
+"""Turns of the node beside the copies; elements are refused too if one of them makes residuals so many times smaller. On skCUBE,
+whose plane is known, some of them do by 1.05: a sensor's own errors."""
 
 SPAN, STEP_S, MOST_STEPS = 3.0, 20.0, 37
 """The shift is sought within so many sigmas, in such steps; a wider span has wider steps."""
@@ -111,12 +116,15 @@ class Fits(NamedTuple):
 @dataclass(frozen=True)
 class OrbitCheck:
     """The answer: `better` copies of `copies` predict better; residuals are medians; `calibration`: field (T) = matrix reading -
-    zero, None without magnetometer. `eclipse` counts samples that show the Sun in the predicted shadow, and all there."""
+    zero, None without magnetometer. With the node turned by `turn_rad` residuals are `turn_times` smaller. `eclipse` counts
+    samples that show the Sun in the predicted shadow, and all there."""
 
     verdict: Verdict
     better: int
     copies: int
     mistaken: float
+    turn_rad: float
+    turn_times: float
     shift_s: float
     shift_sigma_s: float
     samples: dict[str, int]
@@ -140,13 +148,14 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     own = _fit(seen, here, grid.prior)
     copies = [_predict(orbit, seen, grid, *one) for one in turns]
     fits = [_nearly(seen, copy, grid.prior, float(own.cost.min())) for copy in copies]
+    turn, times = _turned(orbit, seen, grid, own)
     better = sum(fit.cost.min() <= own.cost.min() for fit in fits)
     best = min([own, *fits], key=lambda fit: fit.cost.min())
     mistaken = _mistaken(seen, here.take([own.cost.argmin()]), copies, best, grid.prior)
     enough = max(np.isfinite(seen.field).all(axis=1).sum(), np.isfinite(seen.light).sum()) >= FEWEST
-    verdict = Verdict.REFUSED if better > BETTER else Verdict.FITS
+    verdict = Verdict.REFUSED if better > BETTER or times > TIMES else Verdict.FITS
     verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
-    return _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken))
+    return _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
 
 
 class _Grid(NamedTuple):
@@ -172,10 +181,8 @@ def _seen(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
     field = telemetry["field_B"].values if "field_B" in telemetry else nothing
     sun, covariance, light = nothing, np.full((n, 3, 3), np.nan), np.full(n, np.nan)
     if "panel" in telemetry.coords:
-        found = sun_directions(vehicle, telemetry)
-        good = found["status"].values == SunStatus.OK
-        sun = np.where(good[:, None], found["sun_B"].values, np.nan)
-        covariance = np.where(good[:, None, None], found["sun_cov_B"].values, np.nan)
+        found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
+        sun, covariance = found["sun_B"].values, found["sun_cov_B"].values
         why = panel_quality(vehicle, telemetry)["why"].values
         light = np.where(why == "dropped: no panel lit", 0.0, np.where(np.char.startswith(why, "dropped"), np.nan, 1.0))
     if "sun_sensor_B" in telemetry:
@@ -315,6 +322,17 @@ def _nearly(seen: Seen, copy: Predicted, prior: np.ndarray, reach: float, scatte
     return coarse if coarse.cost.min() > reach + NEAR else _fit(seen, copy, prior, scatter)
 
 
+def _turned(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, float]:
+    """The turn of the node (rad), among some, with which the orbit fits best, and how many times smaller residuals are then; (0, 1)
+    where none fits better."""
+    field = np.isfinite(seen.field).all(axis=1)
+    if field.sum() < FEWEST:
+        return 0.0, 1.0
+    costs = [_nearly(seen, _predict(orbit, seen, grid, turn, 0.0), grid.prior, np.inf).cost.min() for turn in np.radians(TURNS_DEG)]
+    gain = (own.cost.min() - min(costs)) / (field.sum() + (field & np.isfinite(seen.sun).all(axis=1)).sum())
+    return (float(np.radians(TURNS_DEG)[np.argmin(costs)]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
+
+
 def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits, prior: np.ndarray) -> float:
     """How many copies are expected to predict better than this orbit if it is right, by the noise that the best
     of all orbits leaves.
@@ -348,7 +366,8 @@ def _as_predicted(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen
 
 
 def _answer(
-    orbit: Orbit, seen: Seen, grid: _Grid, here: Predicted, own: Fits, verdict: Verdict, rank: tuple[int, float]
+    orbit: Orbit, seen: Seen, grid: _Grid, here: Predicted, own: Fits, verdict: Verdict, rank: tuple[int, float],
+    beside: tuple[float, float],
 ) -> OrbitCheck:
     shift, sigma, at_border = _shift(seen, grid, here, own)
     k = int(own.cost.argmin())
@@ -363,7 +382,8 @@ def _answer(
         both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, here.to_sun[k] / here.strength[k])]
         angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
     return OrbitCheck(
-        verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
+        verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0],
+        turn_times=beside[1], shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
         border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
         samples={"field": int(np.isfinite(seen.field).all(axis=1).sum()), "light": int(known.sum()),
                  "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
