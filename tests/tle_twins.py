@@ -109,8 +109,9 @@ def judge(seed: int, i: int) -> dict[str, Any]:
         elements = parse_elements("\n".join((given[0], turned(given[1], wrong))), "twin")
         orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=about["sigma_s"])
         found = check_orbit(orbit, vehicle, data, seed=i)
-        about[f"{wrong:g}"] = [found.verdict.name, found.better, found.mistaken, found.shift_s, found.shift_sigma_s, found.turn_times,
-                               *np.degrees([found.turn_rad, found.angle_residual_rad]), 1e6 * found.strength_residual_T]  # fmt: skip
+        angles = np.degrees([found.turn_rad, found.angle_residual_rad])
+        about[f"{wrong:g}"] = [found.verdict.name, found.better, found.mistaken, found.shift_s, found.shift_sigma_s,
+                               found.turn_times, *angles, 1e6 * found.strength_residual_T]  # fmt: skip
     return about
 
 

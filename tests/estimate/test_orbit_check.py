@@ -51,6 +51,8 @@ def test_few_data_leave_it_open_and_the_shift_as_it_was(twin):
     dark = check_orbit(orbit(twin, shift_sigma_s=30.0), vehicle, data.drop_vars("field_B").isel(time=slice(0, 25)))
     assert dark.verdict is Verdict.UNDECIDED and dark.matrix is None and np.isnan(dark.strength_residual_T)
     assert 10 < dark.shift_sigma_s < 45
+    nothing = check_orbit(orbit(twin, shift_s=4.0, shift_sigma_s=30.0), vehicle, data.drop_vars(["field_B", "power_W", "panel"]))
+    assert nothing.verdict is Verdict.UNDECIDED and nothing.shift_s == 4.0 and nothing.samples == {}
 
 
 def test_the_vehicle_file_gives_the_orbit_and_the_command_line_comes_first(twin, tmp_path):

@@ -34,15 +34,16 @@ def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: fl
     time = samples["time"].values
     one = nearest(orbit.elements, orbit.instants(time).middle)
     found, notes = check_orbit(orbit, craft, samples), orbit.notes(time)
-    calibration = {} if found.matrix is None else {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
     summary = {
         "satellite": one.number, "name": one.name, "verdict": found.verdict.name.lower(), "copies": found.copies,
         "better_copies": found.better, "copies_expected_better_by_chance": found.mistaken,
         "node_turn_rad": found.turn_rad, "node_turn_times": found.turn_times,
         "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border, "samples": found.samples,
         "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
-        "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0], "magnetometer": calibration, "notes": notes,
+        "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0], "notes": notes,
     }  # fmt: skip
+    if found.matrix is not None and found.zero is not None:
+        summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
     return {"orbit": summary}, _lines(one, found, notes)
 
 
@@ -52,6 +53,8 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     named = f"{one.name} ({one.number})" if one.name else f"satellite {one.number}"
     lines = [f"Orbit of {named}: {found.verdict.value}", *(f"  {note}" for note in notes)]
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
+    if not used:
+        return [*lines, "  no sample shows a field, the Sun or the dark"]
     lines.append(f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)")
     if found.turn_times > 1.05:
         turn = f"with the node turned by {np.degrees(found.turn_rad):+.0f} deg"

@@ -9,7 +9,7 @@ the rank among them is the answer, and how clearly the copies differ from the or
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -119,21 +119,21 @@ class OrbitCheck:
     zero, None without magnetometer. With the node turned by `turn_rad` residuals are `turn_times` smaller. `eclipse` counts
     samples that show the Sun in the predicted shadow, and all there."""
 
-    verdict: Verdict
-    better: int
-    copies: int
-    mistaken: float
-    turn_rad: float
-    turn_times: float
     shift_s: float
     shift_sigma_s: float
-    samples: dict[str, int]
-    strength_residual_T: float
-    angle_residual_rad: float
-    eclipse: tuple[int, int]
-    matrix: np.ndarray | None
-    zero: np.ndarray | None
-    border: bool
+    verdict: Verdict = Verdict.UNDECIDED
+    better: int = 0
+    copies: int = 0
+    mistaken: float = float(COPIES)
+    turn_rad: float = 0.0
+    turn_times: float = 1.0
+    samples: dict[str, int] = field(default_factory=dict)
+    strength_residual_T: float = np.nan
+    angle_residual_rad: float = np.nan
+    eclipse: tuple[int, int] = (0, 0)
+    matrix: np.ndarray | None = None
+    zero: np.ndarray | None = None
+    border: bool = False
 
 
 def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: int = 0) -> OrbitCheck:
@@ -142,6 +142,8 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """
     seen, grid = _seen(vehicle, telemetry), _Grid.of(orbit)
+    if not len(seen.t_s):
+        return OrbitCheck(orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)))
     rng = np.random.default_rng(seed)
     turns = zip(rng.uniform(0, 2 * np.pi, COPIES), rng.uniform(0, orbit.elements[0].period_s, COPIES), strict=True)
     here = _predict(orbit, seen, grid, 0.0, 0.0)
@@ -178,7 +180,7 @@ class _Grid(NamedTuple):
 def _seen(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
     time = telemetry["time"].values
     n, nothing = len(time), np.full((len(time), 3), np.nan)
-    field = telemetry["field_B"].values if "field_B" in telemetry else nothing
+    reading = telemetry["field_B"].values if "field_B" in telemetry else nothing
     sun, covariance, light = nothing, np.full((n, 3, 3), np.nan), np.full(n, np.nan)
     if "panel" in telemetry.coords:
         found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
@@ -186,14 +188,14 @@ def _seen(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
         why = panel_quality(vehicle, telemetry)["why"].values
         light = np.where(why == "dropped: no panel lit", 0.0, np.where(np.char.startswith(why, "dropped"), np.nan, 1.0))
     if "sun_sensor_B" in telemetry:
-        there = np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1)
+        there = np.array(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
         sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
         covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
         light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
-    flag = telemetry["flag"].values if "flag" in telemetry else np.zeros(n)
-    use = np.flatnonzero((np.isfinite(field).all(axis=1) | np.isfinite(light)) & ((flag.astype(int) & 4) == 0))
+    late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
+    use = np.flatnonzero((np.isfinite(reading).all(axis=1) | np.isfinite(light)) & ~late)
     use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), MOST_SAMPLES)).astype(int))] if len(use) else use
-    return Seen(*(part[use] for part in (time, field, sun, covariance, light)))
+    return Seen(*(part[use] for part in (time, reading, sun, covariance, light)))
 
 
 def _predict(orbit: Orbit, seen: Seen, grid: _Grid, node_rad: float, phase_s: float) -> Predicted:
