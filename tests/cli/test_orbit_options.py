@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
 
-TLE = """1 25544U 98067A   26001.50000000  .00010000  00000-0  10000-3 0  9998
-2 25544  51.6400 120.0000 0006000  30.0000  40.0000 15.49000000    08
+TLE = """1 25544U 98067A   26001.50000000  .00010000  00000-0  10000-3 0  9999
+2 25544  51.6400 120.0000 0006000  30.0000  40.0000 15.49000000    03
 """
 
 
@@ -30,9 +30,9 @@ def said(*words: str) -> str:
 
 
 def test_wrong_elements_are_one_sentence(satellite):
-    (satellite / "bad.tle").write_text(TLE.replace("9998", "9997"), "utf-8")
+    (satellite / "bad.tle").write_text(TLE.replace("9999", "9990"), "utf-8")
     text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle")
-    assert text.startswith("bad.tle, line 1: the checksum of the line is 8, but its last character says '7';")
+    assert text.startswith("bad.tle, line 1: the checksum of the line is 9, but its last character says '0';")
     assert said("vehicle.toml", "telemetry.csv", "--omm", "none.xml").startswith("none.xml: the file of elements cannot be read")
     assert said("vehicle.toml", "--tle", "my.tle") == "elements are compared with telemetry; give TELEMETRY too"
     assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith("a shift along the track needs elements")

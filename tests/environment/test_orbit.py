@@ -15,7 +15,7 @@ from sunspin.environment.earth import EQUATOR_M, Instants, J2000_from_TEME, eart
 from sunspin.environment.elements import nearest, parse_elements, read_elements
 from sunspin.environment.field import field_map
 from sunspin.environment.light import REFLECTIVITY, albedo_light, covered, lit
-from sunspin.environment.orbit import in_orbit
+from sunspin.environment.orbit import SunAlongZ, in_orbit
 
 VANGUARD = """1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
 2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667
@@ -186,6 +186,28 @@ def test_surroundings_follow_the_orbit_with_their_errors():
     np.testing.assert_allclose(moved.nadir_N[:-1], here.nadir_N[1:], atol=1e-6)
     late = in_orbit(elements, EPOCH, t, clock_s=20, shift_sigma_s=10).at(t)
     np.testing.assert_allclose(late.field_N[:-1], here.field_N[1:], atol=1e-12)
+
+
+def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():
+    elements = parse_elements(VZLUSAT, "case")
+    orbit = in_orbit(elements, EPOCH, [0.0, 600.0], shift_sigma_s=10)
+    cube = ss.Vehicle("cube", inertia_kg_m2=np.diag([0.002, 0.005, 0.006]))
+    sun = orbit.at(0.0).sun_N[0]
+    t = np.array([0.0, 300.0, 600.0])
+    calm = ss.propagate(cube, [0, 0, 0.01], sun, None, t, environment=orbit)
+    pulled = ss.propagate(cube, [0, 0, 0.01], sun, None, t, environment=orbit, torques=["gravity_gradient"])
+    assert pulled.attrs["frame_N"] == "J2000"
+    here = orbit.at(0.0)
+    torque = 3 * np.sum(here.nadir_turn_N[0] ** 2) * np.cross(here.nadir_N[0], cube.inertia_kg_m2 @ here.nadir_N[0])
+    change = (pulled["momentum_B"] - calm["momentum_B"]).values[1]
+    assert 0.2 < np.linalg.norm(change) / (300 * np.linalg.norm(torque)) < 1.5
+    local = SunAlongZ.of(orbit)
+    np.testing.assert_allclose(local.at(0.0).sun_N[0], [0, 0, 1], atol=1e-12)
+    there, turned = orbit.at(t), local.at(t)
+    for name in ("field_N", "nadir_N", "albedo_light_N", "nadir_turn_N"):
+        expected = (getattr(there, name) * there.sun_N).sum(axis=1)
+        np.testing.assert_allclose((getattr(turned, name) * turned.sun_N).sum(axis=1), expected, atol=1e-12)
+    assert local.frame_N == "sun_z_local"
 
 
 def test_old_elements_are_warned_about_and_the_nearest_taken():

@@ -75,9 +75,11 @@ def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> No
       sunspin check vehicle.toml telemetry.csv
       sunspin check philae philae
     """
+    from sunspin.estimate.orbit import elements_of
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
+    elements_of(craft, elements, shift_sigma)  # what is wrong with them is said before the work
     summary, lines = _about_vehicle(craft)
     if telemetry is not None:
         samples, about, more = _about_telemetry(craft, find_telemetry(telemetry, data))

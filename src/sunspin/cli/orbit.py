@@ -40,7 +40,9 @@ def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: fl
         "node_turn_rad": found.turn_rad, "node_turn_times": found.turn_times,
         "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border, "samples": found.samples,
         "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
-        "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0], "notes": notes,
+        "sign_turned": found.sign_turned,
+        "clock_behind_s": found.clock_behind_s, "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0],
+        "notes": notes,
     }  # fmt: skip
     if found.matrix is not None and found.zero is not None:
         summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
@@ -52,6 +54,11 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
 
     named = f"{one.name} ({one.number})" if one.name else f"satellite {one.number}"
     lines = [f"Orbit of {named}: {found.verdict.value}", *(f"  {note}" for note in notes)]
+    if hours := round(found.clock_behind_s / 3600):
+        side = "behind" if hours > 0 else "ahead of"
+        lines.append(f"  they would fit if the telemetry's clock were {abs(hours)} h {side} UTC")
+    if found.sign_turned:
+        lines.append("  the magnetometer reads the field with the opposite sign")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]

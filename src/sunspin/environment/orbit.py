@@ -8,7 +8,7 @@ determine well is the sum.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,10 @@ import numpy.typing as npt
 from sunspin.environment.earth import EQUATOR_M, Instants, J2000_from_TEME, earth_from_J2000, sun_J2000_m
 from sunspin.environment.elements import OLD_DAYS, Elements
 from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
-from sunspin.environment.frames import J2000
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, lit
 from sunspin.environment.surroundings import Surroundings
+from sunspin.solve.rotations import tangents
 
 SUN_SIGMA_RAD = 1e-5
 """ERFA's Sun, parallax of the orbit included."""
@@ -107,6 +108,26 @@ class Orbit:
         days = max(min(abs(one.days_to(jd)) for one in self.elements) for jd in (when.jd + when.fraction)[[0, -1]])
         known = f"the place along the track is known to some {self.shift_sigma_s:.0f} s"
         return [] if days < OLD_DAYS else [f"the elements are {days:.0f} days from the telemetry: {known}"]
+
+
+@dataclass(frozen=True)
+class SunAlongZ:
+    """An orbit's environment in axes whose z is the Sun's direction at t = 0, as `rates` wants it: `N_from_J2000` (3, 3)."""
+
+    orbit: Orbit
+    N_from_J2000: tuple[tuple[float, ...], ...]
+    frame_N: str = SUN_Z_LOCAL
+
+    @classmethod
+    def of(cls, orbit: Orbit) -> SunAlongZ:
+        sun = orbit.at(0.0).sun_N
+        first, second = tangents(sun)
+        return cls(orbit, tuple(tuple(row) for row in np.stack([first[0], second[0], sun[0]]).tolist()))
+
+    def at(self, t_s: npt.ArrayLike) -> Surroundings:
+        here, matrix = self.orbit.at(t_s), np.array(self.N_from_J2000)
+        vectors = ("sun_N", "field_N", "nadir_N", "nadir_turn_N", "albedo_light_N")
+        return replace(here, **{name: getattr(here, name) @ matrix.T for name in vectors})
 
 
 def turned(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -68,6 +68,9 @@ NEAR = 60.0
 MOST_SCATTER = np.array([0.1, 3.0])
 """Noise that is believed, where no orbit fits: of strength, as a part of it, and in sigmas of the Sun."""
 
+HOURS, CLEARLY = range(-12, 15), 12.0
+"""Errors of a clock that are tried, those of time zones; and by how much (in log likelihood) one must fit better."""
+
 BLOCKS, BESIDE = 8, 3
 """Parts of the file that are left out in turn, and steps of the shift on either side that are tried then."""
 
@@ -117,7 +120,8 @@ class Fits(NamedTuple):
 class OrbitCheck:
     """The answer: `better` copies of `copies` predict better; residuals are medians; `calibration`: field (T) = matrix reading -
     zero, None without magnetometer. With the node turned by `turn_rad` residuals are `turn_times` smaller. `eclipse` counts
-    samples that show the Sun in the predicted shadow, and all there."""
+    samples that show the Sun in the predicted shadow, and all there. `clock_behind_s`: what would make the elements fit, 0 where
+    nothing does. `sign_turned`: the field read with the opposite sign fits clearly better to the Sun."""
 
     shift_s: float
     shift_sigma_s: float
@@ -134,6 +138,8 @@ class OrbitCheck:
     matrix: np.ndarray | None = None
     zero: np.ndarray | None = None
     border: bool = False
+    clock_behind_s: float = 0.0
+    sign_turned: bool = False
 
 
 def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: int = 0) -> OrbitCheck:
@@ -157,7 +163,10 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     enough = max(np.isfinite(seen.field).all(axis=1).sum(), np.isfinite(seen.light).sum()) >= FEWEST
     verdict = Verdict.REFUSED if better > BETTER or times > TIMES else Verdict.FITS
     verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
-    return _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
+    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
+    if verdict is Verdict.FITS:
+        return answer
+    return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, min(fit.cost.min() for fit in [own, *fits])))
 
 
 class _Grid(NamedTuple):
@@ -335,6 +344,14 @@ def _turned(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, fl
     return (float(np.radians(TURNS_DEG)[np.argmin(costs)]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
 
 
+def _clock_behind(orbit: Orbit, seen: Seen, grid: _Grid, lowest: float) -> float:
+    """By how many s the telemetry's clock is behind UTC if it is off by whole hours and the elements are right: what fits best,
+    where it fits clearly better than the orbit and all its copies; else 0."""
+    clocks = [replace(orbit, clock_s=orbit.clock_s + 3600.0 * hours) for hours in HOURS if hours]
+    costs = [_nearly(seen, _predict(other, seen, grid, 0.0, 0.0), grid.prior, lowest).cost.min() for other in clocks]
+    return clocks[int(np.argmin(costs))].clock_s - orbit.clock_s if min(costs) < lowest - CLEARLY else 0.0
+
+
 def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits, prior: np.ndarray) -> float:
     """How many copies are expected to predict better than this orbit if it is right, by the noise that the best
     of all orbits leaves.
@@ -383,8 +400,9 @@ def _answer(
         strength = float(np.nanmedian(np.abs(size - here.strength[k])))
         both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, here.to_sun[k] / here.strength[k])]
         angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
+    opposite = _fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
     return OrbitCheck(
-        verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0],
+        sign_turned=bool(opposite.cost[0] < own.cost[k] - CLEARLY), verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0],
         turn_times=beside[1], shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
         border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
         samples={"field": int(np.isfinite(seen.field).all(axis=1).sum()), "light": int(known.sum()),
