@@ -22,8 +22,8 @@ from sunspin.environment.light import lit
 from sunspin.environment.orbit import Orbit, turned
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
-from sunspin.telemetry.quality import lit_threshold, panel_quality
-from sunspin.telemetry.sun import sun_directions
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
 
 COPIES = 50
@@ -194,8 +194,8 @@ def _seen(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
     if "panel" in telemetry.coords:
         found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
         sun, covariance = found["sun_B"].values, found["sun_cov_B"].values
-        why = panel_quality(vehicle, telemetry)["why"].values
-        light = np.where(why == "dropped: no panel lit", 0.0, np.where(np.char.startswith(why, "dropped"), np.nan, 1.0))
+        status = found["status"].values
+        light = np.where(status == SunStatus.MISSING, np.nan, np.where(status == SunStatus.DARK, 0.0, 1.0))
     if "sun_sensor_B" in telemetry:
         there = np.array(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
         sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
@@ -402,8 +402,8 @@ def _answer(
         angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
     opposite = _fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
     return OrbitCheck(
-        sign_turned=bool(opposite.cost[0] < own.cost[k] - CLEARLY), verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0],
-        turn_times=beside[1], shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
+        verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0], turn_times=beside[1],
+        sign_turned=bool(opposite.cost[0] < own.cost[k] - CLEARLY), shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
         border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
         samples={"field": int(np.isfinite(seen.field).all(axis=1).sum()), "light": int(known.sum()),
                  "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},

@@ -137,11 +137,11 @@ class Vehicle(Part):
     legs: tuple[Leg, ...] = ()
     hull: tuple[HullPart, ...] = ()
     antenna: Antenna | None = None
+    orbit: Orbit | None = None
     sun_rules: tuple[SunRule, ...] = ()
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()
     sensors: Sensors = Sensors()
-    orbit: Orbit | None = None
     facts: Facts = field(default_factory=no_entries)
 
     def __post_init__(self) -> None:

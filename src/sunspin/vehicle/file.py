@@ -43,6 +43,7 @@ class VehicleFile(Part):
     leg: tuple[parts.Leg, ...] = ()
     hull: tuple[parts.HullPart, ...] = ()
     antenna: parts.Antenna | None = None
+    orbit: parts.Orbit | None = None
     sun_rule: tuple[parts.SunRule, ...] = ()
     telemetry: craft.TelemetryForm = craft.TelemetryForm()
     sun_sensor: tuple[sensors.SunSensor, ...] = ()
@@ -51,7 +52,6 @@ class VehicleFile(Part):
     magnetometer: sensors.Magnetometer | None = None
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
-    orbit: parts.Orbit | None = None
 
 
 def read_vehicle(source: object) -> craft.Vehicle:
@@ -120,11 +120,11 @@ def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
         legs=file.leg,
         hull=file.hull,
         antenna=file.antenna,
+        orbit=file.orbit,
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
         sensors=sensors.Sensors(file.sun_sensor, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock),
-        orbit=file.orbit,
         facts=dict(_facts(table)),
     )
 
