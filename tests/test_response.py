@@ -396,7 +396,8 @@ def test_the_vehicle_file_names_the_law():
         ("[panel_response.grazing]\nloss = 1.5", ["panel_response.grazing.loss", "between 0 and 1", "1.5"]),
         ("[panel_response.mirror]\nloss = 1", ["panel_response.mirror", "unknown key", "grazing"]),
         ("[panel_response]\ngrazing.loss = 0.1\ntilted = { panel = 'a', turn_B_rad = [0, 0, 0] }", ["one law", "keep one"]),
-        ("[panel_response.wall]\npanel = 'b'\ntoward_B = [0, 1, 0]\nabove = 0.3", ["panel_response", "does not have", "panels: ['a']"]),
+        ("[panel_response.wall]\npanel = 'b'\ntoward_B = [0, 1, 0]\nabove = 0.3",
+         ["panel_response", "does not have", "panels: ['a']"]),
     ],
 )
 def test_a_wrong_law_is_refused_in_one_sentence(table, words):
