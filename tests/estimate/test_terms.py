@@ -18,6 +18,9 @@ from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Track
+from sunspin.estimate.terms.gyro import Gyro
+from sunspin.estimate.terms.magnetometer import Magnetometer
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Seen, facing, normal, student
 from sunspin.solve.rotations import turn
 from sunspin.vehicle.response.choice import ResponseForm
@@ -27,6 +30,12 @@ from sunspin.vehicle.sensors import Sensors
 
 def craft():
     return replace(CUBE, sensors=Sensors(gyro=clock_twins.GYRO, magnetometer=clock_twins.FIELD))
+
+
+def only(o, kind):
+    """The term of a kind."""
+    (term,) = (term for term in o.terms if isinstance(term, kind))
+    return term
 
 
 def both(samples=9, seed=4):
@@ -41,7 +50,7 @@ def both(samples=9, seed=4):
 @pytest.mark.evidence("rates", "verified", "differences of the cost of a gyro's readings")
 def test_the_gyros_gradient_is_that_of_its_cost():
     o, truth = both()
-    (gyro,), rng = o.of_state, np.random.default_rng(1)
+    gyro, rng = only(o, Gyro), np.random.default_rng(1)
     seen, error = Seen(truth.attitude, truth.omega + 1e-3 * rng.normal(size=truth.omega.shape)), rng.normal(size=(1, 4))
     slope = normal(gyro, seen, error)[1]
 
@@ -71,7 +80,7 @@ def test_every_unknown_stands_once_in_one_list():
 def test_a_second_magnetometer_is_one_more_term():
     """Two of the same noise: the drift of each is an unknown, and rates are known better than with one."""
     o, truth = both()
-    (first,) = o.of_pairs
+    first = only(o, Magnetometer)
     rng, field_N = np.random.default_rng(7), np.array([0.6, 0.0, 0.8])
     second = replace(first, field_B=truth.attitude[0] @ field_N + 0.02 * rng.normal(size=(len(o), 3)))
     motion = Motion(Body.of(craft()), 1e-5, 0.1)
@@ -93,10 +102,11 @@ def test_another_law_of_the_panels_is_the_responses_alone():
     seen = Seen(facing(sun)[None], run["omega_B"].values[None])
     cost = {}
     for name, vehicle in (("law", lossy), ("cosine", CUBE)):
-        panels = replace(observations(vehicle, data)[0].of_sun[0], sigma=np.full(power.shape, 0.01), scale_sigma=np.full(12, 0.01))
+        read = only(observations(vehicle, data)[0], Panels)
+        panels = replace(read, sigma=np.full(power.shape, 0.01), scale_sigma=np.full(12, 0.01))
         cost[name] = normal(panels, seen)[2].sum()
     assert cost["law"] < 12 * 3.6 and cost["cosine"] > 2 * cost["law"]  # 3.6: what a sound sample costs at most
-    panels = replace(observations(lossy, data)[0].of_sun[0], sigma=np.full(power.shape, 0.1))
+    panels = replace(only(observations(lossy, data)[0], Panels), sigma=np.full(power.shape, 0.1))
     beside = Seen(turn(seen.attitude, np.array([0.1, -0.15, 0.2])), seen.omega)
     slope = normal(panels, beside)[1].sum(axis=1)[0]
     steps = 1e-3 * np.eye(3)
@@ -107,7 +117,7 @@ def test_another_law_of_the_panels_is_the_responses_alone():
 def test_readings_apart_cost_the_mean_of_their_likelihood():
     """Of a gyro and a field, each against an average of the likelihood over what it may see."""
     o, truth = both(samples=3)
-    rng, (gyro,), (field,) = np.random.default_rng(3), o.of_state, o.of_pairs
+    rng, gyro, field = np.random.default_rng(3), only(o, Gyro), only(o, Magnetometer)
     fine = replace(gyro, sigma=0.002)
     size = max(np.sqrt((fine.rate_B**2).mean()), fine.sigma)
     omega = size * rng.normal(size=(400_000, 3))
@@ -126,7 +136,7 @@ def test_the_sensor_that_disagrees_is_left_out_by_evidence():
     """A gyro turned by 60 degrees: of all alternatives the one without it fits and is best; with a sound gyro all are worse."""
     o, truth = both(samples=20)
     motion = Motion(Body.of(craft()), 1e-5, 0.1)
-    (gyro,) = o.of_state
+    gyro = only(o, Gyro)
     turned = replace(gyro, rate_B=gyro.rate_B @ turn(np.eye(3), np.radians([60.0, 0.0, 0.0])).T)
 
     def run(one):
@@ -146,8 +156,8 @@ def test_the_sensor_that_disagrees_is_left_out_by_evidence():
 def test_panels_that_do_not_see_what_gyro_and_magnetometer_see_are_left_out(monkeypatch):
     """Panels of another time: without the Sun the others fit, the attitude's free turns held weakly. No wiring is tried."""
     monkeypatch.setattr(estimate, "better", lambda *given: None)
-    (data, _), (other, _) = (clock_twins.twin(kind, 0.0, np.random.default_rng(4), 12) for kind in ("gyro", "field"))
-    power = data["power_W"].values[[5, 2, 9, 0, 7, 11, 1, 8, 3, 10, 4, 6]]
+    (data, _), (other, _) = (clock_twins.twin(kind, 0.0, np.random.default_rng(4), 20) for kind in ("gyro", "field"))
+    power = data["power_W"].values[np.random.default_rng(0).permutation(20)]
     data = data.assign(field_B=other["field_B"], power_W=(data["power_W"].dims, power))
     found = ss.rates(craft(), data, max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
     assert not found["fits"].values.any() and "without the Sun the other readings fit" in found.attrs["verdict"]

@@ -216,7 +216,8 @@ def _odd_sensor(
             return None
         made = finished(one.o, np.arange(len(one.o)), one.kept, track, motion, clock, rate_max, begin)
         fits = all(misfit(left[0]).fits for left in made.residual.values())
-        return Fit(made.track.log_weight, bool(fits and made.track.cost[0] <= cost_limit(part)))
+        explained = not part.of_sun or made.track.cost[0] <= cost_limit(part)  # the limit is of passes that see the Sun
+        return Fit(made.track.log_weight, bool(fits and explained))
 
     odd = odd_one(ranked([stated, *sensors_left_out(stated)], run))
     if odd is None:

@@ -80,9 +80,8 @@ def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
 
 def cost_limit(o: Observations) -> float:
     """The cost beyond which even the best motion does not fit: so much for each sample's Sun, and what sound readings of the
-    other sensors cost in the mean; without a Sun, three standard deviations more, which of half a chi-square are the mean's root."""
-    others = THREE_READINGS * sum(term.readings() for term in o.terms)
-    return BAD_COST * len(o) + others if o.of_sun else others + 3 * float(np.sqrt(others))
+    other sensors cost in the mean."""
+    return BAD_COST * len(o) + THREE_READINGS * sum(term.readings() for term in o.terms)
 
 
 def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
