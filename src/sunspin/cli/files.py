@@ -105,7 +105,7 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
         from sunspin.telemetry.sun import reconstructible_patterns
-        from sunspin.vehicle.response.cosine import lit_patterns
+        from sunspin.vehicle.response.panels import lit_patterns
 
         summary |= {"lit_patterns": len(lit_patterns(craft)), "reconstructible": len(reconstructible_patterns(craft))}
         lines.append(
@@ -144,6 +144,10 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[Any, dict[str, Any], list[
         lines.append(f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample")
     if gaps.size:
         lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
+    for key, text in (("rows_sorted", "put in the order of time"), ("rows_merged", "repeats merged")):
+        if key in samples.attrs:
+            summary[key] = int(samples.attrs[key])
+            lines.append(f"  {summary[key]:6d}  {text}")
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
     if "panel" in samples.coords:
         about, more = _about_panels(craft, samples)

@@ -35,7 +35,9 @@ SEEN = {
 STATED = (("chain", "candidate motions from"), ("noise", "readings"), ("calibration", "threshold of the 90 % set"))
 """Entries of a study's summary that belong to where its results come from, and their names."""
 
-SEEN_OF = {"posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "p_value", "effective_draws", "pareto_k", "predicted"}}
+SEEN_OF = {
+    "posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "passes", "p_value", "effective_draws", "pareto_k", "predicted"}
+}
 """The same, for one command's summary."""
 
 MOST_TEXT = 400

@@ -15,7 +15,9 @@ def rates(results: Results) -> Section | None:
     found = results.first("omega_B", "omega_cov_B", "pass_of", "weight")
     if found is None:
         return None
-    rows = []
+    rows, said = [], [""] * found.sizes["pass_id"]
+    if "why_not_decided" in found:
+        said = [str(why) or "decided" for why in found["why_not_decided"].values]
     for k in range(found.sizes["pass_id"]):
         at = np.flatnonzero(found["pass_of"].values == k)
         weight = found["weight"].values[k]
@@ -23,10 +25,10 @@ def rates(results: Results) -> Section | None:
             mean, sigma = (np.degrees(found[name].values[k, mode]) for name in ("omega_mean_B", "omega_sigma_B"))
             rows.append([
                 str(k + 1), utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True), str(at.size), str(mode + 1),
-                f"{weight[mode]:.3f}", *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)),
+                f"{weight[mode]:.3f}", *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), said[k],
             ])  # fmt: skip
     table = Table(
-        ["pass", "begins", "samples", "motion", "weight (1)", "ωx (deg/s)", "ωy (deg/s)", "ωz (deg/s)"], rows,
+        ["pass", "begins", "samples", "motion", "weight (1)", "ωx (deg/s)", "ωy (deg/s)", "ωz (deg/s)", "may be believed"], rows,
         "Every motion that fits, by pass", closed=len(rows) > 30,
     )  # fmt: skip
     lead = ["Each pass may allow several motions, mostly whole turns more or less between samples; their weights add to one."]
