@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import claim, data_option, deliver, find_telemetry, numbers, on_terminal, output_options
+from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
+from sunspin.cli.values import numbers
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""

@@ -18,14 +18,13 @@ from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
-from sunspin.estimate.rates import torque
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.estimate.rates.dense import Dense
-from sunspin.estimate.rates.earth import is_told, with_beam
-from sunspin.estimate.rates.field import with_drift
+from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
+from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
 from sunspin.estimate.rates.link import linked
-from sunspin.estimate.rates.motion import SUN_N, Body, require_followed
+from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.residuals import Fitted, residuals
@@ -33,8 +32,14 @@ from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, searc
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
-from sunspin.estimate.rates.state import FIELD_TURN_RATE, Motion, Observations, Track, joined
+from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.terms.earth_light import faint
+from sunspin.estimate.terms.magnetic_torque import MagneticTorque
+from sunspin.estimate.terms.magnetometer import TURN_RATE
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.sensors import SENSORS
+from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import NARROWER, answers, misfit
 from sunspin.estimate.wiring import Better, better
 from sunspin.vehicle import Vehicle
@@ -127,8 +132,9 @@ def rates(
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
     wirings : bool
-        Where a pass does not fit, try other wirings of panels and sensors on the one with the most samples
-        (:mod:`sunspin.estimate.wiring`), which takes minutes, and name the one that fits.
+        Where a pass does not fit, try on the one with the most samples to leave out each sensor
+        (:mod:`sunspin.estimate.rates.hypotheses`) and other wirings of panels and sensors (:mod:`sunspin.estimate.wiring`), which
+        takes minutes, and name what fits.
     progress : bool
         Show how many passes have been searched, and how long the others will take.
 
@@ -175,8 +181,8 @@ def rates(
     searched = tqdm(parts, unit="pass", desc="rates", disable=not progress, leave=False)
     tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in searched]
     if not _torque_told(vehicle, o):
-        motion = replace(motion, torque=torque.prior_sigma(noise))
-    ready = [(with_unknowns(some), track) for some, track in tracks]
+        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
+    ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
     if given is None:
         motion = replace(motion, noise=refined(ready, motion))
     clock, late = _clock(sensors.clock, ready, motion)
@@ -189,8 +195,34 @@ def rates(
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     if wirings and not result["fits"].values.all():
+        bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
+        result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _odd_sensor(
+    o: Observations, p: Pass, motion: Motion, clock: Clock | None, rate_max: float, begin: float
+) -> dict[str, str]:
+    """Of a pass that does not fit: the sensor without which it does, in words, if there is one."""
+    stated = Hypothesis(AS_READ, o.take(p.index), np.searchsorted(p.index, p.kept), motion, clock)
+
+    def run(one: Hypothesis) -> Fit | None:
+        if one is stated:
+            return Fit(p.track.log_weight, False)
+        part = one.o.take(one.kept)
+        try:
+            track = leading(part, replace(motion, noise=begin), rate_max)
+        except InputError:
+            return None
+        made = finished(one.o, np.arange(len(one.o)), one.kept, track, motion, clock, rate_max, begin)
+        fits = all(misfit(left[0]).fits for left in made.residual.values())
+        return Fit(made.track.log_weight, bool(fits and made.track.cost[0] <= cost_limit(part)))
+
+    odd = odd_one(ranked([stated, *sensors_left_out(stated)], run))
+    if odd is None:
+        return {}
+    return {"odd_sensor": f"{odd.hypothesis.what} the other sensors agree: it does not read what they read"}
 
 
 def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
@@ -215,7 +247,7 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
         except InputError:
             return None
 
-    found = better(vehicle, part, evidence, run, FIELD_TURN_RATE)
+    found = better(vehicle, part, evidence, run, TURN_RATE)
     if found is None:
         return result
     if isinstance(found, Better):
@@ -247,7 +279,7 @@ def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
     """Whether the vehicle file has a dipole, and the field that pulls at it is measured."""
-    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field).all(axis=1).any())
+    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field_B).all(axis=1).any())
 
 
 def _clock(
@@ -298,7 +330,7 @@ def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
 def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
     """Modes found as if strong torques acted, then fitted with the inertia as it may be: where that of the file fits no motion."""
     loose = replace(motion, noise=max(LOOSER[0], motion.noise))
-    return with_common(with_unknowns(plain), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
+    return with_common(plain.freed(), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
 
 
 def finished(
@@ -308,7 +340,7 @@ def finished(
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
     found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
     plain = every.take(kept)
-    o = with_unknowns(plain)
+    o = plain.freed()
     common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
     if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
@@ -321,15 +353,9 @@ def finished(
     if common is not None:
         track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
     whole = between.filled(track, motion)
-    left = residuals(with_unknowns(every.take(index)), np.searchsorted(index, kept), whole, fit)
+    left = residuals(every.take(index).freed(), np.searchsorted(index, kept), whole, fit)
     order, weight = _ranked(track)
     return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), sigma, left).take(order, weight / weight.sum())
-
-
-def with_unknowns(o: Observations) -> Observations:
-    """A pass with all that is estimated beside its motion."""
-    drifting = with_drift(o)
-    return with_beam(drifting) if is_told(drifting) else drifting
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -408,10 +434,11 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
-        "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
-        "attitude_used": int(np.isfinite(o.attitude[index]).any()), "earth_light": o.earth_light if is_told(o) else 0.0,
+        "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
         "frame_N": SUN_Z_LOCAL,
     }  # fmt: skip
+    read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
+    attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),
@@ -444,6 +471,8 @@ def verdict(result: xr.Dataset) -> str:
     text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
     if not fits.all():
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    if "odd_sensor" in result.attrs:
+        text += f"; {result.attrs['odd_sensor']}"
     if "wiring_doubt" in result.attrs:
         text += f"; {result.attrs['wiring_doubt']}"
     if count := int((fits & unique & ~informed).sum()):

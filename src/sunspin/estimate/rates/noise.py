@@ -80,8 +80,7 @@ def quick_evidence(o: Observations, part: np.ndarray, body: Body, rate_max: floa
     full light.
     """
     o = o.take(part)
-    gain = np.broadcast_to(np.linalg.norm(o.rows, axis=-1), o.power.shape)
-    size = np.log(np.where(np.isfinite(o.power_sigma), o.power_sigma, gain)).sum() + np.log(o.scale_sigma).sum()
+    size = sum(term.log_size() for term in o.of_sun)
     return float(_evidence(o, body, QUICK_NOISES, rate_max).max() - size)
 
 
@@ -97,7 +96,8 @@ def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple
         motion = replace(motion, noise=noises[k])
         track, last = cooled(guess, track, last, motion), noises[k]
         known = replace(motion, body=replace(body, errors=body.errors[:0]))
-        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
+        free = any(term.unknowns() for term in o.of_sun)
+        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if free else track
         found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
     return found
 

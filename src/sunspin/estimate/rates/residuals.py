@@ -10,18 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates import field
-from sunspin.estimate.rates.common import Clock, Common, lit_with, places_of
-from sunspin.estimate.rates.light import STUDENT, sun_measured
-from sunspin.estimate.rates.smooth import between, field_pairs
+from sunspin.estimate.rates.common import Clock, Common, places_of
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.term import Seen, StateTerm, SunTerm
 from sunspin.estimate.verdict import in_sigma
-
-SUN_FREEDOM = 2
-"""Degrees of freedom of a direction."""
-
-MOTION = 6
-"""Residuals of turn and rate that stand before those of field and attitude between two samples."""
 
 
 class Fitted(NamedTuple):
@@ -44,61 +36,34 @@ class Fitted(NamedTuple):
 def residuals(every: Observations, kept: np.ndarray, whole: Track, fit: Fitted) -> dict[str, np.ndarray]:
     """Sensor -> residuals (K, n) in sigmas of the modes `whole` (K) at the samples of `every` (n), the last of each pair where
     neighbours are compared, NaN where it read nothing; `kept`: the places of the samples that the motions were fitted to."""
-    found = {"Sun": _sun(every, kept, whole, fit)}
-    known = np.asarray(np.isfinite(every.gyro).all(axis=1))
-    if known.any():
-        found["gyro"] = _gyro(every, known, kept, whole, fit)
-    for name, pairs in _neighbours(fit).items():
-        found[name] = np.full(found["Sun"].shape, np.nan)
-        found[name][:, kept[1:]] = pairs
+    places = places_of(fit.o, fit.motion, fit.clock)
+    carried = ~np.isin(np.arange(len(every)), kept)
+    spread = np.where(carried[:, None, None], whole.covariance, 0.0)
+    found = {}
+    for term, (_, place) in zip(every.of_sun, places.sun, strict=True):
+        found[term.called] = _at_samples(term, whole, fit.error[:, place], spread[..., :3, :3])
+    attitude, omega = whole.attitude.copy(), whole.omega.copy()
+    attitude[:, kept], omega[:, kept] = fit.track.attitude, fit.track.omega
+    for term, (_, place) in zip(every.of_state, places.state, strict=True):
+        if term.present().any():
+            left = _at_samples(term, Seen(attitude, omega), fit.error[:, place], spread)
+            unknown = carried & (fit.clock is not None)  # carried to the Sun's instants, which are not its own
+            found[term.called] = np.where(unknown, np.nan, left)
+    relative = fit.track.attitude[:, 1:] @ np.swapaxes(fit.track.attitude[:, :-1], -1, -2)
+    for term, place in places.pairs:
+        value = term.between(fit.o.t_s, relative)[0]
+        value = value + np.einsum("knim,km->kni", term.gained(fit.o.t_s, fit.track), fit.error[:, place])
+        found[term.called] = np.full(omega.shape[:2], np.nan)
+        found[term.called][:, kept[1:]] = np.where(term.pairs(), in_sigma((value**2).sum(axis=-1), 3), np.nan)
     return found
 
 
-def _carried(every: Observations, kept: np.ndarray) -> np.ndarray:
-    """Which samples (n) the motions were carried to."""
-    return ~np.isin(np.arange(len(every)), kept)
-
-
-def _sun(every: Observations, kept: np.ndarray, track: Track, fit: Fitted) -> np.ndarray:
-    lit = lit_with(every, fit.error, places_of(fit.o, fit.motion, fit.clock))
-    matrix, slope, cost = sun_measured(lit, track)
-    square = STUDENT * np.expm1(2 * cost / (STUDENT + 2))  # the Student law's cost, turned round
-    weight = (STUDENT + 2) / (STUDENT + square)
-    told, pull = matrix[..., :3, :3] / weight[..., None, None], slope[..., :3] / weight[..., None]
-    # by Woodbury the square under the covariance of reading and carried attitude together
-    spread = track.covariance[..., :3, :3]
-    answer = (np.linalg.solve(np.eye(3) + spread @ told, spread) @ pull[..., None])[..., 0]
-    square = square - _carried(every, kept) * (pull * answer).sum(axis=-1)
-    freedom = SUN_FREEDOM * every.told.astype(int)
-    if every.power.size:
-        freedom = freedom + np.isfinite(every.power_sigma).sum(axis=-1)
+def _at_samples(term: SunTerm | StateTerm, seen: Seen, error: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Residuals (K, n) of a term under the covariance (K, n, 3 or 6, 3 or 6) of its readings and of the states together."""
+    square = np.zeros(seen.omega.shape[:2])
+    for value, slope in term.residuals(seen, error):
+        to_state = slope[..., : spread.shape[-1]]
+        both = np.eye(value.shape[-1]) + to_state @ spread @ np.swapaxes(to_state, -1, -2)
+        square += (value * np.linalg.solve(both, value[..., None])[..., 0]).sum(axis=-1)
+    freedom = term.freedom()
     return np.where(freedom > 0, in_sigma(square, freedom), np.nan)
-
-
-def _gyro(every: Observations, known: np.ndarray, kept: np.ndarray, whole: Track, fit: Fitted) -> np.ndarray:
-    omega, carried = whole.omega.copy(), _carried(every, kept)
-    omega[:, kept] = fit.track.omega
-    value = omega - np.where(known[:, None], every.gyro, 0.0)
-    place = places_of(fit.o, fit.motion, fit.clock).gyro
-    error = fit.error[:, place]
-    value = value + np.einsum("ka,nai->kni", error, np.nan_to_num(every.gyro_common[:, : error.shape[1]]))
-    spread = every.gyro_sigma**2 * np.eye(3) + carried[:, None, None] * whole.covariance[..., 3:, 3:]
-    square = (value * np.linalg.solve(spread, value[..., None])[..., 0]).sum(axis=-1)
-    late = carried if fit.clock is not None else np.zeros(len(every), dtype=bool)  # carried to the Sun's instants, not the gyro's
-    return np.where(known & ~late, in_sigma(square, 3), np.nan)
-
-
-def _neighbours(fit: Fitted) -> dict[str, np.ndarray]:
-    """What a magnetometer and an attitude sensor say of the turn from each kept sample to the next (K, n - 1)."""
-    o, value = fit.o, between(fit.o, fit.track, fit.motion)[0][..., MOTION:]
-    found, met = {}, field_pairs(o)
-    if met.any() and np.isfinite(o.field_sigma):
-        part, value = value[..., :3], value[..., 3:]
-        if field.count(o):
-            drift = fit.error[:, places_of(o, fit.motion, fit.clock).field]
-            part = part + np.einsum("knim,km->kni", field.gained(o, fit.track), drift)
-        found["magnetometer"] = np.where(met, in_sigma((part**2).sum(axis=-1), 3), np.nan)
-    known = np.isfinite(o.attitude[:, 0, 0])
-    if (known := known[:-1] & known[1:]).any():
-        found["attitude"] = np.where(known, in_sigma((value**2).sum(axis=-1), 3), np.nan)
-    return found

@@ -21,7 +21,7 @@ from sunspin.output.report.section import (
     time_axis,
 )
 from sunspin.output.text import capital
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 MOST_SAMPLES = 4000
 """Samples drawn in one plot; more are thinned evenly, and the caption says so."""
