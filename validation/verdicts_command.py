@@ -43,7 +43,7 @@ def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
     try:
         result = rates(made.vehicle, made.telemetry, max_rate_rad_s=made.max_rate_rad_s)
     except SunspinError as error:
-        return {"decided": False, "before": False, "wrong": False, "empty": False, "why": str(error)}
+        return {"decided": False, "before": False, "wrong": False, "mirrored": False, "empty": False, "why": str(error)}
     return judged(result, made)
 
 
@@ -54,14 +54,20 @@ def judged(result: Any, made: Made) -> dict[str, Any]:
     truth = made.omega[np.argmin(np.abs(made.telemetry["time"].values - at))]
     omega, sigma = (np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"]) for name in ("omega", "sigma"))
     miss = np.abs(omega - truth)
+    wrong = _beyond(miss, sigma)
+    mirrored = wrong and any(not _beyond(np.abs(omega - (2 * keep - 1) * truth), sigma) for keep in np.eye(3))
     fitted = result["cost"].values[0, 0] <= result["cost_limit"].values[0]
     return {
         "decided": bool(result["decided"].values[0]), "before": bool(result["weight"].values[0, 0] >= DECIDED and fitted),
-        "wrong": bool(((miss > WRONG_SIGMAS * sigma) & (miss > WRONG_RAD_S)).any()),
+        "wrong": wrong and not mirrored, "mirrored": mirrored,
         "empty": bool((sigma > NARROWER * result.attrs["max_rate_rad_s"] / 2).any()),
         "pull": float((miss / sigma).max()), "miss_deg_s": float(np.degrees(miss.max())),
         "why": str(result["why_not_decided"].values[0]),
     }  # fmt: skip
+
+
+def _beyond(miss: np.ndarray, sigma: np.ndarray) -> bool:
+    return bool(((miss > WRONG_SIGMAS * sigma) & (miss > WRONG_RAD_S)).any())
 
 
 def table(rows: dict[str, list[dict[str, Any]]]) -> str:
@@ -71,16 +77,17 @@ def table(rows: dict[str, list[dict[str, Any]]]) -> str:
         return tuple(-float(np.mean([row[what] and row["wrong"] for row in rows[kind]])) for what in ("decided", "before"))
 
     lines = [
-        "| kind of pass | passes | decided | of these wrong | of these not informed | decidable and not decided |",
-        "|---|---|---|---|---|---|",
+        "| kind of pass | passes | decided | of these wrong | mirror images | not informed | decidable and not decided |",
+        "|---|---|---|---|---|---|---|",
     ]
     for kind in sorted(rows, key=key):
         each, cells = rows[kind], []
         for what in ("before", "decided"):
             sure = [row for row in each if row[what]]
             # those that either rule decides rightly are decidable
-            able = [row for row in each if (row["before"] or row["decided"]) and not row["wrong"] and not row["empty"]]
-            cells.append((len(sure), sum(row["wrong"] for row in sure), sum(row["empty"] for row in sure),
-                          f"{sum(not row[what] for row in able)} of {len(able)}"))  # fmt: skip
+            right = [row for row in each if not (row["wrong"] or row["mirrored"] or row["empty"])]
+            able = [row for row in right if row["before"] or row["decided"]]
+            counts = [sum(row[why] for row in sure) for why in ("wrong", "mirrored", "empty")]
+            cells.append((len(sure), *counts, f"{sum(not row[what] for row in able)} of {len(able)}"))
         lines.append(f"| {kind} | {len(each)} | " + " | ".join(f"{a} / {b}" for a, b in zip(*cells, strict=True)) + " |")
     return "\n".join(lines)

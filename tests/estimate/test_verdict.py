@@ -21,7 +21,7 @@ def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
         ({"sigma": np.array([0.1, 0.6, 0.1])}, "informed: x z only"),
         ({"sigma": np.full(3, 0.9)}, "NOT INFORMED, the prior is given back"),
         ({"sigma": np.array([0.1, np.nan, 0.1])}, "informed: x z only"),
-        ({"misfits": {"Sun": Misfit(300, 0.24, 1.0)}}, "FITS BADLY (Sun)"),
+        ({"misfits": {"Sun": Misfit(300, 0.34, 1.0)}}, "FITS BADLY (Sun)"),
         ({"misfits": SOUND | {"gyro": Misfit(40, 0.5, 1.0)}}, "FITS BADLY (gyro)"),
         ({"explained": False}, "FITS BADLY"),
         ({"search_complete": False}, "search not complete"),
@@ -45,8 +45,16 @@ def test_spikes_are_forgiven_and_runs_are_not():
 
 def test_too_many_far_off_fit_nothing_however_they_are_strewn():
     far = np.ones(100)
-    far[::4] = 5.0
+    far[::3] = 5.0
     assert not misfit(far).fits and misfit(np.full(10, 5.0)).share == 1.0 and not misfit(np.full(10, 5.0)).fits
+
+
+def test_a_quarter_far_off_in_stretches_is_another_motion():
+    """Stop-and-go seen every second: 24 % of samples beyond three sigma, one stretch after the other."""
+    far = np.ones(300)
+    for begin in (20, 90, 150, 230):
+        far[begin : begin + 18] = 6.0
+    assert misfit(far).share == pytest.approx(0.24) and not misfit(far).fits
 
 
 def test_one_spike_among_four_samples_is_forgiven_and_two_are_not():

@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import claim, data_option, deliver, find_telemetry, numbers, output_options
+from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
+from sunspin.cli.values import numbers
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
@@ -53,6 +54,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings,
+        progress=on_terminal(quiet),
     )  # fmt: skip
     deliver(result, out, as_json, quiet, vehicle, samples)
 

@@ -18,7 +18,7 @@ NARROWER = 0.5
 BEYOND = 2 * norm.sf(3.0)
 """Chance of a sound reading to lie beyond three sigma."""
 
-MOST_BEYOND, ONE_SPIKE = 0.2, 1.5
+MOST_BEYOND, ONE_SPIKE = 0.3, 1.5
 """No motion fits where a larger share of one sensor's readings, and more than one, lies beyond three sigma, however strewn."""
 
 FEW_BEYOND, LEAST_BEYOND = 0.04, 4

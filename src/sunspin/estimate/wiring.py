@@ -52,7 +52,7 @@ class Better(NamedTuple):
 
 
 Evidence = Callable[[Vehicle, xr.Dataset], float]
-Run = Callable[[Vehicle, xr.Dataset], xr.Dataset]
+Run = Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
 
 
 def of_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> Iterator[Wiring]:
@@ -100,8 +100,8 @@ def _readings(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 def better(vehicle: Vehicle, telemetry: xr.Dataset, evidence: Evidence, run: Run, field_turn_rate: float) -> Better | None:
     """The wiring that fits the telemetry of a pass, which does not fit as stated; None where there is none.
 
-    `evidence`: log evidence of a wiring of panels, by a quick search; `run`: the whole estimate; `field_turn_rate`: rad/s at which
-    a magnetometer's field turns in space.
+    `evidence`: log evidence of a wiring of panels, by a quick search; `run`: the whole estimate, None where there is none;
+    `field_turn_rate`: rad/s at which a magnetometer's field turns in space.
     """
     for name in SENSORS:
         if name in telemetry and np.isfinite(telemetry[name].values).any():
@@ -112,6 +112,8 @@ def better(vehicle: Vehicle, telemetry: xr.Dataset, evidence: Evidence, run: Run
     if not others:
         return None
     stated = evidence(vehicle, telemetry)
+    if not np.isfinite(stated):
+        return None
     gains = np.array([evidence(one.vehicle, one.telemetry) - stated for one in others])
     best = int(np.argmax(gains))
     if not gains[best] > CLEARLY or not _fits(run(others[best].vehicle, others[best].telemetry)):
@@ -119,14 +121,14 @@ def better(vehicle: Vehicle, telemetry: xr.Dataset, evidence: Evidence, run: Run
     return Better(others[best], float(gains[best]))
 
 
-def _fits(result: xr.Dataset) -> bool:
-    return bool(result["fits"].values.all())
+def _fits(result: xr.Dataset | None) -> bool:
+    return result is not None and bool(result["fits"].values.all())
 
 
 def _of_second(vehicle: Vehicle, telemetry: xr.Dataset, name: str, run: Run, field_turn_rate: float) -> Better | None:
     """Another wiring of one sensor, judged by the motion that all others tell."""
     motion = run(vehicle, telemetry.drop_vars(name))
-    if not _fits(motion):
+    if motion is None or not _fits(motion):
         return None
     others = list(of_sensor(vehicle, telemetry, name))
     read = [one.telemetry[name].sel(time=motion["time"].values).values for one in others]

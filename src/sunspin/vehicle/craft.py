@@ -27,7 +27,7 @@ from sunspin.vehicle.part import (
     no_entries,
     part,
 )
-from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Panel, SunRule, Wheel
+from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Orbit, Panel, SunRule, Wheel
 from sunspin.vehicle.response.choice import ResponseForm, response_of
 from sunspin.vehicle.response.protocol import PanelResponse
 from sunspin.vehicle.sensors import Sensors
@@ -139,6 +139,7 @@ class Vehicle(Part):
     legs: tuple[Leg, ...] = ()
     hull: tuple[HullPart, ...] = ()
     antenna: Antenna | None = None
+    orbit: Orbit | None = None
     sun_rules: tuple[SunRule, ...] = ()
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()

@@ -44,6 +44,7 @@ class VehicleFile(Part):
     leg: tuple[parts.Leg, ...] = ()
     hull: tuple[parts.HullPart, ...] = ()
     antenna: parts.Antenna | None = None
+    orbit: parts.Orbit | None = None
     sun_rule: tuple[parts.SunRule, ...] = ()
     telemetry: craft.TelemetryForm = craft.TelemetryForm()
     sun_sensor: tuple[sensors.SunSensor, ...] = ()
@@ -121,6 +122,7 @@ def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
         legs=file.leg,
         hull=file.hull,
         antenna=file.antenna,
+        orbit=file.orbit,
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,

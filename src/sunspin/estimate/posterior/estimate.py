@@ -24,7 +24,7 @@ from sunspin.estimate.posterior.data import Readings, group, readings
 from sunspin.estimate.posterior.fit import chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model, under
-from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, require_few
+from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, require_few, within
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict
 from sunspin.estimate.posterior.widths import Sample, resampled, sample
 from sunspin.vehicle import Vehicle
@@ -124,7 +124,7 @@ def posterior(
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
     search = Search(workers, None if store is None else Path(store), progress)
-    modes = search.modes(there, here, chosen, scale)
+    modes = within(search.modes(there, here, chosen, scale), there.max_rate)
     likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
     noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
     off = checked.tag_s if noticed else 0.0

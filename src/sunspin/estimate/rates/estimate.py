@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -101,6 +102,7 @@ def rates(
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
     wirings: bool = False,
+    progress: bool = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -133,6 +135,8 @@ def rates(
         Where a pass does not fit, try on the one with the most samples to leave out each sensor
         (:mod:`sunspin.estimate.rates.hypotheses`) and other wirings of panels and sensors (:mod:`sunspin.estimate.wiring`), which
         takes minutes, and name what fits.
+    progress : bool
+        Show how many passes have been searched, and how long the others will take.
 
     Returns
     -------
@@ -172,7 +176,8 @@ def rates(
     motion = Motion(body, noise, rate_max / 2)
     use = usable(o, why)
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
-    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
+    searched = tqdm(parts, unit="pass", desc="rates", disable=not progress, leave=False)
+    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in searched]
     if not _torque_told(vehicle, o):
         o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
     ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
@@ -222,16 +227,23 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     """The result with the wiring that fits the longest pass that does not fit as stated, if one does."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
-    inside = result["time"].values[result["pass_of"].values == k]
-    part = telemetry.sel(time=slice(inside[0], inside[-1]))
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
+    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment}
 
     def evidence(other: Vehicle, data: xr.Dataset) -> float:
-        o, why, _ = observations(other, data, source)
-        return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+        try:
+            o, why, _ = observations(other, data, source)
+            return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+        except InputError:
+            return -np.inf
 
-    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset:
-        return rates(other, data, source=source, max_rate_rad_s=rate_max, gap_s=np.inf, environment=environment, torques=torques)
+    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
+        try:
+            return rates(other, data, torques=torques, **setting)
+        except InputError:
+            return None
 
     found = better(vehicle, part, evidence, run, TURN_RATE)
     if found is None:
@@ -460,16 +472,16 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; {result.attrs['odd_sensor']}"
     if "wiring_doubt" in result.attrs:
         text += f"; {result.attrs['wiring_doubt']}"
-    if count := int((fits & ~informed).sum()):
-        text += f"; in {count} the data do not inform every component, and the prior is given back in the others"
-    if (fits & informed & ~unique).any():
+    if count := int((fits & unique & ~informed).sum()):
+        text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if (fits & ~unique).any():
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
     if missed := int((~complete).sum()):
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
-    if result.attrs["sensors_late_from"] == SUSPECTED:
+    if result.attrs["sensors_late_from"] == SUSPECTED and "wiring_doubt" not in result.attrs:
         text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
-    elif np.isfinite(result.attrs["sensors_late_s"]):
+    elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"

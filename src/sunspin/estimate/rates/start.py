@@ -97,7 +97,7 @@ def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: fl
 def unsteadiness(body: Body, momentum: np.ndarray, rate_max: float) -> float:
     """rad/s at which uneven moments and the wheels' momenta (..., 3) turn a rate of `rate_max` round in the body, at most."""
     low, middle, high = np.linalg.eigvalsh(body.inertia)
-    return nutation(body, momentum) + rate_max * (high - low) / middle
+    return float(np.max(nutation(body, momentum), initial=0.0)) + rate_max * (high - low) / middle
 
 
 def steady(o: Observations, index: int, motion: Motion, rate_max: float) -> bool:

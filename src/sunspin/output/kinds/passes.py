@@ -29,7 +29,7 @@ def motion_numbers(found: Any, k: int, mode: int) -> dict[str, Any]:
 
 
 def in_degrees(told: dict[str, Any]) -> dict[str, Any]:
-    return {f"{name}_deg_s": np.degrees(value) for name, value in told.items()}
+    return {f"{name}_deg_s": float(np.degrees(value)) for name, value in told.items()}
 
 
 def write_passes(found: Any, folder: Path, label: Any) -> None:
