@@ -146,8 +146,10 @@ def rates(
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
-        mean, all modes counted. On `sample`: `why`:
-        what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`, `sensors_late_sigma_s`.
+        mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
+        `passes.csv` (:func:`sunspin.estimate.passes.table`); `misfit` (pass_id, sensor, figure) of the best mode. On `sample`:
+        `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
+        `sensors_late_sigma_s`; `wiring_doubt`, where another wiring or a sensor left out would make a pass fit.
 
     Raises
     ------

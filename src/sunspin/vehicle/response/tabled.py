@@ -37,6 +37,9 @@ GRAZING = 1.5
 BASINS = 10
 """Local minima of Delta among the nodes, at most."""
 
+TIE = 1e-13
+"""Of the cosine between readings and powers, from one node to the next: no difference between others is as small."""
+
 HOPELESS, NEARLY, NEARLY_ON_EDGE = 0.15, 0.03, 1e-3
 """A node whose Delta exceeds the best by more than the first is in no better basin: neighbours differ by less. What slopes have
 left at an edge may lose as much as the second when it is polished, what lies on one already the third."""
@@ -300,7 +303,7 @@ class Tabled(Flat):
     def _basins(self, target: np.ndarray) -> np.ndarray:
         """Nodes (n, BASINS, 3) at which Delta is less than at their neighbours."""
         shares, neighbours = self._base._nodes
-        along = target @ unit_readings(self.gains * shares).T
+        along = target @ unit_readings(self.gains * shares).T + TIE * np.arange(NODES)  # a plateau has one highest node
         highest = np.full(along.shape, -np.inf)
         for column in neighbours.T:
             np.maximum(highest, along[:, column], out=highest)
@@ -390,22 +393,26 @@ class Tabled(Flat):
         if not len(shown):
             return np.full((2, 3), np.nan)
         away = misfit(self.power(shown) * lit, unit_readings(target))
-        middle = self._refined(shown[[np.argmin(away)]], unit_readings(target))[0][0]
-        return np.array([self._followed(middle, lit, sign) for sign in (1.0, -1.0)])
+        begin = shown[np.argmin(away)]
+        refined = self._refined(begin[None], unit_readings(target))[0][0]
+        begin = refined if np.array_equal(self.power(refined) > 0, lit) else begin
+        return np.array([self._followed(begin, lit, sign) for sign in (1.0, -1.0)])
 
-    def _followed(self, sun: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
-        """The end of the arc, where another panel is lit or one of them dark."""
-        free, step, begin = None, ARC_STEP, sun
+    def _followed(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
+        """The end of the arc, where another panel is lit or one of them dark, or half a circle on."""
+        sun, along, step = begin, sign * self._unseen(begin, lit), ARC_STEP
         while step > LAST_RAD:
-            along = self._unseen(sun, lit)
-            along = along * (sign if free is None else np.copysign(1.0, along @ free))
-            middle = self._unseen(np.cos(step / 2) * sun + np.sin(step / 2) * along, lit)
-            middle = (middle - (middle @ sun) * sun) * np.copysign(1.0, middle @ along)
-            ahead = np.cos(step) * sun + np.sin(step) * middle / np.linalg.norm(middle)
-            if np.array_equal(self.power(ahead) > 0, lit) and (free is None or ahead @ begin > -1 + 1e-3):
-                sun, free = ahead, along
-            else:
+            halfway = np.cos(step / 2) * sun + np.sin(step / 2) * along
+            ahead = None
+            if np.array_equal(self.power(halfway) > 0, lit):
+                middle = self._unseen(halfway, lit)
+                middle = (middle - (middle @ sun) * sun) * np.copysign(1.0, middle @ along)
+                ahead = np.cos(step) * sun + np.sin(step) * middle / np.linalg.norm(middle)
+            if ahead is None or not np.array_equal(self.power(ahead) > 0, lit) or ahead @ begin < -1 + 1e-3:
                 step /= 2
+                continue
+            new = self._unseen(ahead, lit)
+            sun, along = ahead, new * np.copysign(1.0, new @ along)
         return sun
 
     def _unseen(self, sun: np.ndarray, lit: np.ndarray) -> np.ndarray:
