@@ -75,7 +75,7 @@ def check(vehicle: str, telemetry: str | None, as_json: bool, quiet: bool, data:
     craft = load_vehicle(vehicle)
     summary, lines = _about_vehicle(craft)
     if telemetry is not None:
-        about, more = _about_telemetry(craft, find_telemetry(telemetry, data))
+        about, more = _about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
         summary, lines = summary | {"telemetry": about}, lines + more
     report(summary, lines, as_json, quiet)
 
@@ -107,10 +107,10 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
+def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[dict[str, Any], list[str]]:
     import numpy as np
 
-    from sunspin.cli.check_words import intervals, worth
+    from sunspin.cli.check_words import doubts, intervals, worth
     from sunspin.telemetry.reader import FLAGS, read_telemetry
     from sunspin.vehicle.timeline import utc_after
 
@@ -134,6 +134,8 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[dict[str, Any], list[str]]
     if gaps.size:
         lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
+    about, more = doubts(craft, samples, vehicle)
+    summary, lines = summary | about, lines + more
     if "panel" in samples.coords:
         about, more = _about_panels(craft, samples)
         summary, lines = summary | about, lines + more

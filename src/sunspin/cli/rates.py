@@ -34,6 +34,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     Example:
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
+    from sunspin.cli.check_words import doubts
     from sunspin.estimate.rates.estimate import rates as run
     from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
@@ -46,4 +47,6 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         acceleration_noise=noise, gap_s=gap,
     )  # fmt: skip
-    deliver(result, out, as_json, quiet, vehicle, samples)
+    about, lines = doubts(craft, used, vehicle)
+    doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}
+    deliver(result, out, as_json, quiet, vehicle, samples, also=doubted, lines=[line for line in lines if "WRONG UNIT" in line])
