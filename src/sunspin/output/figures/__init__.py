@@ -116,7 +116,7 @@ def sun_directions_figure(
             middle.plot(hours[piece], sun["sun_B"].values[piece, k], "-", lw=0.6, alpha=0.6, color=COLOURS[k], zorder=1)
     _mark_reasons(middle, hours, sun)
     middle.set_ylim(-1.5, 1.75)
-    middle.set_ylabel("Sun direction, body axes (1)")
+    middle.set_ylabel("Sun direction, body axes")
     middle.legend(ncols=3, fontsize=8, loc="upper right")
     checked, unchecked = (sun["status"].values == status for status in (SunStatus.OK, SunStatus.UNCHECKED))
     low.semilogy(hours[checked], np.maximum(sun["delta"].values[checked], 1e-4), ".", color=COLOURS[6], ms=4)
@@ -127,7 +127,7 @@ def sun_directions_figure(
     low.set_ylim(5e-5, 60 if events else 1)  # room for the names of events
     if unchecked.any():
         low.legend(fontsize=8, loc="lower right")
-    low.set_ylabel(r"$\Delta$ (1)")
+    low.set_ylabel(r"$\Delta$")
     low.set_xlabel(_since(sun))
     for k, (event, second) in enumerate((events or {}).items()):
         for axes in parts:
@@ -192,7 +192,7 @@ def _sphere(axes: Any) -> None:
     axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc")
     axes.set_box_aspect((1, 1, 1), zoom=1.15)
     for name in "xyz":
-        getattr(axes, f"set_{name}label")(f"{name} (1)", labelpad=-6, fontsize=8)
+        getattr(axes, f"set_{name}label")(f"{name}", labelpad=-6, fontsize=8)
         getattr(axes, f"set_{name}ticks")([-1, 0, 1])
         axes.tick_params(axis=name, labelsize=6, pad=-3)
 
@@ -226,7 +226,7 @@ def examples_figure(runs: list[xr.Dataset]) -> Figure:
         axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
         for i, name in enumerate("xyz"):
             lower[i, k].plot(minutes, r[:, i], lw=0.5, color=COLOURS[i])
-            lower[i, 0].set_ylabel(f"$r_{name}$ (1)")
+            lower[i, 0].set_ylabel(f"$r_{name}$")
         lower[2, k].set_xlabel("time (min)")
     return figure
 
@@ -236,10 +236,10 @@ def histograms_figure(runs: list[xr.Dataset]) -> Figure:
     figure = Figure(figsize=(10, 3.2), layout="constrained")
     for axes, run in zip(figure.subplots(1, len(runs)), runs, strict=True):
         axes.hist(run["sun_B"].values[:, 2], bins=60, range=(-1, 1), density=True, color=COLOURS[0])
-        axes.set_xlabel("$r_z$ (1)")
+        axes.set_xlabel("$r_z$")
         omega = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
         axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
-        axes.set_ylabel("density (1)")
+        axes.set_ylabel("density")
     return figure
 
 
@@ -289,7 +289,7 @@ def thresholds_figure(table: list[dict[str, Any]], chosen: float) -> Figure:
     left, right = figure.subplots(1, 2)
     factors = [row["factor"] for row in table]
     left.semilogy(factors, [max(row["points"], 1) for row in table], "o-", color=COLOURS[0])
-    left.set_ylabel("points in the set (1)")
+    left.set_ylabel("points in the set")
     for k in range(4):
         fitted = [(row["factor"], row["mean_distance"][k]) for row in table if row["mean_distance"]]
         right.plot(*zip(*fitted, strict=True), "o-", ms=4, color=COLOURS[k], label=f"L{k + 1}")
@@ -298,7 +298,7 @@ def thresholds_figure(table: list[dict[str, Any]], chosen: float) -> Figure:
     right.legend(fontsize=8)
     for axes in (left, right):
         axes.axvline(chosen, lw=0.8, ls="--", color=COLOURS[7])
-        axes.set_xlabel("factor on the smallest EMD (1)")
+        axes.set_xlabel("factor on the smallest EMD")
     return figure
 
 
@@ -309,8 +309,8 @@ def distributions_figure(z: np.ndarray, weights_label: str, others: dict[str, np
     axes.step(np.sort(z), np.arange(1, len(z) + 1) / len(z), where="post", color=COLOURS[6], label=weights_label)
     for k, (label, values) in enumerate(others.items()):
         axes.plot(np.sort(values), np.linspace(0, 1, len(values)), lw=1, color=COLOURS[k], label=label)
-    axes.set_xlabel("$z$ component of the Sun's direction (1)")
-    axes.set_ylabel("cumulative distribution (1)")
+    axes.set_xlabel("$z$ component of the Sun's direction")
+    axes.set_ylabel("cumulative distribution")
     axes.set_xlim(-0.05, 1.02)
     axes.legend(fontsize=8)
     axes.set_title(title, fontsize=10)

@@ -15,7 +15,7 @@ from sunspin.output.figures import COLOURS, named
 DOTS = (
     (
         "antenna's cone holds the orbiter",
-        "probability (1)",
+        "probability",
         (("antenna_share", "in flight"), ("antenna_at_contact", "at contact"), ("antenna_at_rest", "at rest")),
     ),
     (
@@ -25,7 +25,7 @@ DOTS = (
     ),
     (
         "Sun below the body's equator",
-        "share of the time (1)",
+        "share of the time",
         (("rz_time_below_0", "$r_z$ < 0"), ("rz_time_below_-0.5", "$r_z$ < -0.5")),
     ),
     ("angular speed", "mean (rad/s)", (("rate_before", "before the collision"), ("rate_after", "after it"))),
@@ -52,8 +52,8 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure
         axes.errorbar(curve["rz"].values, curve["density"].values, curve["error"].values, fmt="none", ecolor=colour, elinewidth=1.0)
     axes.set_xlim(-1, 1)
     axes.set_ylim(bottom=0)
-    axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis (1)")
-    axes.set_ylabel("probability density (1)")
+    axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis")
+    axes.set_ylabel("probability density")
     axes.legend(title="wheel", loc="upper left", frameon=False)
     axes.set_title(title or "Height of the Sun between collision and second touchdown")
     return figure
@@ -104,7 +104,7 @@ def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[st
         )
         bottom = bottom + at["value"].values
         axes.errorbar(range(len(names)), bottom, yerr=at["error"], fmt="none", ecolor="black", elinewidth=1, capsize=2)
-    axes.set_ylabel("probability (1)")
+    axes.set_ylabel("probability")
     axes.set_ylim(0, 1.22)
     if np.any(bottom):
         axes.legend(ncols=3, fontsize=8, frameon=False, loc="upper center")
@@ -120,9 +120,9 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
     figure = Figure(figsize=(11.5, 3.9), layout="constrained")
     parts = figure.subplots(1, 3)
     panels = (
-        ("up_z", np.linspace(-1, 1, 41), "cosine of z axis to the ground's normal at contact (1)", "probability density (1)"),
+        ("up_z", np.linspace(-1, 1, 41), "cosine of z axis to the ground's normal at contact", "probability density"),
         ("leg_tip_speed", np.linspace(0, 2, 51), "fastest leg tip at first contact (m/s)", "probability density (s/m)"),
-        ("antenna_share", np.linspace(0, 1, 26), "share of time, orbiter in the antenna's cone (1)", "probability density (1)"),
+        ("antenna_share", np.linspace(0, 1, 26), "share of time, orbiter in the antenna's cone", "probability density"),
     )
     for axes, (name, edges, x, y) in zip(parts, panels, strict=True):
         for k, (strategy, found) in enumerate(runs.items()):
@@ -158,10 +158,10 @@ def delay_figure(search: BestDelay) -> Figure:
     top.axvspan(
         search.spread_s[0] / 60, search.spread_s[1] / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings"
     )
-    top.set_ylabel({"touch_leg": "probability that a leg touches first (1)"}.get(search.metric, search.metric.replace("_", " ")))
+    top.set_ylabel({"touch_leg": "probability that a leg touches first"}.get(search.metric, search.metric.replace("_", " ")))
     top.legend(fontsize=8, frameon=False)
     top.set_title("When to switch the wheel off")
-    quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5 (1)"), ("rest_leg", "rests on its legs (1)"),
+    quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"), ("rest_leg", "rests on its legs"),
                   ("leg_tip_speed", "fastest leg tip at contact (m/s)"))  # fmt: skip
     for k, (name, text) in enumerate(quantities):
         if name in search.table["quantity"].values:
@@ -190,7 +190,7 @@ def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
             color=COLOURS[k % 8], hatch=HATCHES[k % 4], ec="white", label=_short(name).replace("\n", " "), capsize=2,
         )  # fmt: skip
     axes.set_xticks(range(len(labels)), labels, fontsize=9)
-    axes.set_ylabel("probability of touching first (1)")
+    axes.set_ylabel("probability of touching first")
     axes.legend(title="wheel", frameon=False)
     axes.set_title("What touches the ground first at the second touchdown (a shared corner counts for each panel)", fontsize=10)
     return figure

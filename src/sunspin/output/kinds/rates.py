@@ -64,6 +64,20 @@ def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
         f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
         + synthetic_note(result),
     )  # fmt: skip
+    if beside.telemetry is not None and beside.vehicle is not None:
+        from sunspin.output.figures.residuals import residuals_figure
+        from sunspin.vehicle import Vehicle, load_vehicle
+
+        samples, craft = beside.telemetry, beside.vehicle
+        vehicle = craft if isinstance(craft, Vehicle) else load_vehicle(craft)
+        yield Drawing(
+            "residuals", lambda: residuals_figure(result, samples, vehicle),
+            "Residuals of each sensor in sigmas against time in each pass, and their distribution beside that of the stated noise.",
+            "Readings less what the likeliest motion predicts, in sigmas of their noise (grey: one sigma; farther out than six: at "
+            "the edge). Right, a predictive check: bars are the residuals, the line is how they scatter if the motion is right and "
+            "the noise as stated. A wave, or more readings beyond three sigma than noise makes, speaks against the motion. "
+            "A sensor marked as not used was kept out of the fit." + synthetic_note(result),
+        )  # fmt: skip
 
 
 def _decided(result: Any) -> str:

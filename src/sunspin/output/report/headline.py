@@ -39,6 +39,8 @@ def sentences(results: Results) -> list[str]:
         return [str(sentence) for sentence in own][:3]
     make = {"rates": _rates, "sun": _sun, "simulate": _simulate, "scan": _scan, "outcomes": _outcomes, "posterior": _posterior}
     told = make.get(results.command, _verdict)(results)
+    if isinstance(wrong := results.summary.get("wrong_units"), list):
+        told = [*(_sentence(f"Wrong unit: {text}") for text in wrong), *told]
     return told or [f"This folder holds results of `sunspin {results.command}`; below is what is in it."]
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import xarray as xr
 
+from sunspin.output.figures.rates import sources
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table, utc_text
@@ -26,11 +28,25 @@ def rates(results: Results) -> Section | None:
                 f"{weight[mode]:.3f}", *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)),
             ])  # fmt: skip
     table = Table(
-        ["pass", "begins", "samples", "motion", "weight (1)", "ωx (deg/s)", "ωy (deg/s)", "ωz (deg/s)"], rows,
+        ["pass", "begins", "samples", "motion", "weight", "ωx (deg/s)", "ωy (deg/s)", "ωz (deg/s)"], rows,
         "Every motion that fits, by pass", closed=len(rows) > 30,
     )  # fmt: skip
     lead = ["Each pass may allow several motions, mostly whole turns more or less between samples; their weights add to one."]
-    return Section("rates", "Body rates", lead, [*drawn(results, "rates"), table])
+    return Section("rates", "Body rates", lead, [*drawn(results, "rates"), table, _rests_on(results, found)])
+
+
+def _rests_on(results: Results, found: xr.Dataset) -> Table:
+    """What the rates were found from, and what became of the samples."""
+    s = results.summary
+    rows = [["found from", sources(found)]]
+    if isinstance(noise := s.get("acceleration_noise"), int | float):
+        rows.append(["acceleration noise (rad/s^1.5)", f"{noise:.3g}, {found.attrs.get('acceleration_noise_from', 'given')}"])
+    if isinstance(fastest := s.get("max_rate_deg_s"), int | float):
+        rows.append(["no rate is faster than (deg/s)", f"{fastest:.4g}"])
+    samples = s.get("samples")
+    for text, count in samples.items() if isinstance(samples, dict) else ():
+        rows.append(["samples", f"{count} {text}"])
+    return Table(["what", "value"], rows, "What the rates rest on")
 
 
 def trajectory(results: Results) -> Section | None:

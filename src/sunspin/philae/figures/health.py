@@ -60,7 +60,7 @@ def _probability(axes: Any, r: Phases) -> None:
             axes.plot(number[at], shown, "os^Dv"[k % 5], ms=5, mfc="none", color=COLOURS[k % 8], label=f"({'-'.join(pattern)})")
     finite = r.log10_probability[np.isfinite(r.log10_probability)]
     bottom = max(FLOOR, float(finite.min(initial=-1.0)))
-    axes.set(xlabel="number of the sample", ylabel="log10 of the probability, at most (1)", ylim=(bottom - 1, 2.5))
+    axes.set(xlabel="number of the sample", ylabel="log10 of the probability, at most", ylim=(bottom - 1, 2.5))
     axes.set_title("probability that noise alone made the readings of a forbidden sample", fontsize=9)
     if r.health["noise"]:
         axes.legend(fontsize=8, loc="center left", title="lit panels", title_fontsize=8)

@@ -39,7 +39,7 @@ def draw_maps(result: Sensitivity) -> Figure:
 def _map(axes: Any, error: xr.DataArray, dims: tuple[str, str], scale: tuple[float, float]) -> None:
     x, y = (error[dim].values * factor for dim, factor in zip(dims, scale, strict=True))
     image = axes.pcolormesh(x, y, error.transpose(*reversed(dims)).values, shading="nearest", cmap="cividis", rasterized=True)
-    axes.figure.colorbar(image, ax=axes, label="E (1)")
+    axes.figure.colorbar(image, ax=axes, label="E")
 
 
 def draw_growth(result: Sensitivity) -> Figure:
@@ -75,7 +75,7 @@ def _valleys(axes: Any, r: Sensitivity) -> None:
     for k, window in enumerate(r.valley["window"].values):
         error = r.valley.sel(window=window).values
         axes.plot(change, error, lw=1.6 - 0.45 * k, color=COLOURS[(5, 1, 6)[k % 3]], label=f"{window / 60:g} min", zorder=3 - k)
-    axes.set(xlabel=r"change of $\omega_x$ (mrad/s)", ylabel="E (1)", ylim=(0, None))
+    axes.set(xlabel=r"change of $\omega_x$ (mrad/s)", ylabel="E", ylim=(0, None))
     axes.legend(fontsize=8, title="window", title_fontsize=8, loc="upper left", framealpha=0.9)
     axes.set_title("E against the motion's own directions, every 2 min", fontsize=9)
 
@@ -90,7 +90,7 @@ def _changes(axes: Any, r: Sensitivity) -> None:
     axes.set_xticks(place, [SYMBOLS[name] for name in names])
     axes.axhline(r.case.published["emd_min"].value, ls="--", lw=1, color=COLOURS[7])
     axes.text(len(names) - 0.5, 1.1 * r.case.published["emd_min"].value, "smallest EMD of the paper's scan", ha="right", fontsize=8)
-    axes.set(xlabel="input changed by 1 %", ylabel="E (filled), EMD (open) (1)", ylim=(5e-4, 2.5))
+    axes.set(xlabel="input changed by 1 %", ylabel="E (filled), EMD (open)", ylim=(5e-4, 2.5))
     axes.legend(fontsize=8, ncols=len(r.names), loc="upper center")
     axes.set_title("E and EMD between a motion and the changed one, 45 min", fontsize=9)
 
