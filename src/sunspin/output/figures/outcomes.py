@@ -73,7 +73,8 @@ def strategies_figure(table: xr.Dataset) -> Figure:
         for k, (quantity, text) in enumerate(q for q in quantities if q[0] in known):
             at = table.sel(quantity=quantity)
             place = np.arange(len(names)) + 0.12 * (k - 0.5)
-            axes.errorbar(place, at["value"], yerr=at["error"], fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
+            error = _within(at["value"].values, at["error"].values) if label in SHARES else at["error"].values
+            axes.errorbar(place, at["value"], yerr=error, fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
         axes.set_title(title, fontsize=10)
         axes.set_ylabel(label)
         axes.set_ylim(0, 1.3 * max([axes.dataLim.y1, 1e-3]))
@@ -92,6 +93,15 @@ def _short(name: str) -> str:
     return {"off": "off at\ntouchdown", "held": "held", "brake": "braked", "after_rest": "off after\nrest"}.get(name, named(name))
 
 
+SHARES = ("probability", "share of the time")
+"""Axes whose values lie between zero and one."""
+
+
+def _within(value: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Errors (2, n) below and above that lead to no probability below zero or above one."""
+    return np.clip(np.stack([np.minimum(error, value), np.minimum(error, 1 - value)]), 0.0, None)
+
+
 def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[str]) -> None:
     bottom = np.zeros(len(names))
     for k, kind in enumerate(("leg", "panel", "body")):
@@ -103,7 +113,8 @@ def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[st
             range(len(names)), at["value"], 0.65, bottom, color=COLOURS[k], hatch=HATCHES[k], alpha=0.85, label=label, ec="white"
         )
         bottom = bottom + at["value"].values
-        axes.errorbar(range(len(names)), bottom, yerr=at["error"], fmt="none", ecolor="black", elinewidth=1, capsize=2)
+        error = _within(bottom, at["error"].values)
+        axes.errorbar(range(len(names)), bottom, yerr=error, fmt="none", ecolor="black", elinewidth=1, capsize=2)
     axes.set_ylabel("probability")
     axes.set_ylim(0, 1.22)
     if np.any(bottom):

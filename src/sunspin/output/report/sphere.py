@@ -50,8 +50,8 @@ def sun_path(results: Results) -> Section | None:
     layout = {
         "scene": {
             "xaxis": {**limits, "title": {"text": "x of the body"}}, "yaxis": {**limits, "title": {"text": "y of the body"}},
-            "zaxis": {**limits, "title": {"text": "z of the body"}}, "aspectmode": "cube", "camera": {"eye": {"x": 0.95, "y": -1.0,
-            "z": 0.6}},
+            "zaxis": {**limits, "title": {"text": "z of the body"}}, "aspectmode": "cube", "camera": {"eye": {"x": 1.1, "y": -1.15,
+            "z": 0.75}},
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
