@@ -24,6 +24,13 @@ def number_text(value: Any, digits: int = 5) -> str:
     return "none" if value is None else str(value)
 
 
+def digits_of(sigmas: Any) -> int:
+    """Decimals that show the smallest of these errors with one figure, two to five."""
+    values = np.asarray(sigmas, dtype=np.float64)
+    known = values[np.isfinite(values) & (values > 0)]
+    return int(np.clip(-np.floor(np.log10(known.min())), 2, 5)) if len(known) else 2
+
+
 def with_sigma(value: float, sigma: float) -> str:
     """A number and its sigma, both with as many decimals as show two figures of the sigma."""
     if not (np.isfinite(sigma) and sigma > 0):

@@ -10,6 +10,7 @@ import numpy as np
 
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+from sunspin.output.kinds.rate_words import clock_of, rate_at
 
 
 def rates_summary(result: Any) -> Summary:
@@ -40,19 +41,11 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     }  # fmt: skip
     poor = "  FITS BADLY" if result["cost"].values[k, 0] > result["cost_limit"].values[k] else ""
     others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
-    digits = _digits(sigma)
-    best = f"omega ({_row(mean[0], digits)}) +- ({_row(sigma, digits)}) deg/s  weight {weight[0]:.2f}{others}{poor}"
+    rate = rate_at(result, k)
+    numbers |= {"speed_deg_s": [rate.low, rate.mean, rate.high], "at_s": rate.at_s, "omega_at_deg_s": rate.omega.tolist()}
+    best = f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
+    best += f"  weight {weight[0]:.2f}{others}{poor}"
     return numbers, f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}"
-
-
-def _digits(sigma: np.ndarray) -> int:
-    """Decimals that show the smallest error with one figure, two to five."""
-    known = sigma[np.isfinite(sigma) & (sigma > 0)]
-    return int(np.clip(-np.floor(np.log10(known.min())), 2, 5)) if len(known) else 2
-
-
-def _row(values: np.ndarray, digits: int) -> str:
-    return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
 def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:

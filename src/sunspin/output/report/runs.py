@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.output.figures.rates import sources
+from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table, utc_text
@@ -20,15 +21,20 @@ def rates(results: Results) -> Section | None:
     rows = []
     for k in range(found.sizes["pass_id"]):
         at = np.flatnonzero(found["pass_of"].values == k)
-        weight = found["weight"].values[k]
+        weight, rate = found["weight"].values[k], rate_at(found, k)
         for mode in np.flatnonzero(np.isfinite(weight)):
             mean, sigma = (np.degrees(found[name].values[k, mode]) for name in ("omega_mean_B", "omega_sigma_B"))
+            speed, at_s = ("", "") if mode else (rate.speed, utc_text(rate.at_s, results.epoch_utc))
+            if not mode:  # of the others only the mean over the pass is kept
+                mean, sigma = rate.omega, rate.sigma
             rows.append([
                 str(k + 1), utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True), str(at.size), str(mode + 1),
-                f"{weight[mode]:.3f}", *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)),
+                f"{weight[mode]:.3f}", speed, at_s or "mean of the pass",
+                *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)),
             ])  # fmt: skip
     table = Table(
-        ["pass", "begins", "samples", "motion", "weight", "ωx (deg/s)", "ωy (deg/s)", "ωz (deg/s)"], rows,
+        ["pass", "begins", "samples", "motion", "weight", "speed and its range (deg/s)", "components at",
+         *(f"ω{axis} (deg/s)" for axis in "xyz")], rows,
         "Every motion that fits, by pass", closed=len(rows) > 30,
     )  # fmt: skip
     lead = ["Each pass may allow several motions, mostly whole turns more or less between samples; their weights add to one."]
