@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import random
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.figures import _passes_together, sun_directions_figure
+from sunspin.output.figures import _passes_together, save, sun_directions_figure
 from sunspin.output.figures.rates import sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
 from sunspin.output.kinds.rate_words import rate_at
@@ -21,6 +25,8 @@ CUBE = Vehicle(
     "cube", np.diag([0.02, 0.021, 0.01]), panels=tuple(Panel(name, n, 5.0) for name, n in FACES.items()), gain_unit="W",
     telemetry=TelemetryForm(noise=0.05),
 )  # fmt: skip
+PIECES = ["$", "\\", "_", "^", "{", "}", "%", "&", "#", "~",
+          "\\frac", "$x$", "$$", "a", "\u00e9", "\u4e2d", "_{", "<b>", "'", '"', "-"]
 OMEGA = np.radians([1.5, 0.5, 3.0])
 
 
@@ -113,3 +119,21 @@ def test_passes_far_apart_stand_side_by_side(passes):
 def test_values_are_told_in_words():
     assert number_text([[2], [2, 3]]) == "((2); (2, 3))"
     assert number_text(True) == "yes" and number_text([None, False]) == "(none, no)"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_names_that_look_like_formulas_are_drawn_as_they_are(seed, tmp_path):
+    rng = random.Random(seed)
+    names = []
+    while len(names) < 6:
+        name = "".join(rng.choice(PIECES) for _ in range(rng.randint(1, 4))).strip()
+        if name and name not in names:
+            names.append(name)
+    odd = replace(CUBE, name=names[0], panels=tuple(replace(p, name=n) for p, n in zip(CUBE.panels, names, strict=True)))
+    result, samples = tumble(12)
+    samples = samples.assign_coords(panel=names)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        save(sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun")
+        save(residuals_figure(result, samples, odd), tmp_path, "residuals")
+    assert (tmp_path / "sun.png").stat().st_size and (tmp_path / "residuals.svg").stat().st_size

@@ -12,6 +12,9 @@ from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
 from sunspin.output.kinds.rate_words import clock_of, rate_at
 
+READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
+"""Variables of telemetry of which residuals are drawn."""
+
 
 def rates_summary(result: Any) -> Summary:
     """The verdict, and the motions of each pass, deg/s."""
@@ -57,7 +60,7 @@ def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
         f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
         + synthetic_note(result),
     )  # fmt: skip
-    if beside.telemetry is not None and beside.vehicle is not None:
+    if beside.telemetry is not None and beside.vehicle is not None and set(beside.telemetry.data_vars) & READ:
         from sunspin.output.figures.residuals import residuals_figure
         from sunspin.vehicle import Vehicle, load_vehicle
 
