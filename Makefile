@@ -14,7 +14,7 @@ TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
 # as many workers as cores, four at most
 SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: help reproduce test test-all test-slow docs bench calibrate lint contracts style types lock clean
+.PHONY: help reproduce test test-all test-slow docs bench calibrate long other-pythons lint contracts style types lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
@@ -60,9 +60,15 @@ test: $(READY)
 	$(TESTS) $(SPREAD)
 	@$(MAKE) --no-print-directory docs
 
+# other versions of Python wait for their packages while the long tests compute
 test-all: test
-	$(TESTS) $(SPREAD) -m "long and not slow"
+	@$(MAKE) --no-print-directory -j2 --output-sync=target long other-pythons
 	@$(MAKE) --no-print-directory docs
+
+long: $(READY)
+	$(TESTS) $(SPREAD) -m "long and not slow"
+
+other-pythons: $(READY)
 	$(BIN)/python tests/other_pythons.py
 
 # adds what the campaigns show to what `make test` has shown

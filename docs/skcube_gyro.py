@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.estimate.rates.light import student
+from sunspin.estimate.terms.term import student
 
 FREE_S = 219_600
 """25 June, 20:03 UTC, seconds after the first beacon: the coils are off."""

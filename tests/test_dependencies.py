@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
-MODULES = {"numba-cuda": "numba", "pot": "ot"}
+MODULES = {"numba-cuda": "numba", "pot": "ot", "pyerfa": "erfa"}
 """Distribution -> module, where the names differ."""
 
 NOT_IMPORTED = {

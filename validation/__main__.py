@@ -14,6 +14,7 @@ CAMPAIGNS = {
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
     "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
     "controls": "telemetry of landers that did something else, and of spoilt files, through the Philae study",
+    "verdicts": "simulated passes of every kind: wrong among decided, undecided among decidable, before and now",
     "unmoved": "results of another commit and of this state compared bit by bit",
     "lowest": "the tests with the lowest versions of the dependencies",
 }

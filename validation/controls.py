@@ -23,7 +23,7 @@ from sunspin.philae.twin_philae import CELL_W, keep_direction
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.synthetic import generator, noisy_power
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 STILL = (0.0, 0.0, 0.0)
 TUMBLING = (0.35, -0.2, 0.15)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.estimate.rates.estimate import rates as rates
     from sunspin.estimate.scan.volume import near_minimum as near_minimum, scan as scan
     from sunspin.telemetry.health import panel_health as panel_health
-    from sunspin.vehicle.response.cosine import panel_power as panel_power
+    from sunspin.vehicle.response.panels import panel_power as panel_power
     from sunspin.telemetry.quality import panel_quality as panel_quality
     from sunspin.telemetry.sun import SunStatus as SunStatus, sun_directions as sun_directions
     from sunspin.telemetry.reader import read_telemetry as read_telemetry
@@ -63,7 +63,7 @@ _HOME = {
     "Antenna": "sunspin.vehicle",
     "load_vehicle": "sunspin.vehicle",
     "read_telemetry": "sunspin.telemetry.reader",
-    "panel_power": "sunspin.vehicle.response.cosine",
+    "panel_power": "sunspin.vehicle.response.panels",
     "sun_directions": "sunspin.telemetry.sun",
     "SunStatus": "sunspin.telemetry.sun",
     "panel_health": "sunspin.telemetry.health",

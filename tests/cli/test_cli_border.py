@@ -69,7 +69,10 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     assert "1  flagged: negative" in sunspin("check", vehicle, telemetry)[1]
     telemetry.write_text("\n".join([*rows[:20], *rows[9:12], *rows[20:]]) + "\n")
     said = sunspin("check", vehicle, telemetry)[1]
-    assert "3  flagged: time_not_increasing" in said and "14 s apart at least" in said
+    assert "3  repeats merged" in said and "flagged: time_not_increasing" not in said and "14 s apart at least" in said
+    again = [rows[9].rsplit(",", 1)[0] + ",0.77"]
+    telemetry.write_text("\n".join([*rows[:20], *again, *rows[20:]]) + "\n")
+    assert "1  flagged: time_not_increasing" in sunspin("check", vehicle, telemetry)[1]
 
 
 def test_check_says_when_the_samples_begin_and_what_times_are_counted_from(sunspin, tmp_path):

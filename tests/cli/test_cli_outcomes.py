@@ -51,6 +51,7 @@ def test_bad_input_is_one_sentence(arguments, text, tmp_path):
 
 def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
     """`sunspin reproduce` writes both: a collision ten minutes later gives other times, and a damaged file one sentence."""
+    from sunspin.landing.scenario import case_scenario
     from sunspin.telemetry.case import load_case
 
     folder, wanted = load_case("philae").folder, ("--runs", 20, "--strategy", "off", "--json", "--out")
@@ -62,8 +63,7 @@ def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
         with xr.open_dataset(tmp_path / out / "outcomes-off.nc", engine="h5netcdf") as runs:
             return json.loads(runs.attrs["scenario"])
 
-    own = scenario("philae", "own")
-    assert scenario(tmp_path / "vehicle.toml", "same") == own
+    own = vars(case_scenario(load_case("philae")))
     text = (tmp_path / "timeline.toml").read_text("utf-8")
     assert '"2014-11-12T16:20:00"' in text
     (tmp_path / "timeline.toml").write_text(text.replace('"2014-11-12T16:20:00"', '"2014-11-12T16:30:00"'), "utf-8")

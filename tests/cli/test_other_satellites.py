@@ -116,8 +116,9 @@ SMALL = {
 }
 
 
-def test_corrupted_files_give_a_sentence_and_never_a_traceback(tmp_path):
-    count, refused = campaign(tmp_path, SMALL, 16, 1, ("check", "sun"))
+@pytest.mark.parametrize("copies", [6, pytest.param(16, marks=pytest.mark.long)])
+def test_corrupted_files_give_a_sentence_and_never_a_traceback(copies, tmp_path):
+    count, refused = campaign(tmp_path, SMALL, copies, 1, ("check", "sun"))
     assert 0.3 * count < refused < count  # the campaign does corrupt, and does not refuse what can be read
 
 

@@ -133,6 +133,7 @@ class Deadly(Waves):
         os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.long
 def test_rows_that_kill_every_worker_are_given_up(client):
     with pytest.raises(ss.InputError, match="smaller chunk"):
         ensemble(Deadly(), scheduler=client)
@@ -189,6 +190,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 def test_an_interruption_ends_the_cluster_in_good_order(tmp_path):
     """Ctrl-C as a terminal sends it, to every process of the group."""
     log, store, script = tmp_path / "rows", tmp_path / "store", tmp_path / "run.py"

@@ -89,11 +89,12 @@ def crash_at(monkeypatch, step: int) -> None:
     monkeypatch.setattr(disk, "_write_whole", write)
 
 
-def test_a_run_that_ends_at_any_step_of_writing_is_resumed(tmp_path):
+@pytest.mark.parametrize("steps", [[0, 4, 14, 17, 21, 28, 35, 42, 50, 51], pytest.param(range(52), marks=pytest.mark.long)])
+def test_a_run_that_ends_at_any_step_of_writing_is_resumed(steps, tmp_path):
     """Five files make the store, then four per chunk of which there are three: 17 files, 51 steps."""
     rows = Waves(n_rows=30)
     wanted = rows(np.arange(30))
-    for step in range(52):
+    for step in steps:
         folder = tmp_path / str(step)
         with pytest.MonkeyPatch.context() as patch:
             crash_at(patch, step)
@@ -111,16 +112,17 @@ KILLED = """
 import sys
 from rowsets import Waves
 from sunspin.compute.rows import ensemble
-ensemble(Waves(n_rows=900, seconds_per_row=0.004), store=sys.argv[1], chunk=10, workers=2)
+ensemble(Waves(n_rows=int(sys.argv[2]), seconds_per_row=0.004), store=sys.argv[1], chunk=10, workers=2)
 """
 
 
 @pytest.mark.evidence("ensemble", "verified", "a run that was never stopped")
-def test_a_run_killed_again_and_again_ends_with_the_same_bits(tmp_path):
+@pytest.mark.parametrize(("n_rows", "least"), [(350, 2), pytest.param(900, 4, marks=pytest.mark.long)])
+def test_a_run_killed_again_and_again_ends_with_the_same_bits(n_rows, least, tmp_path):
     """SIGKILL at random moments, a little later when the run got nowhere, until a run gets through."""
     draw, kills, folder = random.Random(4), 0, tmp_path / "store"
     while True:
-        process = subprocess.Popen([sys.executable, "-c", KILLED, str(folder)], env=ELSEWHERE)
+        process = subprocess.Popen([sys.executable, "-c", KILLED, str(folder), str(n_rows)], env=ELSEWHERE)
         before = len(list(folder.glob("done/c/*")))
         deadline = time.monotonic() + 20
         while process.poll() is None and len(list(folder.glob("done/c/*"))) < before + 12 and time.monotonic() < deadline:
@@ -131,9 +133,9 @@ def test_a_run_killed_again_and_again_ends_with_the_same_bits(tmp_path):
             break
         kills += 1
         assert kills < 20
-    assert kills >= 4
-    rows = Waves(n_rows=900)
-    assert same(ensemble(rows, store=folder), rows(np.arange(900)))
+    assert kills >= least
+    rows = Waves(n_rows=n_rows)
+    assert same(ensemble(rows, store=folder), rows(np.arange(n_rows)))
     assert not list(folder.rglob(f"*{disk.PART}"))
 
 

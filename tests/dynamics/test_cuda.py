@@ -181,6 +181,7 @@ def test_other_devices_are_refused():
         TrackRows(PHILAE, start, np.array([[0.0, 0.0, 1.0]]), np.array([1.0]), device="gpu")
 
 
+@pytest.mark.long
 def test_the_command_line_refuses_in_one_sentence_before_it_writes_anything(tmp_path):
     subprocess.run([sys.executable, "-m", "sunspin.cli", "init", tmp_path / "mine"], check=True, capture_output=True)
     grid = [part for axis in "xyz" for part in (f"--omega-{axis}", "0.1,0.2")]

@@ -51,6 +51,7 @@ def test_a_kernel_is_never_compiled_where_it_runs(short_kernels):
     assert sum(stats.cache_hits.values()) == 1 and not stats.cache_misses
 
 
+@pytest.mark.long
 def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, monkeypatch):
     monkeypatch.setattr(ahead.sys, "executable", str(short_kernels / "nowhere"))
     vehicle = random_vehicle(np.random.default_rng(9), 0)
@@ -59,7 +60,8 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
     assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
 
 
-@pytest.mark.parametrize("first", ["sunspin.estimate.scan.rows", "sunspin.estimate.posterior.cells", "sunspin.dynamics.ensemble"])
+@pytest.mark.parametrize("first", ["sunspin.dynamics.ensemble", *(pytest.param(f"sunspin.estimate.{name}", marks=pytest.mark.long)
+                                                                        for name in ("scan.rows", "posterior.cells"))])  # fmt: skip
 def test_the_compiler_is_the_same_whatever_is_imported_first(first):
     """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
     assert target_after(first) == target_after("sunspin.compute.compiler") != ""

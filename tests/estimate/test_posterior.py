@@ -13,6 +13,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
+from sunspin.estimate.posterior.modes import Modes, within
 from sunspin.estimate.posterior.verdict import Found, verdict
 from sunspin.estimate.posterior.widths import pareto_tail
 from sunspin.solve.rotations import moved
@@ -81,6 +82,7 @@ def test_same_bits_for_any_workers_and_when_resumed(cube, telemetry, tree, tmp_p
 
 
 @pytest.mark.evidence("posterior", "modelled", "a wrong model, faces exchanged: it must be refused")
+@pytest.mark.long
 @pytest.mark.parametrize(("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.slow)])
 def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
     """The negative control: two neighbouring panels exchanged."""
@@ -89,6 +91,21 @@ def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
     wrong["current_A"].values[:, [1, 4]] = wrong["current_A"].values[:, [4, 1]]
     found = ss.posterior(cube, wrong, SMALL | {"max_rate_rad_s": max_rate}, seed=0, draws=500, workers=2)
     assert found.attrs["verdict_word"] == "not explained", found.attrs["verdict"]
+
+
+@pytest.mark.long
+def test_a_prior_that_excludes_the_truth_is_an_answer_and_no_defect(cube, telemetry):
+    found = ss.posterior(cube, telemetry.isel(time=slice(0, 8)), SMALL | {"max_rate_rad_s": 0.1}, seed=0, draws=500, workers=2)
+    assert found.attrs["verdict_word"] in ("not explained", "not sure"), found.attrs["verdict"]
+    assert not found["passes"]["decided"].values.any()
+
+
+def test_modes_beyond_the_largest_rate_are_drawn_back_only_where_all_are():
+    state = State(np.array([[0.3, 0.0, 0.0], [0.0, 0.2, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0)))
+    modes = Modes(state, np.zeros(2), np.zeros((2, 6, 6)), np.ones(2, dtype=int), (), ())
+    assert within(modes, 0.25) is modes
+    drawn = within(modes, 0.1)
+    assert np.linalg.norm(drawn.state.omega, axis=1).max() < 0.1 and "faster" in drawn.notes[0]
 
 
 def test_numbers_that_are_missing_are_left_out(cube, telemetry):

@@ -97,22 +97,22 @@ def test_another_vehicle_is_refused(craft):
 
 
 def test_it_is_written_drawn_and_told(craft, tmp_path):
-    from sunspin.cli.posterior import _times
+    from sunspin.cli.values import times
     from sunspin.landing.afterwards import with_predictions
     from sunspin.output.figures.predicted import predicted_figure
     from sunspin.output.kinds.posterior import predictions_summary
 
     tree, _ = philae_draws(50, 0.003)
-    times = _times("16:20,2014-11-12T17:25, 25300", tree.attrs["epoch_utc"])
-    assert list(times) == [25300.0, COLLISION, LATER]
-    with_predictions(craft, tree, times, 0)
+    asked = times("16:20,2014-11-12T17:25, 25300", tree.attrs["epoch_utc"])
+    assert list(asked) == [25300.0, COLLISION, LATER]
+    with_predictions(craft, tree, asked, 0)
     told = predictions_summary(tree["predictions"].to_dataset())
     assert len(told["predicted"]) == 30 and json.dumps(told)
     text = str(told)
     assert "at 2014-11-12T17:25 UTC, after the collision" in text and "angular speed 0.48" in text
-    figure = predicted_figure(tree["predictions"].to_dataset(), list(times.values()))
+    figure = predicted_figure(tree["predictions"].to_dataset(), list(asked.values()))
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 12
     with pytest.raises(InputError, match="no epoch"):
-        _times("16:20", None)
+        times("16:20", None)
     with pytest.raises(InputError, match="ISO-8601"):  # taken to UTC it would lie before the year 1
-        _times("0001-01-01T00:00:00+23:59", tree.attrs["epoch_utc"])
+        times("0001-01-01T00:00:00+23:59", tree.attrs["epoch_utc"])

@@ -10,7 +10,7 @@ import sunspin as ss
 from sunspin.estimate.rates.motion import Body, Ends, step, step_with_answer
 from sunspin.estimate.rates.observe import thinned
 from sunspin.estimate.rates.start import facing, rates_between
-from sunspin.estimate.rates.state import SUN_N
+from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.rotations import turn, turn_between
 from sunspin.vehicle import Panel, Vehicle
 

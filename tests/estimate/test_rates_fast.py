@@ -57,7 +57,7 @@ def test_a_start_is_shot_to_the_truth_from_afar():
     motion = Motion(Body.of(craft(kind)), 1e-6, 1.0)
     truth = run["omega_B"].values
     start = truth[2] + np.radians([6.0, -6.0, 6.0])
-    track = carried(o, 2, o.sun_B[2:3], start[None], motion)
+    track = carried(o, 2, o.of_sun[0].directions(2), start[None], motion)
     found = shot(o, 2, track, motion, 20)
     assert np.abs(track.omega[0] - truth).max() > np.radians(5)
     assert np.abs(found.omega[0] - truth).max() < np.radians(2)  # six directions of 0.02 rad over 5 s

@@ -8,12 +8,12 @@ import pytest
 import sunspin as ss
 from coverage_twins import CUBE, FAULTS, FOUR, battery, coverage, twin
 from sunspin.estimate.rates.common import Clock, sun_part
-from sunspin.estimate.rates.light import sun_measured
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import measured
 from sunspin.estimate.rates.start import blind_axis, facing, mirrored
 from sunspin.estimate.rates.state import Motion, Track
+from sunspin.estimate.terms.term import normal
 
 MOTION = Motion(Body.of(CUBE), 2e-5, 0.075)
 
@@ -38,18 +38,20 @@ def nearest(result, run):
 
 
 def test_gains_are_unknowns_only_where_brightness_does_not_tell_them():
-    four, six = seen()[0], seen(CUBE)[0]
-    assert len(four.row_unknowns) == 4 and not len(four.row_errors)
-    assert len(six.row_errors) == 6 and not len(six.row_unknowns)
+    four, six = (seen(craft)[0].of_sun[0] for craft in (FOUR, CUBE))
+    assert len(four.gain_unknowns) == 4 and not len(four.gain_errors)
+    assert len(six.gain_errors) == 6 and not len(six.gain_unknowns)
 
 
 @pytest.mark.evidence("rates", "verified", "differences of the cost of the readings")
 def test_the_gradient_of_the_readings_to_gains_is_that_of_their_cost():
     """The Student law's cost, by differences of 1e-5 of each gain's sigma."""
     o, track = seen()
-    slope = sun_measured(o, track, o.row_unknowns)[1][0, :, 3:].sum(axis=0)
-    for unknown, told in zip(o.row_unknowns, slope, strict=True):
-        up, down = (measured(replace(o, rows=o.rows + sign * 1e-5 * unknown), track)[2].sum() for sign in (1, -1))
+    panels = o.of_sun[0]
+    slope = normal(panels, track, np.zeros((1, 4)))[1][0, :, 3:].sum(axis=0)
+    for unknown, told in zip(panels.gain_unknowns, slope, strict=True):
+        beside = (o.swapped(panels, replace(panels, gain=panels.gain + sign * 1e-5 * unknown)) for sign in (1, -1))
+        up, down = (measured(other, track)[2].sum() for other in beside)
         assert told == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
 
 

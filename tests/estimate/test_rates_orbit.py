@@ -13,17 +13,23 @@ import clock_twins
 import orbit_twins
 import strange_rates
 from coverage_twins import CUBE, albedo, twin
-from sunspin.estimate.rates import estimate, field, observe, torque
-from sunspin.estimate.rates.earth import differing, with_beam
-from sunspin.estimate.rates.light import earth_lit, sun_measured
 from sunspin.estimate.rates.motion import Body, Ends, step
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import between
-from sunspin.estimate.rates.state import FIELD_TURN_RATE, Motion, Observations, Track
+from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.magnetic_torque import MagneticTorque
+from sunspin.estimate.terms.magnetometer import LEFT, TURN_RATE, Magnetometer
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.term import normal
 from sunspin.solve.rotations import turn, turn_between
+from sunspin.vehicle import Panel, Vehicle
 
 EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
 """rad; that of the Earth's disk from 550 km."""
+
+
+def panels_of(normals, gain=1.0):
+    return Vehicle("faces", panels=[Panel(f"p{i}", normal, gain) for i, normal in enumerate(normals)]).response_in()
 
 
 def pass_of(vehicle, data) -> Observations:
@@ -49,34 +55,29 @@ def test_the_law_of_the_earths_light_is_that_of_a_wide_disk(reached):
     normals = np.column_stack([np.sin(turned), np.zeros(19), np.cos(turned)])
     area = np.sin(away) * EARTH_RADIUS / 300 * 2 * np.pi / 300 / (np.pi * np.sin(EARTH_RADIUS) ** 2)
     true = (np.maximum(ray @ normals.T, 0) * area[..., None]).sum(axis=(0, 1))
-    told, _ = earth_lit(normals, np.array([[[0.0, 0.0, 1.0]]]))
-    reached("light of the Earth on a panel", np.abs(told[0, 0] - true), "of the most", limit=0.06)
-    assert np.abs(told[0, 0] - true).max() < 0.06
+    told, _ = panels_of(normals).disc(np.array([0.0, 0.0, 1.0]), np.array(1.0))
+    reached("light of the Earth on a panel", np.abs(told - true), "of the most", limit=0.06)
+    assert np.abs(told - true).max() < 0.06
 
 
 def test_opposite_panels_differ_by_the_component_of_the_beam():
     rng = np.random.default_rng(2)
     normal, beam = rng.normal(size=(2, 3))
     normal /= np.linalg.norm(normal)
-    light, _ = earth_lit(1.3 * np.array([normal, -normal]), beam[None, None])
-    assert light[0, 0, 0] - light[0, 0, 1] == pytest.approx(1.3 * normal @ beam, rel=1e-12)
+    light, _ = panels_of(np.array([normal, -normal]), 1.3).disc(beam / np.linalg.norm(beam), np.linalg.norm(beam))
+    assert light[0] - light[1] == pytest.approx(1.3 * normal @ beam, rel=1e-12)
 
 
 def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_their_cost():
     """By differences of 1e-5 of a sigma, or rad."""
     o, track = lit_cube()
-    o = with_beam(o)
-    beam = np.broadcast_to([0.05, -0.08, 0.03], (1, len(o), 3))
-    lit = replace(o, beam_N=beam, zero=np.full((1, 1, 6), 0.01))
-    slope = sun_measured(lit, track, o.row_unknowns)[1].sum(axis=1)[0]
-    turns = 1e-5 * np.repeat(np.eye(3), 2, axis=0) * np.tile([[1], [-1]], (3, 1))
-    changed = [(lit, replace(track, attitude=turn(track.attitude, one))) for one in turns]
-    changed += [(replace(lit, rows=o.rows + sign * 1e-5 * one), track) for one in o.row_unknowns for sign in (1, -1)]
-    beams = np.moveaxis(o.earth_unknowns, 1, 0)
-    changed += [(replace(lit, beam_N=beam + sign * 1e-5 * one), track) for one in beams for sign in (1, -1)]
-    zeros = [sign * 1e-5 * one for one in np.diag(o.zero_sigma) for sign in (1, -1)]
-    changed += [(replace(lit, zero=lit.zero + zero), track) for zero in zeros]
-    cost = np.array([sun_measured(other, seen)[2].sum() for other, seen in changed])
+    panels = replace(o.of_sun[0], earth_share=0.1).freed(o.t_s)
+    error = 0.3 * np.random.default_rng(3).normal(size=(1, 6 + 6 + 6))
+    slope = normal(panels, track, error)[1].sum(axis=1)[0]
+    assert [one.kind for one in panels.unknowns()] == 6 * ["gain"] + 6 * ["earth_light"] + 6 * ["panel_zero"]
+    small = [sign * 1e-5 * one for one in np.eye(len(slope)) for sign in (1, -1)]
+    changed = [(replace(track, attitude=turn(track.attitude, one[:3])), error + one[3:]) for one in small]
+    cost = np.array([normal(panels, seen, off)[2].sum() for seen, off in changed])
     assert len(slope) == 3 + 6 + 6 + 6
     np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-5, rtol=1e-4, atol=1e-4)
 
@@ -84,7 +85,9 @@ def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_th
 def test_without_the_earths_light_nothing_is_differenced():
     data, _ = twin((), np.random.default_rng(1))
     o = pass_of(CUBE, data)
-    assert o.earth_light < 0.03 and differing(o) is o
+    panels = o.of_sun[0]
+    assert panels.earth_share < 0.03 and panels.freed(o.t_s).earth is None
+    np.testing.assert_array_equal(panels.power, panels.whole[0])
 
 
 def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
@@ -98,7 +101,7 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
     pulled, pulled_later = step(body, rate[None], dt, Ends(field=(both[0] @ field_N)[None], field_end=(both[1] @ field_N)[None]))
     track = Track(both[None], np.array([rate, later[0]])[None])
     sigma = 1e-5
-    one = torque.gained(track, Motion(body, 1e-5, 0.1, sigma), dt)[0, 0]
+    one = MagneticTorque(sigma).pushes(track, dt)[0, 0]
     made = one @ np.outer(body.dipole, field_N).ravel() / (sigma / np.sqrt(6))
     true = np.concatenate([turn_between(free, pulled)[0], (pulled_later - later)[0]])
     off = np.abs(made - true).reshape(2, 3).max(axis=1) / np.abs(true).reshape(2, 3).max(axis=1)
@@ -110,8 +113,8 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
 @pytest.mark.parametrize(
     ("i", "without"),
     [
-        pytest.param(13, (torque, "prior_sigma", lambda noise: 0.0), id="torque"),
-        pytest.param(8, (estimate, "with_drift", lambda o: o), id="field", marks=pytest.mark.slow),
+        pytest.param(13, (MagneticTorque, "beside", lambda noise: MagneticTorque(0.0)), id="torque"),
+        pytest.param(8, (Magnetometer, "freed", lambda self, t_s: self), id="field", marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.slow
@@ -139,8 +142,8 @@ def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
     miss = np.array([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]])
     reached("error of mean rates", miss, "deg/s", limit=0.03)
     assert miss.max() < 0.03
-    monkeypatch.setattr(estimate, "is_told", lambda o: False)
-    monkeypatch.setattr(observe, "differing", lambda o: o)
+    monkeypatch.setattr(Panels, "freed", lambda self, t_s: self)
+    monkeypatch.setattr(Panels, "_differing", lambda self: self)
     assert np.max([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]]) > 2 * miss.max()
 
 
@@ -160,22 +163,23 @@ def test_noise_that_the_file_does_not_state_is_not_taken_for_the_earths_light():
 def test_a_unit_of_the_fields_turning_is_what_a_turning_field_leaves():
     """A field in N that changes by one sigma of an unknown leaves residuals between neighbours, which that unknown takes away."""
     data, _ = clock_twins.twin("field", 0.0, np.random.default_rng(4), samples=9)
-    o = field.with_drift(observations(clock_twins.craft("field", None), data)[0])
-    assert field.count(o) == 6 and o.field_turn_rate == field.LEFT * FIELD_TURN_RATE
+    o = observations(clock_twins.craft("field", None), data)[0].freed()
+    (term,) = o.of_pairs
+    assert len(term.unknowns()) == 6 and term.turn_rate == LEFT * TURN_RATE
     attitude = Rotation.random(len(o), random_state=2).as_matrix()
     track, motion = Track(attitude[None], np.zeros((1, len(o), 3))), Motion(Body.of(CUBE), 1e-5, 0.1)
-    strength, spacing = np.median(np.linalg.norm(o.field, axis=1)), np.diff(o.t_s)[:, None]
+    strength, spacing = np.median(np.linalg.norm(o.field_B, axis=1)), np.diff(o.t_s)[:, None]
     for j in range(6):
-        change = o.field_unknowns[:-1, j] * spacing
+        change = term.drift_N[:-1, j] * spacing
         at = np.array([0.6, 0.0, 0.8]) + np.concatenate([np.zeros((1, 3)), np.cumsum(change, axis=0)])
-        seen = replace(o, field=np.einsum("nij,nj->ni", attitude, at))
-        left = between(seen, track, motion)[0][..., 6:]
+        turning = replace(term, field_B=np.einsum("nij,nj->ni", attitude, at))
+        left = between(o.swapped(term, turning), track, motion)[0][..., 6:]
         assert np.abs(left).max() > 1e-2
-        np.testing.assert_allclose(left + field.gained(seen, track)[..., j], 0, atol=1e-12)
-    # even over the pass, one component each: as strong a turn as FIELD_TURN_RATE in three axes together
-    assert np.linalg.norm(o.field_unknowns[:, :3].sum(axis=1), axis=1) == pytest.approx(FIELD_TURN_RATE * strength, rel=1e-12)
+        np.testing.assert_allclose(left + turning.gained(o.t_s, track)[..., j], 0, atol=1e-12)
+    # even over the pass, one component each: as strong a turn as TURN_RATE in three axes together
+    assert np.linalg.norm(term.drift_N[:, :3].sum(axis=1), axis=1) == pytest.approx(TURN_RATE * strength, rel=1e-12)
     middle = o.t_s - o.t_s.mean()
-    assert o.field_unknowns[:, 3, 0] == pytest.approx(o.field_unknowns[:, 0, 0] * FIELD_TURN_RATE * middle, rel=1e-12)
+    assert term.drift_N[:, 3, 0] == pytest.approx(term.drift_N[:, 0, 0] * TURN_RATE * middle, rel=1e-12)
 
 
 def test_the_field_answers_to_turns_as_differences_say():
@@ -184,7 +188,8 @@ def test_the_field_answers_to_turns_as_differences_say():
     data, run = clock_twins.twin("field", 0.0, rng, samples=9)
     o = observations(clock_twins.craft("field", None), data)[0]
     attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
-    o = replace(o, field=attitude @ [0.6, 0.0, 0.8])
+    (term,) = o.of_pairs
+    o = o.swapped(term, replace(term, field_B=attitude @ [0.6, 0.0, 0.8]))
     motion = Motion(Body.of(CUBE), 1e-5, 0.1)
     here = Track(attitude[None], run["omega_B"].values[None])
     value, first, second = between(o, here, motion)
@@ -200,4 +205,4 @@ def test_the_field_answers_to_turns_as_differences_say():
 def test_no_magnetometer_no_field():
     data, _ = twin((), np.random.default_rng(1))
     o = pass_of(CUBE, data)
-    assert field.with_drift(o) is o and field.count(o) == 0
+    assert not o.freed().of_pairs and np.isnan(o.field_B).all()

@@ -70,7 +70,7 @@ TWINS = 30
 
 @pytest.fixture(scope="session")
 def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Results of the commands for a user's own vehicle, whose name and panels are hostile."""
+    """Results of the commands for a user's own vehicle, whose name and panels are hostile, and their pages."""
     from sunspin.cli import cli
 
     def make(root: Path) -> None:
@@ -99,12 +99,18 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
         sunspin("simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate"))
         sunspin("outcomes", "philae", "--runs", "20", "--strategy", "off", "--strategy", "held", "--out", str(root / "outcomes"))
+        for name in RUNS:
+            sunspin("report", str(root / name))
 
     root = shared_folder(tmp_path_factory, "user", make)
-    return {name: root / name for name in ("sun", "rates", "scan", "simulate", "posterior", "outcomes")}
+    return {name: root / name for name in RUNS}
 
 
-SAMPLES = 16
+RUNS = ("sun", "rates", "scan", "simulate", "posterior", "outcomes")
+"""Commands whose results there are, each with its page."""
+
+
+SAMPLES = 12
 """Lines of the telemetry that are kept: `rates` takes the longer the more samples there are."""
 
 

@@ -86,7 +86,7 @@ def test_every_plot_has_words_and_axes_with_units(page):
 
 def test_labels_from_outside_stay_text(user_runs):
     for name, folder in user_runs.items():
-        read = Page(write_report(folder))
+        read = Page(folder / "report.html")
         scripts = [attrs for tag, attrs in read.tags if tag == "script"]
         assert [a.get("id") for a in scripts] == ["data", None, None, *([] if name == "outcomes" else [None])], name
         if name != "outcomes":
@@ -113,7 +113,7 @@ def test_no_label_ends_the_script_it_stands_in(text):
     ],
 )  # fmt: skip
 def test_every_command_gets_its_parts(user_runs, name, expected):
-    read = Page(write_report(user_runs[name]))
+    read = Page(user_runs[name] / "report.html")
     assert [i for i in read.ids("section") if i in expected] == expected
     assert "could not be" not in read.text and f"sunspin {name}" in read.text
     figures = [attrs for tag, attrs in read.tags if tag == "figure" and attrs.get("class") == "drawn"]
@@ -140,7 +140,7 @@ def test_what_it_does_not_know_it_lists_and_what_is_broken_it_names(user_runs, t
 @pytest.mark.evidence("report", "verified", "the draws and the best motion of a posterior's files")
 def test_a_posterior_is_shown_with_its_best_motion_and_what_it_predicts(user_runs):
     folder = user_runs["posterior"]
-    read, tree = Page(write_report(folder)), xr.load_datatree(folder / "posterior.nc")
+    read, tree = Page(folder / "report.html"), xr.load_datatree(folder / "posterior.nc")
     for axis in range(3):
         values = np.degrees(tree["posterior"]["omega_B"].values[..., axis])
         assert f"{values.mean():.4g} ± {values.std():.2g}" in read.text

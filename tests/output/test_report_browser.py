@@ -12,7 +12,6 @@ import xarray as xr
 from matplotlib.image import imread
 
 from browser import HOSTILE, Browser
-from sunspin.output.report import write_report
 from sunspin.vehicle.timeline import utc_seconds
 
 pytestmark = pytest.mark.browser
@@ -265,7 +264,7 @@ def test_it_prints_with_its_pictures(browser, study):
 
 @pytest.mark.parametrize("name", ["simulate", *(pytest.param(name, marks=pytest.mark.long) for name in ("rates", "posterior"))])
 def test_a_users_run_with_a_hostile_name(browser, user_runs, name):
-    browser.open(write_report(user_runs[name]))
+    browser.open(user_runs[name] / "report.html")
     browser.js(TOP)
     browser.show(STAGE)
     assert browser.js("window.hacked === undefined") and browser.complaints() == []

@@ -8,7 +8,7 @@ import pytest
 import sunspin as ss
 from sunspin.philae import descent
 from sunspin.philae.figures import descent as figures_descent
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 CASE = ss.load_case("philae")
 SUN = ss.sun_directions(CASE.vehicle, CASE.telemetry)

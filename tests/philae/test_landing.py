@@ -51,10 +51,12 @@ def test_no_delay_is_off_at_touchdown_and_a_long_one_is_held():
 
 def test_the_best_delay_is_the_largest_and_as_good_as_itself(landing):
     search = landing.delays[0]
-    at = int(np.argmax(search.value))
-    assert search.best_s == search.delays_s[at] and search.best_s in search.as_good_s
-    assert search.behind[at] == 0 and np.all(search.behind <= 1e-12)
-    assert search.spread_s[0] <= search.spread_s[1]
+    at = int(np.argmax(search["value"].sel(quantity="touch_leg").values))
+    assert search.attrs["best_s"] == search["delay_s"][at] and bool(search["as_good"][at])
+    assert search["behind"][at] == 0 and np.all(search["behind"] <= 1e-12)
+    assert search.attrs["spread_s"][0] <= search.attrs["spread_s"][1]
+    told = search.sunspin.summary()
+    assert told["delay_s"] in told["as_good_s"] and "a leg touches first most often" in str(told) and search.sunspin.plot().axes
     with pytest.raises(ss.InputError, match="do not tell the quantity"):
         st.best_delay(ss.load_vehicle("philae"), [[0.1, 0, 0]], [0.0], "happiness", 4)
 

@@ -38,7 +38,7 @@ def quick():
         patch.setattr(rp, "LANDING_RUNS", 1)
         patch.setattr(carries, "SHUFFLES", 3)
         patch.setattr(published_lines, "LINE_POINTS", 3)
-        yield lambda case, **options: rp.compute(case, **({"coarser": 5, "twins": 30} | options))
+        yield lambda case, **options: rp.compute(case, **({"coarser": 10, "twins": 30} | options))
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 import sunspin as ss
 from sunspin.telemetry.health import explanations, noise_alone
 from sunspin.vehicle import Panel, Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 PHILAE = ss.load_vehicle("philae")
 SIGMA = 4.0  # of readings whose full scale is 254: the committed telemetry's relation

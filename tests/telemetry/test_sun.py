@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 import sunspin as ss
 from sunspin.telemetry.sun import SunStatus, best_directions, is_reconstructed, reconstructible_patterns
 from sunspin.vehicle import Panel, Vehicle
-from sunspin.vehicle.response.cosine import lit_patterns, panel_power
+from sunspin.vehicle.response.panels import lit_patterns, panel_power
 
 
 def directions(n: int, seed: int = 0) -> np.ndarray:

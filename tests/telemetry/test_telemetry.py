@@ -84,12 +84,27 @@ def test_missing_file_and_folder(tmp_path):
 
 
 def test_bad_rows_can_be_flagged_instead(tmp_path):
-    text = "time,a,b\n0,1,1\n10,nan,1\n20,-2,1\n15,1,1\n30,1,1\n"
+    text = "time,a,b\n0,1,1\n10,nan,1\n20,-2,1\n20,1,1\n30,1,1\n"
     craft = vehicle(time_format="elapsed", epoch_utc="2026-01-01", bad_rows="flag")
     data = read(tmp_path, text, craft)
     np.testing.assert_array_equal(data["flag"].values, [0, 1, 2, 4, 0])
     status = ss.sun_directions(craft, data, lit_threshold=0.1)["status_text"].values
     assert "flagged" in status[1] and "flagged" in status[2] and "flagged" in status[3]
+
+
+def test_rows_are_sorted_and_repeats_merged_where_bad_rows_are_flagged(tmp_path):
+    """One tag far ahead of its time must not spoil the rows behind it; two stations heard the frame at 20 s, each a part of it."""
+    text = "time,a,b\n900,7,1\n0,1,1\n10,2,1\n20,3,\n20,,1\n30,4,1\n20,3,1\n"
+    craft = vehicle(time_format="elapsed", epoch_utc="2026-01-01", bad_rows="flag")
+    data = read(tmp_path, text, craft)
+    np.testing.assert_array_equal(data["time"].values, [0, 10, 20, 30, 900])
+    np.testing.assert_array_equal(data["power_W"].values[:, 0], [1, 2, 3, 4, 7])
+    assert not data["flag"].values.any() and data.attrs["rows_merged"] == 2 and data.attrs["rows_sorted"] == 6
+
+
+def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
+    data = read(tmp_path, "time,a,b\n2026-01-01T00:01:00Z,2,1\n2026-01-01T00:00:00Z,1,1\n", vehicle(bad_rows="flag"))
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data["time"].values.tolist() == [0.0, 60.0]
 
 
 def test_small_negative_values_are_noise_where_noise_is_stated(tmp_path):

@@ -41,12 +41,14 @@ def test_no_room_for_results_is_said_and_no_half_file_stays(tmp_path):
     assert [path.name for path in out.iterdir()] == [".sunspin-results"]
 
 
+@pytest.mark.long
 def test_no_room_for_a_store_is_said(tmp_path):
     given = ["outcomes", "philae", "--runs=64", "--workers=1", "--strategy=off", "--store", tmp_path / "rows"]
     said(limited(resource.RLIMIT_FSIZE, 500, *given), "free space", str(tmp_path), "nothing")
     assert not list(tmp_path.rglob("*.part*"))
 
 
+@pytest.mark.long
 def test_too_little_memory_is_said():
     given = ["simulate", "philae", *START, "--duration=200000", "--step=0.101"]
     said(limited(resource.RLIMIT_AS, 900_000_000, *given), "memory")

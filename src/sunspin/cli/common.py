@@ -15,12 +15,12 @@ from typing import Any
 import click
 
 from sunspin.base.errors import InputError, printable, sentence
-from sunspin.base.untrusted import SIZES, is_sensible
+from sunspin.cli.values import sensible
 
 COMMANDS = {
-    "reproduce": "sunspin.cli.study:reproduce",
-    "coverage": "sunspin.cli.study:coverage",
-    "worth": "sunspin.cli.study:worth",
+    "reproduce": "sunspin.cli.reproduce:reproduce",
+    "coverage": "sunspin.cli.coverage:coverage",
+    "worth": "sunspin.cli.coverage:worth",
     "init": "sunspin.cli.files:init",
     "check": "sunspin.cli.files:check",
     "decode": "sunspin.cli.files:decode",
@@ -30,7 +30,7 @@ COMMANDS = {
     "scan": "sunspin.cli.scan:scan",
     "posterior": "sunspin.cli.posterior:posterior",
     "outcomes": "sunspin.cli.outcomes:outcomes",
-    "report": "sunspin.cli.study:report_page",
+    "report": "sunspin.cli.report:report_page",
     "export": "sunspin.cli.export:export",
     "compare": "sunspin.cli.export:compare",
 }
@@ -64,20 +64,6 @@ SUMMARIES = {
 
 WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."
 """Help of the option that both `simulate` and `scan` have."""
-
-
-def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
-    """Refuse numbers that are infinite, none, or beyond all measure."""
-    name = parameter.opts[0]
-    for value in given if isinstance(given, tuple) else (given,):
-        if isinstance(value, float):
-            _check_number(name, value)
-    return given
-
-
-def _check_number(name: str, value: float) -> None:
-    if not is_sensible(value):
-        raise InputError(sentence(f"{name} must be {SIZES}", got=str(value)))
 
 
 class ReaderGone(Exception):
@@ -179,20 +165,6 @@ def find_telemetry(path: str, data: Path | None) -> Path:
         except (OSError, ValueError):
             return given
     return given
-
-
-def numbers(text: str | None, name: str, count: int | None = None) -> list[float]:
-    """Comma-separated numbers of an option."""
-    try:
-        values = [float(part) for part in text.split(",")] if text else []
-    except ValueError:
-        values = None
-    for value in values or ():
-        _check_number(name, value)
-    if values is None or (count is not None and len(values) != count):
-        wanted = f"{count} numbers" if count else "numbers"
-        raise InputError(sentence(f"{name} takes {wanted} separated by commas", got=text, do=f"for example {name} 0.1,0,-0.2"))
-    return values
 
 
 def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 
 import click
 
-from sunspin.base.errors import OutputError, sentence
+from sunspin.base.errors import InputError, OutputError, sentence
 from sunspin.cli.common import data_option, find_telemetry, output_options, report
+from sunspin.cli.orbit import about_orbit, orbit_options
 
 HEALTH_SAMPLES = 3000
 """Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
@@ -62,21 +63,31 @@ def _write_templates(folder: Path) -> list[Path]:
 @click.argument("telemetry", required=False)
 @output_options(out=False)
 @data_option
-def check(vehicle: str, telemetry: str | None, as_json: bool, quiet: bool, data: Path | None) -> None:
+@orbit_options
+def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> None:
     """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
+
+    With orbital elements, say too whether the telemetry was taken in that orbit: whether strength of the field, its angle to the
+    Sun and eclipses follow from it.
 
     \b
     Examples:
       sunspin check vehicle.toml telemetry.csv
       sunspin check philae philae
     """
+    from sunspin.estimate.orbit import elements_of
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
+    elements_of(craft, elements, shift_sigma)  # what is wrong with them is said before the work
     summary, lines = _about_vehicle(craft)
     if telemetry is not None:
-        about, more = _about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
+        samples, about, more = _about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
         summary, lines = summary | {"telemetry": about}, lines + more
+        about, more = about_orbit(craft, samples, elements, shift_sigma)
+        summary, lines = summary | about, lines + more
+    elif elements is not None:
+        raise InputError(sentence("elements are compared with telemetry", do="give TELEMETRY too"))
     report(summary, lines, as_json, quiet)
 
 
@@ -94,7 +105,7 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
         from sunspin.telemetry.sun import reconstructible_patterns
-        from sunspin.vehicle.response.cosine import lit_patterns
+        from sunspin.vehicle.response.panels import lit_patterns
 
         summary |= {"lit_patterns": len(lit_patterns(craft)), "reconstructible": len(reconstructible_patterns(craft))}
         lines.append(
@@ -107,7 +118,7 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[dict[str, Any], list[str]]:
+def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[str, Any], list[str]]:
     import numpy as np
 
     from sunspin.cli.check_words import doubts, intervals, worth
@@ -133,6 +144,10 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[dict[str, An
         lines.append(f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample")
     if gaps.size:
         lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
+    for key, text in (("rows_sorted", "put in the order of time"), ("rows_merged", "repeats merged")):
+        if key in samples.attrs:
+            summary[key] = int(samples.attrs[key])
+            lines.append(f"  {summary[key]:6d}  {text}")
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
     about, more = doubts(craft, samples, vehicle)
     summary, lines = summary | about, lines + more
@@ -140,7 +155,7 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[dict[str, An
         about, more = _about_panels(craft, samples)
         summary, lines = summary | about, lines + more
     about, more = worth(craft, samples)
-    return summary | about, lines + more
+    return samples, summary | about, lines + more
 
 
 def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:

@@ -10,7 +10,9 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import claim, deliver, numbers, on_terminal, output_options, run_options
+from sunspin.cli.common import claim, deliver, on_terminal, output_options, run_options
+from sunspin.cli.values import numbers
+from sunspin.cli.values import vertical as read_vertical
 
 
 @click.command()
@@ -56,6 +58,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     from sunspin.landing.scenario import strategy_of
     from sunspin.landing.strategies import best_delay as search
     from sunspin.landing.strategies import compare, compared
+    from sunspin.philae.collision_told import against_kernel
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -63,44 +66,16 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     given = {
         "lead_s": lead, "before_s": before, "after_s": after, "landing_speed_m_s": landing_speed,
         "wheel_speed_rad_s": numbers(wheel_speed, "--wheel-speed") if wheel_speed else None,
-        "sun_B": numbers(sun_B, "--sun", 3) if sun_B else None, "vertical": _vertical(vertical),
+        "sun_B": numbers(sun_B, "--sun", 3) if sun_B else None, "vertical": read_vertical(vertical),
     }  # fmt: skip
     scenario = _scenario(vehicle, craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
     candidates = _candidates(craft, scan, factor, omega)
     claim(out, "outcomes")
     options = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
     table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
-    parts = []
-    if best_delay:
-        parts.append(_best(search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options)))
-    if condition:
-        parts.append(_weighted(_condition(craft, next(iter(found.values())), data)))
-    also = {key: value for numbers, _, _ in parts for key, value in numbers.items()}
-    lines, drawings = [line for _, told, _ in parts for line in told], [drawing for _, _, drawing in parts]
-    deliver(compared(table, found), out, as_json, quiet, vehicle, also=also, lines=lines, drawings=drawings)
-
-
-def _best(best) -> tuple[dict[str, Any], list[str], Any]:
-    """The search for the delay in numbers, in words and as a figure."""
-    from sunspin.output.kinds.outcomes import delay_drawing
-
-    numbers = {"best_delay": {"delay_s": best.best_s, "as_good_s": best.as_good_s, "spread_s": best.spread_s}}
-    line = (
-        f"a leg touches first most often if the wheel is switched off {best.best_s:g} s after the touchdown "
-        f"({best.value.max():.3f}); not worse by two errors: {', '.join(f'{t:g}' for t in best.as_good_s)} s"
-    )
-    return numbers, [line], delay_drawing(best)
-
-
-def _vertical(text: str | None) -> Any:
-    if text is None or text in ("legs_down", "any"):
-        return text
-    values = numbers(text, "--vertical")
-    if len(values) == 1:
-        return float(np.radians(values[0]))
-    if len(values) == 3:
-        return tuple(values)
-    raise InputError(sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text))
+    best = search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options) if best_delay else None
+    also, lines, drawings = against_kernel(craft.name, next(iter(found.values())), data) if condition else ({}, (), ())
+    deliver(compared(table, found, best), out, as_json, quiet, vehicle, also=also, lines=lines, drawings=drawings)
 
 
 def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float | None):
@@ -128,55 +103,12 @@ def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...])
     if omega:
         return np.array([numbers(text, "--omega", 3) for text in omega])
     if scan is not None:
-        return _near_minimum(scan, factor)
+        from sunspin.estimate.scan.chosen import stored_near_minimum
+
+        return stored_near_minimum(scan, factor)
     from sunspin.philae.rebound import published_candidates
     from sunspin.telemetry.case import case_names, load_case
 
     if craft.name in case_names() and "line_L1" in load_case(craft.name).published:
         return published_candidates(load_case(craft.name))
     raise InputError(sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc"))
-
-
-def _near_minimum(path: Path, factor: float) -> np.ndarray:
-    from sunspin.base.netcdf import read_netcdf
-    from sunspin.estimate.scan.volume import near_minimum
-
-    if not path.is_file():
-        raise InputError(sentence("there is no such file", do="give scan.nc as `sunspin scan --out` writes it", where=str(path)))
-    file = read_netcdf(path, str(path), InputError)
-    volume = file.get("emd", file.get("E"))
-    if volume is None or set(volume.dims) != {"omega_x", "omega_y", "omega_z"} or not set(volume.dims) <= set(volume.coords):
-        raise InputError(sentence("this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)))
-    if not all(np.issubdtype(part.dtype, np.number) for part in (volume, *volume.coords.values())):
-        raise InputError(sentence("this scan holds what is no number", do="write it again", where=str(path)))
-    return near_minimum(volume, factor)
-
-
-def _condition(craft, runs, data: Path | None):
-    """The collisions weighted by the kernel in the data folder, or by the facts that come with the case."""
-    from sunspin.philae import collision
-    from sunspin.telemetry.case import case_names, load_case
-
-    case = load_case(craft.name) if craft.name in case_names() else None
-    if case is None or "kernel_speed_before" not in case.published or not np.isfinite(runs["speed_after"]).any():
-        raise InputError(sentence("--condition needs collisions of a case with a trajectory kernel", do="use it with philae"))
-    there = data if data is not None and data.joinpath(*collision.KERNEL).is_file() else None
-    return collision.condition(case, runs, None if there is None else collision.kernel_facts(case, there))
-
-
-def _weighted(found) -> tuple[dict[str, Any], list[str], Any]:
-    """The conditioned collisions in numbers, in words and as a figure."""
-    from sunspin.output.kinds.kind import Drawing
-    from sunspin.philae.figures.collision import collision_figure
-
-    head = f"collision: {found.explained} of the runs come near the kernel's jump and speed"
-    lines = [
-        f"  {line['name']}: worth {line['effective_runs']:.0f} runs, rate before {line['rate_before']}, after {line['rate_after']} "
-        f"rad/s, median period after {line['median_period_after']:.1f} s"
-        for line in found.table
-    ]
-    drawing = Drawing(
-        "collision", lambda: collision_figure(found), "Simulated collisions against the speeds of the trajectory kernel.",
-        "Simulated collisions and what the trajectory shows; angular speeds after it as drawn and weighted by the kernel's speeds.",
-    )  # fmt: skip
-    return {"collision": {"facts": found.facts, "explained": found.explained, "table": found.table}}, [head, *lines], drawing

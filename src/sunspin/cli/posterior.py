@@ -14,11 +14,11 @@ from sunspin.cli.common import (
     deliver,
     device_option,
     find_telemetry,
-    numbers,
     on_terminal,
     output_options,
     run_options,
 )
+from sunspin.cli.values import field, observation, prior, times
 
 
 @click.command()
@@ -66,16 +66,16 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
 
     craft = load_vehicle(vehicle)
     samples = _own(vehicle) if telemetry is None else read_telemetry(find_telemetry(telemetry, data), craft)
-    seen = [_observation("rate", text, 1) for text in rates] + [_observation("gyro", text, 3) for text in gyros]
-    seen += [_field(text) for text in fields]
-    times = None if predict is None else _times(predict, samples.attrs.get("epoch_utc"))
+    seen = [observation("rate", text, 1) for text in rates] + [observation("gyro", text, 3) for text in gyros]
+    seen += [field(text) for text in fields]
+    asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
     claim(out, "posterior")
     tree = run(
-        craft, samples, dict(_prior(text) for text in priors), seed, begin_s=begin, end_s=end, phase=phase, observations=seen,
+        craft, samples, dict(prior(text) for text in priors), seed, begin_s=begin, end_s=end, phase=phase, observations=seen,
         wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet), device=device,
     )  # fmt: skip
-    if times is not None:
-        with_predictions(craft, tree, times, seed, timeline_of(vehicle))
+    if asked is not None:
+        with_predictions(craft, tree, asked, seed, timeline_of(vehicle))
     deliver(tree, out, as_json, quiet, vehicle, samples)
 
 
@@ -85,34 +85,3 @@ def _own(name: str) -> Any:
     if name not in case_names():
         raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
     return load_case(name).telemetry
-
-
-def _prior(text: str) -> tuple[str, float]:
-    key, _, value = text.partition("=")
-    return key.strip(), numbers(value, f"--prior {key.strip()}", 1)[0]
-
-
-def _observation(kind: str, text: str, count: int) -> dict[str, Any]:
-    t, *value, sigma = numbers(text, f"--{kind}", count + 2)
-    return {"kind": kind, "t_s": t, "value": value, "sigma": sigma}
-
-
-def _field(text: str) -> dict[str, Any]:
-    t, x, y, z, angle, sigma = numbers(text, "--field", 6)
-    return {"kind": "field", "t_s": t, "value": [x, y, z], "angle_rad": angle, "sigma": sigma}
-
-
-def _times(text: str, epoch_utc: str | None) -> dict[float, str]:
-    """s from the epoch -> what was asked for, in order of time."""
-    from sunspin.vehicle.timeline import utc_seconds
-
-    times = {}
-    for part in (piece.strip() for piece in text.split(",")):
-        if ":" not in part:
-            times[numbers(part, "--predict", 1)[0]] = f"{part} s"
-        elif epoch_utc is None:
-            raise InputError(sentence("the telemetry has no epoch, so a time must be in s", got=part))
-        else:
-            utc = part if "T" in part else f"{epoch_utc[:10]}T{part}"
-            times[utc_seconds(utc, epoch_utc)] = f"{utc.rstrip('Z')} UTC"
-    return dict(sorted(times.items()))

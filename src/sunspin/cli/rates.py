@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import click
 
-from sunspin.cli.common import claim, data_option, deliver, find_telemetry, output_options
+from sunspin.base.errors import InputError, sentence
+from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
+from sunspin.cli.values import numbers
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
@@ -23,12 +26,18 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
 @click.option("--noise", type=click.FloatRange(0, min_open=True), help="Angular acceleration noise, rad/s^1.5; default: the "
               "vehicle's, else what the data support best.")
 @click.option("--gap", type=click.FloatRange(0, min_open=True), help="A longer gap parts two passes, s; default: six intervals.")
+@click.option("--pass", "pass_id", type=click.IntRange(0), help="Only this pass, numbered from zero as in passes.csv.")
+@click.option("--from", "begin", help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.")
+@click.option("--to", "end", help="Use samples up to this time, likewise.")
+@click.option("--no-wirings", is_flag=True, help="Where a pass does not fit, do not try other wirings of panels and sensors.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
-def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, without) -> None:  # fmt: skip
+def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
+          no_wirings, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
-    images. With --out, writes rates.csv, rates.nc, rates.png and rates.svg.
+    images; of each pass it is said whether one motion is left, which components are informed, and whether it fits. With --out,
+    writes passes.csv (a row for each motion of each pass), rates.csv (a row for each sample), rates.nc, rates.png and rates.svg.
 
     \b
     Example:
@@ -41,12 +50,38 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
 
     craft = load_vehicle(vehicle)
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
-    used = samples.drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
+    used = _between(samples, begin, end).drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
     claim(out, "rates")
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
-        acceleration_noise=noise, gap_s=gap,
+        acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings,
+        progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)
     doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}
     deliver(result, out, as_json, quiet, vehicle, samples, also=doubted, lines=[line for line in lines if "WRONG UNIT" in line])
+
+
+def _between(samples: Any, begin: str | None, end: str | None) -> Any:
+    """The samples from one time to another; times as :func:`_instant` reads them."""
+    import numpy as np
+
+    from sunspin.vehicle.timeline import utc_after
+
+    inside = np.ones(samples.sizes["time"], dtype=bool)
+    if begin is not None:
+        inside &= samples["time"].values >= _instant(begin, "--from", samples.attrs["epoch_utc"])
+    if end is not None:
+        inside &= samples["time"].values <= _instant(end, "--to", samples.attrs["epoch_utc"])
+    if not inside.any():
+        first, last = (utc_after(float(t), samples.attrs["epoch_utc"]) for t in samples["time"].values[[0, -1]])
+        got = f"{begin or 'the beginning'} to {end or 'the end'}"
+        raise InputError(sentence("no samples lie between --from and --to", got=got, do=f"the file has {first} to {last}"))
+    return samples.isel(time=np.flatnonzero(inside))
+
+
+def _instant(text: str, option: str, epoch_utc: str) -> float:
+    """Seconds from the epoch of a time in UTC, or in seconds from there."""
+    from sunspin.vehicle.timeline import utc_seconds
+
+    return utc_seconds(text, epoch_utc) if ":" in text or "T" in text else numbers(text, option, 1)[0]

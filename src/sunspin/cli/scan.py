@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import numpy as np
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import (
@@ -15,14 +14,11 @@ from sunspin.cli.common import (
     deliver,
     device_option,
     find_telemetry,
-    numbers,
     on_terminal,
     output_options,
     run_options,
 )
-
-MAX_GRID = 100_000
-"""Values of one axis of a scan's grid."""
+from sunspin.cli.values import grid, numbers
 
 
 @click.command()
@@ -67,15 +63,16 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     """
     from sunspin.estimate.scan.chosen import with_chosen
     from sunspin.estimate.scan.volume import scan as run_scan
+    from sunspin.estimate.scan.window import directions_within
     from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
-    track = _track(craft, samples, begin, end)
+    track = directions_within(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     target = track if metric == "E" else track["sun_B"].values[:, 2]
-    x, y, z = _grid(omega_x, "--omega-x"), _grid(omega_y, "--omega-y"), _grid(omega_z, "--omega-z")
+    x, y, z = grid(omega_x, "--omega-x"), grid(omega_y, "--omega-y"), grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
         raise InputError(sentence("--factor must exceed 1", got=factor))
     claim(out, "scan")
@@ -88,43 +85,3 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         with_chosen(volume, samples, factor, threshold, n_lines, seed), out, as_json, quiet, vehicle, samples, {"seed": seed},
         main="scan.nc",
     )  # fmt: skip
-
-
-def _grid(text: str, name: str) -> np.ndarray:
-    """low:high:step, or values separated by commas."""
-    if ":" not in text:
-        return np.array(numbers(text, name))
-    from sunspin.estimate.scan.volume import check_size
-
-    parts = text.split(":")
-    if len(parts) != 3:
-        raise InputError(sentence(f"{name} must be low:high:step", got=text, do=f"for example {name}=-0.1:0.1:0.02"))
-    low, high, step = numbers(",".join(parts), name, 3)
-    count = (high - low) / step + 1 if step > 0 and high >= low else np.nan
-    if not np.isfinite(count):
-        raise InputError(sentence(f"{name} must be low:high:step, finite and with a positive step", got=text))
-    if count > MAX_GRID:
-        check_size(count, 1, 1)
-        raise InputError(sentence(f"{name} has {count:.3g} values, more than {MAX_GRID}", got=text, do="use a larger step"))
-    return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
-
-
-def _track(craft, samples, begin: float | None, end: float | None):
-    """The directions in the window, time counted from the first."""
-    from sunspin.telemetry.sun import is_reconstructed, sun_directions
-
-    sun = sun_directions(craft, samples)
-    time = sun["time"].values
-    low, high = -np.inf if begin is None else begin, np.inf if end is None else end
-    use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
-    if use.sum() < 2:
-        raise InputError(
-            sentence(
-                "fewer than two samples in this window give a direction of the Sun",
-                got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
-                do="widen --from and --to; `sunspin sun` says why samples give none",
-                where=str(samples.attrs.get("file", "")),
-            )
-        )
-    track = sun[["sun_B"]].isel(time=np.flatnonzero(use))
-    return track.assign_coords(time=track["time"] - track["time"].values[0])

@@ -6,7 +6,8 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import WHEEL_MODE, claim, deliver, numbers, output_options
+from sunspin.cli.common import WHEEL_MODE, claim, deliver, output_options
+from sunspin.cli.values import numbers
 
 MAX_SAMPLES, BYTES_PER_SAMPLE = 2_000_000, 300
 """Output times of one trajectory, and what one takes while it is computed and written."""

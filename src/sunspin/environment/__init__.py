@@ -1,47 +1,21 @@
-"""What surrounds the spacecraft, as functions of time: the Sun, and later orbit, field, Earth and eclipse.
+"""What surrounds the spacecraft, as functions of time: Sun, eclipse, the Earth with its field and its light.
 
-Vectors are in N, a frame without rotation; which one is said by `frame_N`, here and in the attributes of results with an attitude.
+:mod:`sunspin.environment.orbit` knows them by an orbit that others have determined; here are the environments without one. Vectors
+are in N, a frame without rotation; which one is said by `frame_N`, here and in the attributes of results with an attitude.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.environment.surroundings import Environment, Surroundings
 
 __all__ = ["Circular", "Environment", "Surroundings", "Unknown", "circular", "unknown"]
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """The surroundings at n times; None is what is not known.
-
-    `sun_N` (n, 3) unit, direction to the Sun; `lit` (n) the part of the Sun's disc that is seen, 0 to 1; `field_N` (n, 3) T;
-    `nadir_N` (n, 3) unit, and `nadir_turn_N` (n, 3) the rate (rad/s) at which it turns in N, None where it stands;
-    `earth_radius_rad` (n) of the Earth's disc; `albedo_light_N` (n, 3) in parts of full Sun.
-    """
-
-    sun_N: np.ndarray
-    lit: np.ndarray | None = None
-    field_N: np.ndarray | None = None
-    nadir_N: np.ndarray | None = None
-    earth_radius_rad: np.ndarray | None = None
-    albedo_light_N: np.ndarray | None = None
-    nadir_turn_N: np.ndarray | None = None
-
-
-class Environment(Protocol):
-    """Anything that gives the surroundings at times in s from a dataset's epoch, in the frame `frame_N`."""
-
-    @property
-    def frame_N(self) -> str: ...
-
-    def at(self, t_s: npt.ArrayLike) -> Surroundings: ...
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.propagate import propagate
 from sunspin.telemetry.synthetic import generator, noisy_power, on_time_grid, telemetry_dataset
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 EPOCH_UTC = "2000-01-01T12:00:00Z"
 """Epoch of a twin whose vehicle names none: a twin need not happen on any day."""

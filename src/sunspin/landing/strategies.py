@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -87,9 +86,13 @@ def compare(
     return table, runs
 
 
-def compared(table: xr.Dataset, runs: Mapping[str, xr.Dataset]) -> xr.DataTree:
-    """Both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy."""
+def compared(table: xr.Dataset, runs: Mapping[str, xr.Dataset], best: xr.Dataset | None = None) -> xr.DataTree:
+    """Both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy.
+
+    With `best`, of :func:`best_delay`, as `best_delay`.
+    """
     nodes = {"strategies": table} | {f"runs/{name}": found for name, found in runs.items()}
+    nodes |= {} if best is None else {"best_delay": best}
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes})
 
 
@@ -111,26 +114,6 @@ def records(table: xr.Dataset, quantities: Sequence[str] = TABLE) -> list[dict[s
     ]
 
 
-@dataclass(frozen=True)
-class BestDelay:
-    """The search for the delay after which the wheel is best switched off.
-
-    `value`, `error` (n_delay) of `metric`; `behind`, `behind_error`: difference to the best, run by run; `as_good`: delays
-    not behind by more than two errors; `spread_s`: central 68 % of the best delay over resampled runs.
-    """
-
-    metric: str
-    delays_s: np.ndarray
-    value: np.ndarray
-    error: np.ndarray
-    behind: np.ndarray
-    behind_error: np.ndarray
-    best_s: float
-    as_good_s: np.ndarray
-    spread_s: tuple[float, float]
-    table: xr.Dataset
-
-
 def best_delay(
     vehicle: Vehicle,
     candidates: Any,
@@ -140,11 +123,18 @@ def best_delay(
     seed: int = 0,
     scenario: Scenario | None = None,
     **options: Any,
-) -> BestDelay:
+) -> xr.Dataset:
     """The delay (s after touchdown) that makes `metric` largest, and how sure that is.
 
     All delays are tried on the same draws; the uncertainty is that of the Monte Carlo runs and their scenario, not of the
-    models (vertical, terrain, hull). The largest of many noisy means is biased upward: look at `as_good_s`, not at `value`.
+    models (vertical, terrain, hull). The largest of many noisy means is biased upward: look at `as_good`, not at `value`.
+
+    Returns
+    -------
+    xarray.Dataset
+        The table of :func:`compare` with a strategy for each delay, `delay_s (strategy)`; `behind`, `behind_error (strategy)`:
+        difference of `metric` to the best, run by run; `as_good (strategy)`: not behind by more than two errors. `attrs`:
+        `metric`, `best_s`, and `spread_s`, the central 68 % of the best delay over resampled runs.
     """
     if not vehicle.wheels:
         raise InputError(sentence(f"vehicle {vehicle.name!r} has no wheel to switch off"))
@@ -163,10 +153,11 @@ def best_delay(
     size = values.shape[1]
     winners = [delays[np.argmax(values[:, rng.integers(size, size=size)].mean(axis=1))] for _ in range(BOOTSTRAP)]
     low, high = np.quantile(winners, [0.16, 0.84], method="nearest")
-    chosen = table.sel(quantity=metric)
-    return BestDelay(
-        metric, delays, chosen["value"].values, chosen["error"].values, behind, error,
-        float(delays[best]), delays[behind >= -2 * error], (float(low), float(high)), table,
+    by = "strategy"
+    return table.assign(
+        behind=(by, behind), behind_error=(by, error), as_good=(by, behind >= -2 * error)
+    ).assign_coords(delay_s=(by, delays, {"units": "s"})).assign_attrs(
+        kind="best_delay", metric=metric, best_s=float(delays[best]), spread_s=[float(low), float(high)]
     )  # fmt: skip
 
 

@@ -23,8 +23,11 @@ from sunspin.base.netcdf import read_groups
 from sunspin.compute.campaign import command
 from sunspin.estimate.information import Information, rate_volume, speed_sigma
 from sunspin.estimate.posterior.brightness import brightness
-from sunspin.estimate.posterior.data import Observation, readings
+from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.model import State, model
+from sunspin.estimate.terms.angular_speed import AngularSpeed
+from sunspin.estimate.terms.gyro import GyroReading
+from sunspin.estimate.terms.reading import Reading
 from sunspin.telemetry.case import load_case
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
@@ -85,7 +88,7 @@ def window(tree: Any) -> tuple[float, float]:
     return float(tree.attrs["t_first_s"]) - 1e-6, float(tree.attrs["t_last_s"]) + 1e-6
 
 
-def contributions(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any, extra: dict[str, Observation] | None = None) -> list[Line]:
+def contributions(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any, extra: dict[str, Reading] | None = None) -> list[Line]:
     """The table: everything, without each sample and each panel, with each of `extra` (times after the first sample), with what
     is unknown taken as known."""
     unknown, data, state = best_state(vehicle, telemetry, tree)
@@ -109,7 +112,7 @@ def contributions(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any, extra: dic
     return table
 
 
-def philae_extras(vehicle: Vehicle, tree: Any) -> dict[str, Observation]:
+def philae_extras(vehicle: Vehicle, tree: Any) -> dict[str, Reading]:
     """The magnetometer's turn of 13 s before the collision, known to 2 s, as an angular speed; the same to 0.1 s; and a gyro."""
     from sunspin.philae.collision import SIGMA_PERIOD_S
 
@@ -120,9 +123,9 @@ def philae_extras(vehicle: Vehicle, tree: Any) -> dict[str, Observation]:
     made = {}
     for sigma in (SIGMA_PERIOD_S, 0.1):
         name = f"the magnetometer's {period:g} s, known to {sigma:g} s"
-        made[name] = Observation("rate", t, rate, float(rate[0]) * sigma / period)
-    made["a gyro at the last sample, 0.001 rad/s"] = Observation("gyro", t, np.zeros(3), 1e-3)
-    made["a gyro at the first sample, 0.001 rad/s"] = Observation("gyro", 0.0, np.zeros(3), 1e-3)
+        made[name] = AngularSpeed(t, rate, float(rate[0]) * sigma / period)
+    made["a gyro at the last sample, 0.001 rad/s"] = GyroReading(t, np.zeros(3), 1e-3)
+    made["a gyro at the first sample, 0.001 rad/s"] = GyroReading(0.0, np.zeros(3), 1e-3)
     return made
 
 

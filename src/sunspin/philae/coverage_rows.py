@@ -28,7 +28,7 @@ from sunspin.philae.twin_philae import CELL_W, keep_direction, rebound_times
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.telemetry.synthetic import noisy_power
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 PRIORS = ("lines", "grid")
 """Where truths are drawn: omega_z even over `rebound.LINE_RANGE` on one of the published lines, or even over the scanned box."""
@@ -201,9 +201,10 @@ def samples_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.nda
     vehicle = case.vehicle
     t = rebound_times(case, rng)
     run = propagate(vehicle, truth, rb.first_sun(case), rb.nominal_speed(vehicle), t - t[0], rtol=1e-9)
-    exact = CELL_W * panel_power(vehicle, run["sun_B"].values)
+    true = run["sun_B"].values
+    exact = CELL_W * panel_power(vehicle, true)
     power = noisy_power(vehicle, exact, vehicle.telemetry.noise or 0.0, rng)
-    power[0] = keep_direction(vehicle, exact[0], power[0])
+    power[0] = keep_direction(vehicle, true[0], exact[0], power[0])
     sun = sun_directions(vehicle, power)
     return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
 

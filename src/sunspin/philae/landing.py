@@ -65,7 +65,7 @@ class Landing:
     collision: co.Conditioned
     strategies: xr.Dataset
     strategy_runs: dict[str, xr.Dataset]
-    delays: list[st.BestDelay]
+    delays: list[xr.Dataset]
     settling: list[dict[str, Any]]
     alternatives: dict[str, dict[str, Estimate]]
 
@@ -226,6 +226,7 @@ def _rest_rows(landing: Landing) -> list[Row]:
     case, table, recipe = landing.case, landing.strategies, landing.recipe.real_tally["off"]
     rest = {entry["way"]: entry for entry in landing.settling}["off"]
     about, delay = landing.chain.chosen.about, landing.delays[0]
+    value, good = delay["value"].sel(quantity=delay.attrs["metric"]).values, delay["delay_s"].values[delay["as_good"].values]
 
     def told(strategy: str) -> dict[str, Estimate]:
         of = table.sel(strategy=strategy)
@@ -238,7 +239,7 @@ def _rest_rows(landing: Landing) -> list[Row]:
 
     off, held = told("off"), told("held")
     spread = ", ".join(f"{name} {found['touch_leg'].value:.3f}" for name, found in landing.alternatives.items())
-    tip = delay.table["value"].sel(quantity="leg_tip_speed").values
+    tip = delay["value"].sel(quantity="leg_tip_speed").values
     return [
         row(case, "final_friction_torque", rest["torque_N_m"], speed=case.vehicle.wheels[0].speed_rad_s, rest=rest),
         row(case, "final_foot_force", rest["foot_force_N"], rest=rest),
@@ -247,8 +248,8 @@ def _rest_rows(landing: Landing) -> list[Row]:
         share("rest_on_panel", "rest_panel"),
         share("antenna_serves", "antenna_at_rest"),
         row(
-            case, "best_switch_off_delay", delay.best_s / 60, chain=landing.chain.name, about=about, best=delay.value.max(),
-            at_once=delay.value[0], as_good=", ".join(f"{t / 60:g}" for t in delay.as_good_s),
-            within=[t / 60 for t in delay.spread_s], tip_best=tip[int(np.argmax(delay.value))], tip=[tip[0], tip[-1]],
+            case, "best_switch_off_delay", delay.attrs["best_s"] / 60, chain=landing.chain.name, about=about, best=value.max(),
+            at_once=value[0], as_good=", ".join(f"{t / 60:g}" for t in good),
+            within=[t / 60 for t in delay.attrs["spread_s"]], tip_best=tip[int(np.argmax(value))], tip=[tip[0], tip[-1]],
         ),
     ]  # fmt: skip

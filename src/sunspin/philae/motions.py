@@ -27,7 +27,7 @@ from sunspin.philae.row import Row
 from sunspin.philae.twin_philae import State, collision
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.synthetic import generator
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 STEP_S = 1.0
 """Between instants of a candidate: at the fastest, half a radian."""

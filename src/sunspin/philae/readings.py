@@ -16,7 +16,7 @@ from sunspin.telemetry.case import Case
 from sunspin.telemetry.noise import HALF_NORMAL_MEDIAN
 from sunspin.telemetry.sun import SunStatus, signals, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import lit_patterns
+from sunspin.vehicle.response.panels import lit_patterns
 
 BRIGHT = 0.2
 """A panel that reads more than this part of the file's largest reading is in the Sun for certain."""

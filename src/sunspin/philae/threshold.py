@@ -32,7 +32,7 @@ from sunspin.telemetry.case import Case
 from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 SHIPPED = "threshold.json"
 """The calibration of the case's own telemetry, which comes with the case."""

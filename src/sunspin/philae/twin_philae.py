@@ -36,7 +36,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.synthetic import generator, noisy_power, on_time_grid, telemetry_dataset
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 CELL_W = 0.02
 """Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
@@ -117,7 +117,7 @@ def philae_twin(seed: int, noise: float | None = None) -> xr.Dataset:
     exact = CELL_W * panel_power(vehicle, sun) * seen
     power = noisy_power(vehicle, exact, sigma, generator(seed, 0))
     first = int(np.flatnonzero(phase == "first_rebound")[0])
-    power[first] = keep_direction(vehicle, exact[first], power[first])
+    power[first] = keep_direction(vehicle, sun[first], exact[first], power[first])
     truth = {
         "seed": seed,
         "noise": sigma,
@@ -273,12 +273,13 @@ def _joined(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     return t, sun, transmission, np.concatenate([np.full(part.t_s.size, part.phase) for part in parts])
 
 
-def keep_direction(vehicle: Vehicle, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
-    """Confine the noise of one sample to what its redundancy shows, so that the measured direction is the true one.
+def keep_direction(vehicle: Vehicle, sun_B: np.ndarray, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
+    """Confine the noise of one sample, the Sun at sun_B, to what its redundancy shows, so that the measured direction
+    is the true one.
 
     The first direction after the touchdown is published as measured, and is the truth here: so this sample's noise may
     raise Delta but not turn the direction.
     """
-    rows = np.where((exact > 0)[:, None], vehicle.panel_gains[:, None] * vehicle.panel_normals_B, 0.0)
+    rows = np.where((exact > 0)[:, None], vehicle.response_in().under(sun_B)[1], 0.0)
     noise = noisy - exact
     return exact + noise - rows @ (np.linalg.pinv(rows) @ noise)

@@ -15,7 +15,7 @@ import numpy as np
 
 from sunspin.telemetry.sun import best_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import arrangement, panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 PRIOR_SIGMA, UNTOLD_SIGMA = 0.1, 0.02
 """Relative uncertainty of a gain whose sigma the vehicle file does not state, as a prior: wide enough for a string of cells that
@@ -62,9 +62,9 @@ def brightness(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
 def looks_all_around(vehicle: Vehicle, dead: np.ndarray | None = None) -> bool:
     """Whether three independent panels (that are not dead) are lit wherever the Sun stands."""
     works = np.ones(len(vehicle.panels), dtype=bool) if dead is None else ~dead
-    lit = arrangement(vehicle).cell_lit & works
-    normals = vehicle.panel_normals_B
-    return all(row.sum() >= 3 and np.linalg.matrix_rank(normals[row], tol=1e-6) == 3 for row in lit)
+    response = vehicle.response_in()
+    sun, lit = response.regions()
+    return all(row.sum() >= 3 and response.rank(row, at) == 3 for at, row in zip(sun, lit & works, strict=True))
 
 
 def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:

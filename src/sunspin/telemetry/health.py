@@ -17,7 +17,8 @@ from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import arrangement, lit_patterns, observable_patterns
+from sunspin.vehicle.response.panels import lit_patterns, observable_patterns
+from sunspin.vehicle.response.protocol import PanelResponse
 
 STEPS, ROUNDING = 60, 1e-12
 """Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma
@@ -153,33 +154,36 @@ def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_thresh
         raise InputError(sentence("sigma must be the positive noise of a reading", got=sigma))
     if not (np.isfinite(lit_threshold) and lit_threshold >= 0):
         raise InputError(sentence("lit_threshold must be zero or positive", got=lit_threshold))
-    rows = vehicle.panel_gains[:, None] * vehicle.panel_normals_B
-    scale = np.abs(rows).max()  # so that the unknown is of the size of the readings
+    response = vehicle.response_in()
+    scale = response.largest  # so that the unknown is of the size of the readings
     found = [
-        _nearest_sun(rows / scale, arrangement(vehicle).cell_B, readings[at : at + CHUNK] / sigma, lit_threshold / sigma)
+        _nearest_sun(response, scale, readings[at : at + CHUNK] / sigma, lit_threshold / sigma)
         for at in range(0, len(readings), CHUNK)
     ]
     sun = np.concatenate([part[0] for part in found]) if found else np.zeros((0, 3))
     square = np.concatenate([part[1] for part in found]) if found else np.zeros(0)
-    mean = np.maximum(0.0, sun @ (rows / scale).T)
+    mean, _ = response.under(sun, scale)
     lit = readings > lit_threshold
     shown = norm.sf(lit_threshold / sigma, mean), norm.cdf(lit_threshold / sigma, mean)
     pattern = np.prod(np.where(lit, *shown), axis=1)
     return NoiseMade(square, chi2.sf(square, n_panel), pattern, sun * sigma / scale, chi2.logsf(square, n_panel))
 
 
-def _nearest_sun(rows: np.ndarray, cells: np.ndarray, readings: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+def _nearest_sun(
+    response: PanelResponse, scale: float, readings: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance.
 
-    Inside a cell the squared distance is a convex piece; a search runs from each cell and the best end is taken.
+    A search runs from each region (inside one the squared distance of flat panels is a convex piece), and the best end is taken.
     """
-    light = np.maximum(0.0, cells @ rows.T)
+    cells, _ = response.regions()
+    light, _ = response.under(cells, scale)
     bright = np.maximum(readings @ light.T, 0.0) / np.maximum((light**2).sum(axis=1), 1e-300)
     starts = (bright[:, :, None] * cells[None]).reshape(-1, 3)
     each = np.repeat(readings, len(cells), axis=0)
 
     def linearise(state: tuple[np.ndarray, np.ndarray]) -> Dense:
-        value, jacobian = _distance(rows, *state, state[1] > threshold, threshold)
+        value, jacobian = _distance(response, scale, *state, state[1] > threshold, threshold)
         return Dense.of(value, jacobian, np.ones_like(state[0]))
 
     found = least_squares(
@@ -191,10 +195,10 @@ def _nearest_sun(rows: np.ndarray, cells: np.ndarray, readings: np.ndarray, thre
 
 
 def _distance(
-    rows: np.ndarray, sun: np.ndarray, readings: np.ndarray, lit: np.ndarray, threshold: float
+    response: PanelResponse, scale: float, sun: np.ndarray, readings: np.ndarray, lit: np.ndarray, threshold: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (..., n_panel) in sigma of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
-    mean = np.maximum(0.0, sun @ rows.T)
+    mean, slope = response.under(sun, scale)
     value = np.where(lit, mean - readings, np.maximum(0.0, mean - threshold))
     active = (mean > 0) & (lit | (mean > threshold))
-    return value, active[..., None] * rows
+    return value, active[..., None] * slope

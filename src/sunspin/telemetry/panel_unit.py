@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 UNITS = {"power_W": "W", "current_A": "A"}
 

@@ -16,7 +16,8 @@ from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, est
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, signals
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power, sphere
+from sunspin.vehicle.response.panels import panel_power
+from sunspin.vehicle.response.protocol import sphere
 
 DEAD_FRACTION = 0.05
 """A panel that never exceeds this fraction of its gain, in a file that is long enough, is taken as dead."""
@@ -251,7 +252,8 @@ def _quantum(value: np.ndarray) -> float:
 def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
     how many readings tell it."""
-    opposite = vehicle.panel_normals_B @ vehicle.panel_normals_B.T < -0.99
+    facing = vehicle.response_in().facing_B
+    opposite = facing @ facing.T < -0.99
     readings = [share[share[:, j] > 0.3, i] for i, j in np.argwhere(opposite)]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]

@@ -53,7 +53,9 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     xarray.Dataset
         `power_W` (or `current_A`) over (time, panel), `flag (time)` (bits, 0 is good), coordinate `time` in s from
         ``attrs["epoch_utc"]``, `phase (time)` where the file has such a column; attrs name the file, its hash, whether
-        it calls itself synthetic, its `unused_columns`, and `missing_sensors`: those of which it has no column.
+        it calls itself synthetic, its `unused_columns`, and `missing_sensors`: those of which it has no column. With
+        ``bad_rows = "flag"`` rows are sorted by time, and rows of one instant that say the same become one, as where several
+        ground stations heard a frame: attrs `rows_sorted` and `rows_merged` count them.
 
     Raises
     ------
@@ -72,13 +74,17 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     columns = _panel_columns(vehicle, table, path, optional=bool(sensors))
     time_at = column_of(table, form.time_column, "the time", path)
     time, epoch = _times(form, [row[time_at] for row in table.rows], table, path)
+    mended: dict[str, int] = {}
+    if form.bad_rows == "flag":
+        table, time, epoch, mended = _in_order(form, table, time, epoch, time_at)
+        sensors = read_sensors(vehicle, table) if mended else sensors
     volts = _volts(vehicle, table, path) if columns and form.has_voltages else None
     values, flag = _values(form, table, columns, volts, path)
     values, warmth = _at_reference(vehicle, table, values, path)
     flag |= _order_flags(form, time, table, path)
     unused, missing = unused_columns(vehicle, table, columns), missing_sensors(vehicle, table, columns, path)
     return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth).assign_attrs(
-        unused_columns=", ".join(unused), missing_sensors="; ".join(missing)
+        unused_columns=", ".join(unused), missing_sensors="; ".join(missing), **mended
     )
 
 
@@ -237,6 +243,36 @@ def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> t
     unix_zero = datetime(1970, 1, 1, tzinfo=UTC)
     epoch = fixed or unix_zero + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - unix_zero).total_seconds(), epoch
+
+
+def _in_order(
+    form: TelemetryForm, table: Table, time: np.ndarray, epoch: datetime, time_at: int
+) -> tuple[Table, np.ndarray, datetime, dict[str, int]]:
+    """Rows sorted by time, those of one instant that do not contradict each other merged; and how many were moved and merged."""
+    rows: list[list[str]] = []
+    kept: list[int] = []
+    for i in np.argsort(time, kind="stable"):
+        if kept and time[i] == time[kept[-1]] and (both := _merged(rows[-1], table.rows[i], time_at)) is not None:
+            rows[-1] = both
+        else:
+            rows.append(table.rows[i])
+            kept.append(int(i))
+    late = int(np.count_nonzero(time[1:] < np.maximum.accumulate(time)[:-1]))
+    counts = {"rows_sorted": late, "rows_merged": len(time) - len(kept)}
+    if not any(counts.values()):
+        return table, time, epoch, {}
+    time = time[kept]
+    if form.epoch_utc is None:
+        epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
+    return table._replace(rows=rows, lines=[table.lines[i] for i in kept]), time, epoch, {k: n for k, n in counts.items() if n}
+
+
+def _merged(first: list[str], second: list[str], time_at: int) -> list[str] | None:
+    """Two rows of one instant as one, with each other's empty cells filled; None where they contradict each other."""
+    cells = enumerate(zip(first, second, strict=True))
+    if any(a != b and a.strip() and b.strip() for k, (a, b) in cells if k != time_at):
+        return None
+    return [a if a.strip() else b for a, b in zip(first, second, strict=True)]
 
 
 def _order_flags(form: TelemetryForm, time: np.ndarray, table: Table, path: Path) -> np.ndarray:

@@ -1,9 +1,7 @@
 """The inverse model of the panels: measured powers -> direction to the Sun, exactly, with its uncertainty and status.
 
-The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Minimising it is maximising the cosine between P(n) and M.
-Inside a cell of the sphere, where the same panels are lit, P is linear in n and the best n is parallel to pinv(B) M, B being
-the lit rows; on an arc between two cells likewise in the arc's plane; vertices are points. The global minimum is among these
-few candidates, each linear in M, so it is found without a search and for many samples at once.
+The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Its global minimum, ranks and arcs are the business of the law by
+which the panels see light (:mod:`sunspin.vehicle.response`); what they mean for a sample is said here.
 """
 
 from __future__ import annotations
@@ -20,26 +18,14 @@ from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import (
-    Pattern,
-    arrangement,
-    lit_patterns,
-    observable_patterns,
-    panel_power,
-    plane_basis,
-)
-
-NUMBERS = 10_000_000
-"""Candidates times panels times samples solved at once: some 200 MB."""
+from sunspin.vehicle.response.panels import Pattern, lit_patterns, observable_patterns
+from sunspin.vehicle.response.protocol import PanelResponse
 
 LIT_FRACTION = 0.02
 """Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
 
 LIT_SIGMAS = 3.0
 """With one, above this many sigma."""
-
-RANK_TOLERANCE = 1e-6
-"""Normals whose smallest singular value is below this lie in one plane (or on one line)."""
 
 
 class SunStatus(IntEnum):
@@ -82,15 +68,13 @@ def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
 
 
 @lru_cache(maxsize=4096)
-def _status_cached(key: tuple, lit: tuple[bool, ...]) -> tuple[SunStatus, str]:
-    normals, possible, rules = key
+def _status_cached(response: PanelResponse, possible: frozenset, rules: tuple, lit: tuple[bool, ...]) -> tuple[SunStatus, str]:
     mask = np.array(lit)
-    values = np.linalg.svd(np.array(normals)[mask], compute_uv=False) if mask.any() else np.zeros(0)
-    rank = int(np.count_nonzero(values > RANK_TOLERANCE))
-    if rank == 0:
+    if not mask.any():
         return SunStatus.DARK, STATUS_TEXT[SunStatus.DARK]
     if lit not in possible:
         return SunStatus.IMPOSSIBLE, STATUS_TEXT[SunStatus.IMPOSSIBLE]
+    rank = response.rank(mask)
     if rank < 3:
         status = SunStatus.ARC if rank == 2 else SunStatus.REGION
         return status, STATUS_TEXT[status]
@@ -105,8 +89,7 @@ def _pattern_statuses(vehicle: Vehicle, patterns: list[tuple[bool, ...]]) -> lis
     names = vehicle.panel_names
     possible = frozenset(tuple(name in pattern for name in names) for pattern in observable_patterns(vehicle))
     rules = tuple((tuple(names.index(name) for name in rule.all_dark), rule.reason) for rule in vehicle.sun_rules)
-    key = (tuple(map(tuple, vehicle.panel_normals_B.tolist())), possible, rules)
-    return [_status_cached(key, lit) for lit in patterns]
+    return [_status_cached(vehicle.response_in(), possible, rules, lit) for lit in patterns]
 
 
 def sun_directions(
@@ -190,52 +173,9 @@ def _statuses(vehicle: Vehicle, lit: np.ndarray, finite: np.ndarray) -> tuple[np
     return status, texts.astype(np.str_)
 
 
-@lru_cache(maxsize=64)
-def _candidate_maps(normals: tuple, gains: tuple) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices (n_map, 3, n_panel) that turn powers into candidate directions, and fixed candidates (n_vertex, 3)."""
-    from sunspin.vehicle import Panel
-
-    panels = tuple(Panel(str(k), normal, gain) for k, (normal, gain) in enumerate(zip(normals, gains, strict=True)))
-    cells = arrangement(Vehicle("normals and gains", panels=panels))
-    rows = np.array(gains)[:, None] * np.array(normals)
-    maps = []
-    for lit in cells.cell_lit:
-        if lit.any():
-            maps.append(np.linalg.pinv(rows * lit[:, None]))
-    for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True):
-        if lit.any():
-            basis = plane_basis(np.array(normals)[k])
-            maps.append(basis @ np.linalg.pinv((rows * lit[:, None]) @ basis))
-    return np.array(maps), np.concatenate([cells.vertex_B, cells.cell_B])
-
-
 def best_directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The direction (n, 3) with the smallest Delta (n) for each sample of powers (n, n_panel): the global minimum."""
-    maps, fixed = _candidate_maps(tuple(map(tuple, vehicle.panel_normals_B.tolist())), tuple(vehicle.panel_gains.tolist()))
-    fixed_shape = panel_power(vehicle, fixed)
-    direction, delta = np.zeros((len(power), 3)), np.full(len(power), 2.0)
-    chunk = max(1, NUMBERS // ((len(maps) + len(fixed)) * power.shape[1]))
-    for start in range(0, len(power), chunk):
-        part = slice(start, start + chunk)
-        size = np.linalg.norm(power[part], axis=1)
-        target = power[part] / np.where(size > 0, size, 1.0)[:, None]
-        candidates = np.einsum("mik,nk->nmi", maps, target)
-        length = np.linalg.norm(candidates, axis=2, keepdims=True)
-        candidates = candidates / np.where(length > 0, length, 1.0)
-        misfit = _misfit(panel_power(vehicle, candidates), target[:, None, :])
-        misfit_fixed = _misfit(np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :])
-        best, best_fixed = np.argmin(misfit, axis=1), np.argmin(misfit_fixed, axis=1)
-        each = np.arange(len(target))
-        use_fixed = misfit_fixed[each, best_fixed] < misfit[each, best] - 1e-14
-        direction[part] = np.where(use_fixed[:, None], fixed[best_fixed], candidates[each, best])
-        delta[part] = np.minimum(misfit_fixed[each, best_fixed], misfit[each, best])
-    return direction, delta
-
-
-def _misfit(shape: np.ndarray, target: np.ndarray) -> np.ndarray:
-    size = np.linalg.norm(shape, axis=-1, keepdims=True)
-    unit = shape / np.where(size > 0, size, 1.0)
-    return np.where(size[..., 0] > 0, np.linalg.norm(unit - target, axis=-1), 2.0)
+    return vehicle.response_in().best(power)
 
 
 def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray) -> float:
@@ -251,40 +191,19 @@ def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status:
 def _covariances(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, told: np.ndarray, noise: float) -> np.ndarray:
     """Tangent covariance (n, 3, 3) of the direction from the noise of the powers, NaN where there is no direction."""
     covariance = np.full((len(power), 3, 3), np.nan)
-    rows = vehicle.panel_gains[:, None] * vehicle.panel_normals_B
     patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
     for k, pattern in enumerate(patterns):
         samples = np.flatnonzero((inverse.ravel() == k) & told)
-        if samples.size == 0:
-            continue
-        design = rows * pattern[:, None]
-        x = power[samples] @ np.linalg.pinv(design).T
-        length = np.linalg.norm(x, axis=1)
-        n = x / length[:, None]
-        tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
-        scaled = noise**2 * np.linalg.inv(design.T @ design) / length[:, None, None] ** 2
-        covariance[samples] = tangent @ scaled @ tangent
+        if samples.size:
+            covariance[samples] = vehicle.response_in().covariance(power[samples], pattern, noise)
     return covariance
 
 
 def _arcs(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, status: np.ndarray) -> np.ndarray:
-    """Ends (n, 2, 3) of the arc of equally good directions where the lit normals span a plane only."""
+    """Ends (n, 2, 3) of the arc of equally good directions where the lit panels leave one."""
     ends = np.full((len(power), 2, 3), np.nan)
-    rows, normals = vehicle.panel_gains[:, None] * vehicle.panel_normals_B, vehicle.panel_normals_B
     for i in np.flatnonzero(status == SunStatus.ARC):
-        design = rows[lit[i]]
-        middle = np.linalg.pinv(design) @ power[i, lit[i]]
-        middle /= np.linalg.norm(middle)
-        free = np.linalg.svd(design)[2][2]
-        low, high = -np.pi / 2, np.pi / 2  # n(a) = cos(a) middle + sin(a) free
-        for normal in normals[~lit[i]]:
-            a, b = normal @ middle, normal @ free
-            if abs(b) > RANK_TOLERANCE:
-                crossing = np.arctan2(-a, b) if b > 0 else np.arctan2(a, -b)
-                low, high = (low, min(high, crossing)) if b > 0 else (max(low, crossing), high)
-        if low <= high:
-            for k, angle in enumerate((low, high)):
-                ends[i, k] = np.cos(angle) * middle + np.sin(angle) * free
+        ends[i] = vehicle.response_in().arc(power[i], lit[i])
     return ends
 
 

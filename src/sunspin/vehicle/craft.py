@@ -27,7 +27,9 @@ from sunspin.vehicle.part import (
     no_entries,
     part,
 )
-from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Panel, SunRule, Wheel
+from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Orbit, Panel, SunRule, Wheel
+from sunspin.vehicle.response.choice import ResponseForm, response_of
+from sunspin.vehicle.response.protocol import PanelResponse
 from sunspin.vehicle.sensors import Sensors
 
 MAX_PANELS = 32
@@ -150,10 +152,12 @@ class Vehicle(Part):
     legs: tuple[Leg, ...] = ()
     hull: tuple[HullPart, ...] = ()
     antenna: Antenna | None = None
+    orbit: Orbit | None = None
     sun_rules: tuple[SunRule, ...] = ()
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()
     sensors: Sensors = Sensors()
+    panel_response: ResponseForm = ResponseForm()
     facts: Facts = field(default_factory=no_entries)
 
     def __post_init__(self) -> None:
@@ -181,6 +185,14 @@ class Vehicle(Part):
     def panel_gains(self) -> FloatArray:
         """Gains (n_panel)."""
         return np.array([panel.gain for panel in self.panels], dtype=np.float64)
+
+    def response_in(self, phase: str | None = None) -> PanelResponse:
+        """How the panels see light in a phase of the vehicle's timeline: by one law in all phases, as yet.
+
+        The rest of the package asks nothing but this about it; the answer is kept and shared.
+        """
+        normals, gains = map(tuple, self.panel_normals_B.tolist()), tuple(self.panel_gains.tolist())
+        return response_of(self.panel_response.law, self.panel_names, tuple(normals), gains)
 
     def require_inertia(self) -> FloatArray:
         """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
@@ -256,6 +268,7 @@ def _require_known_panels(vehicle: Vehicle) -> None:
     known = set(vehicle.panel_names)
     named = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
     form = vehicle.telemetry
+    named += [("panel_response", name) for name in vehicle.panel_response.panels]
     named += [("telemetry.columns", name) for name in form.columns]
     named += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
     named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]

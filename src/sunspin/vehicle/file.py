@@ -18,6 +18,7 @@ from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import read_bytes
 from sunspin.vehicle import craft, parts, sensors
 from sunspin.vehicle.part import Name, Part, numbers, part, problem
+from sunspin.vehicle.response.choice import ResponseForm
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
@@ -43,6 +44,7 @@ class VehicleFile(Part):
     leg: tuple[parts.Leg, ...] = ()
     hull: tuple[parts.HullPart, ...] = ()
     antenna: parts.Antenna | None = None
+    orbit: parts.Orbit | None = None
     sun_rule: tuple[parts.SunRule, ...] = ()
     telemetry: craft.TelemetryForm = craft.TelemetryForm()
     sun_sensor: tuple[sensors.SunSensor, ...] = ()
@@ -51,6 +53,7 @@ class VehicleFile(Part):
     magnetometer: sensors.Magnetometer | None = None
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
+    panel_response: ResponseForm = ResponseForm()
 
 
 def read_vehicle(source: object) -> craft.Vehicle:
@@ -119,10 +122,12 @@ def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
         legs=file.leg,
         hull=file.hull,
         antenna=file.antenna,
+        orbit=file.orbit,
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
         sensors=sensors.Sensors(file.sun_sensor, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock),
+        panel_response=file.panel_response,
         facts=dict(_facts(table)),
     )
 

@@ -11,10 +11,24 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, AliasChoices, Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, AliasChoices, AliasPath, Field, PlainValidator, ValidationInfo, model_validator
 
 from sunspin.base.errors import VehicleError, sentence
-from sunspin.vehicle.part import FloatArray, Name, Number, Part, Positive, above_zero, array, must, no_entries, part, tuples, unit
+from sunspin.vehicle.part import (
+    FloatArray,
+    Name,
+    Number,
+    Part,
+    Positive,
+    above_zero,
+    array,
+    must,
+    no_entries,
+    numbers,
+    part,
+    tuples,
+    unit,
+)
 
 GAIN_UNITS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}
 """Key of a panel's gain in a file -> the unit of the signal it predicts (None: relative)."""
@@ -174,3 +188,34 @@ class SunRule(Part):
 
     all_dark: Annotated[tuple[Name, ...], Field(min_length=1)]
     reason: Name
+
+
+def _sigma(raw: Any, info: ValidationInfo) -> float | None:
+    if raw is None:
+        return None
+    sigma = numbers(raw) if info.context else raw
+    if not isinstance(sigma, float | int) or not 0 <= sigma < np.inf:
+        raise VehicleError(sentence("the sigma of a time of [orbit] must be one number and not negative", got=raw))
+    return float(sigma)
+
+
+Sigma = Annotated[float | None, PlainValidator(_sigma)]
+
+
+def _two(lines: tuple[str, ...]) -> tuple[str, ...]:
+    if len(lines) not in (0, 2):
+        raise VehicleError(sentence("{path} must be the two lines of a set of elements", got=f"{len(lines)} texts"))
+    return lines
+
+
+@part
+class Orbit(Part):
+    """What is known of the orbit: the two lines of elements (or none, where the command line names a file), how far the vehicle is
+    ahead of them along the track (`shift_s`), and how far the telemetry's clock is behind UTC (`clock_s`), with one sigma of each
+    (None: not known)."""
+
+    tle: Annotated[tuple[Name, ...], AfterValidator(_two)] = ()
+    shift_s: Number = 0.0
+    shift_sigma_s: Sigma = Field(default=None, validation_alias=AliasPath("shift_s", "sigma"))
+    clock_s: Number = 0.0
+    clock_sigma_s: Sigma = Field(default=None, validation_alias=AliasPath("clock_s", "sigma"))

@@ -62,10 +62,10 @@ def utc_seconds(utc: str, epoch_utc: str) -> float:
     return (_instant(utc) - _instant(epoch_utc)).total_seconds()
 
 
-def utc_after(seconds: float, epoch_utc: str) -> str:
-    """The time (ISO-8601 UTC, whole seconds) so many seconds after `epoch_utc`; the epoch and the seconds beyond the calendar."""
+def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
+    """The time (ISO-8601 UTC, with so many decimals) so many seconds after `epoch_utc`; beyond the calendar epoch and seconds."""
     try:
-        instant = _instant(epoch_utc) + timedelta(seconds=round(seconds))
+        instant = _instant(epoch_utc) + timedelta(seconds=round(seconds, digits))
     except OverflowError:
         return f"{epoch_utc} and {seconds:g} s"
     return instant.isoformat().replace("+00:00", "Z")

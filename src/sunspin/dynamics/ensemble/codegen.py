@@ -18,8 +18,8 @@ from sympy.printing.pycode import PythonCodePrinter
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.series import Recurrence
 from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_carried, n_parameters, outside
+from sunspin.vehicle.response.protocol import Literals
 
-Literals = tuple[tuple[int, bool], ...]  # a conjunction: (panel index, lit?) ...
 Component = int | None
 Components = tuple[Component, Component, Component]
 
@@ -35,6 +35,12 @@ class Structure:
     method: str = "series"  # or "split"
     oblique: bool = True  # split: whether a wheel has a component along the principal axis q
     torques: tuple[Torque, ...] = ()
+    mask_rows: int = 0  # of the table of the sphere that says what counts, in the place of `normals` and `mask`
+
+    @property
+    def masked(self) -> bool:
+        """Whether some directions do not count."""
+        return bool(self.mask or self.mask_rows)
 
     @property
     def precision(self) -> str:

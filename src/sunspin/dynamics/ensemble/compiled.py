@@ -27,6 +27,7 @@ from sunspin.dynamics.ensemble.deposit import deposit_body, signed_body
 from sunspin.dynamics.ensemble.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series_lanes import ORDER, SeriesLanes
 from sunspin.dynamics.ensemble.split_lanes import TIMES, SplitLanes
+from sunspin.vehicle.response import cube
 
 _lock = threading.Lock()
 
@@ -83,7 +84,7 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
         calls = [f"deposit_{node}(v, normals, bins, weights)", "add_up(bins, weights, hist)"]
         bodies["                pass  # DEPOSIT_ALL"] += calls
     parts = {
-        "CONSTANTS": o.definitions(),
+        "CONSTANTS": o.definitions() + (f"\n\n\n{cube.TEXT}" if structure.mask_rows else ""),
         "EVENTS": template("events"),
         "METHOD": template(structure.method),
         "DEPOSITS": "".join(deposits).rstrip(),
@@ -154,13 +155,17 @@ def _private_folder() -> Path:
 @lru_cache(maxsize=32)
 def kernel(structure: c.Structure) -> ModuleType:
     """The module with the compiled function `run` for this structure."""
-    compiler = (str(sys.implementation.cache_tag), metadata.version("numba"), *target())
-    return module_of(source(structure), " ".join(compiler))
+    return module_of(source(structure), compiler())
 
 
-def module_of(text: str, compiler: str) -> ModuleType:
-    """The module with this text, from the cache folder if it is there; `compiler` says what its machine code is made by and for."""
-    key = f"{compiler}\n{text}"
+def compiler() -> str:
+    """What machine code is made by and for."""
+    return " ".join((str(sys.implementation.cache_tag), metadata.version("numba"), *target()))
+
+
+def module_of(text: str, made_by: str) -> ModuleType:
+    """The module with this text, from the cache folder if it is there; `made_by` says what its machine code is made by and for."""
+    key = f"{made_by}\n{text}"
     name = f"sunspin_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
     with _lock:
         if name in sys.modules:

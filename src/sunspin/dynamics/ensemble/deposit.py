@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from sunspin.dynamics.ensemble.lanes import NODE_ROWS, Lanes
+from sunspin.vehicle.response.cube import size_of
 
 PARTS = 4
 """Pieces, an even number, of the way between two nodes in which the crossing of the mask's edge is looked for."""
@@ -23,7 +24,7 @@ def deposit_body(o: Lanes, node: int) -> list[str]:
     all of it counts.
     """
     _way(o, node)
-    if o.structure.mask:
+    if o.structure.masked:
         _counted(o)
     else:
         half, spread = o.number(0.5), o.number(0.5 / math.sqrt(3.0))
@@ -91,7 +92,10 @@ def _counted(o: Lanes) -> None:
 
 
 def signed_lines(o: Lanes, point: list[str]) -> list[str]:
-    """The mask at a point as one number, `signed`: the largest over the clauses of the smallest of their distances."""
+    """The mask at a point as one number, `signed`: the largest over the clauses of the smallest of their distances, or what the
+    table there says."""
+    if o.structure.mask_rows:
+        return [f"signed = read({size_of(o.structure.mask_rows)}, normals, 1, 0, {', '.join(point)})"]
     lines, used = [], sorted({k for clause in o.structure.mask for k, _ in clause})
     for k in used:
         terms = []
@@ -116,7 +120,7 @@ def signed_lines(o: Lanes, point: list[str]) -> list[str]:
 
 def signed_body(o: Lanes) -> list[str]:
     """The signed mask at the last node, for the next way to begin with."""
-    if not o.structure.mask:
+    if not o.structure.masked:
         return []
     point = [o.row("V_NODE", NODE_ROWS * o.nodes + k) for k in range(3)]
     o.add(*signed_lines(o, point), f"{o.row('V_SIGNED')} = signed")

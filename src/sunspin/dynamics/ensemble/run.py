@@ -26,14 +26,10 @@ from sunspin.dynamics.ensemble.steps import SEGMENTS, UNEVEN, Scales, plan, segm
 from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
 from sunspin.dynamics.torques import NOTHING, Acting, Torque
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.protocol import Counted
 
-
-@dataclass(frozen=True)
-class Mask:
-    """Directions that count: a disjunction of conjunctions of (panel index, lit?) over panel normals (n, 3)."""
-
-    normals_B: np.ndarray
-    clauses: tuple[c.Literals, ...]
+Mask = Counted
+"""Directions that count."""
 
 
 def structure_of(
@@ -49,6 +45,8 @@ def structure_of(
     oblique = method == "split" and (own_bodies or principal.is_oblique(vehicle))
     if mask is None or not bins:
         return c.Structure(axes, bins=bins, method=method, oblique=oblique, torques=torques)
+    if mask.table is not None:
+        return c.Structure(axes, (), (), bins, method, oblique, torques, len(mask.table))
     normals = tuple(c.components(normal) for normal in mask.normals_B)
     return c.Structure(axes, normals, mask.clauses, bins, method, oblique, torques)
 
@@ -184,7 +182,7 @@ def run_rows(
     if acting.torques:
         modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
     work = work_array(vehicle, rows, commands, modes, acting)
-    normals = np.zeros(0, np.float32) if mask is None else np.asarray(mask.normals_B, dtype=np.float32).ravel()
+    normals = np.zeros(0, np.float32) if mask is None else mask.numbers
     result = BlockResult(
         np.zeros((n, bins), dtype=np.float32), np.zeros((n, 0 if bins else ends.size, layout.n_output)),
         np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, "series"), np.ones(n), layout,

@@ -10,6 +10,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.terms.reading import Reading
+from sunspin.estimate.terms.readings import READINGS
 from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -32,28 +34,10 @@ BEYOND_LARGEST = 1.5
 NAMED = 12
 """Phases that are named where none of them was asked for."""
 
-KINDS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
-"""Kinds of other observations and how many numbers each is given with."""
-
 
 def group(tree: xr.DataTree, name: str) -> xr.Dataset:
     """The variables of one group of a posterior."""
     return tree.children[name].dataset
-
-
-@dataclass(frozen=True)
-class Observation:
-    """Something else that was seen at `t_s` (s from the epoch of the telemetry), with one sigma of each number.
-
-    "rate": the angular speed, rad/s; "gyro": the body rate in B, rad/s; "direction": that of the Sun in B; "field": the angle (rad)
-    of the Sun from a direction seen at `axis_B` in B, such as that of the magnetic field, whose angle from the Sun is known.
-    """
-
-    kind: str
-    t_s: float
-    value: np.ndarray
-    sigma: float
-    axis_B: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +55,7 @@ class Readings:
     sigma: float
     threshold: float
     largest: float
-    others: tuple[Observation, ...] = ()
+    others: tuple[Reading, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -182,23 +166,14 @@ def _window(
     return keep, remarks
 
 
-def _observation(given: Mapping[str, Any], start: float, end: float) -> Observation:
-    kind = given.get("kind")
-    wanted = {"kind", "t_s", "value", "sigma"} | ({"angle_rad"} if kind == "field" else set())
-    if kind not in KINDS or wanted != set(given):
+def _observation(given: Mapping[str, Any], start: float, end: float) -> Reading:
+    kind = READINGS.get(str(given.get("kind")))
+    if kind is None or set(kind.keys) != set(given):
         more = "a field also angle_rad, the Sun's from it"
         raise InputError(
-            sentence(f"an observation has kind ({', '.join(KINDS)}), t_s, value and sigma, {more}", got=str(dict(given)))
+            sentence(f"an observation has kind ({', '.join(READINGS)}), t_s, value and sigma, {more}", got=str(dict(given)))
         )
-    value = np.atleast_1d(np.asarray(given["value"], dtype=np.float64))
-    t, sigma = float(given["t_s"]), float(given["sigma"])
-    if value.shape != (KINDS[kind],) or not np.all(np.isfinite(value)) or not (np.isfinite(sigma) and sigma > 0):
-        raise InputError(sentence(f"a {kind} is {KINDS[kind]} finite numbers with a positive sigma", got=str(dict(given))))
+    value, t = kind.checked(given), float(given["t_s"])
     if not start <= t <= end:
         raise InputError(sentence("an observation lies outside the window", got=f"t_s {t:g}", do=f"from {start:g} to {end:g}"))
-    if kind == "field":
-        angle, length = float(given["angle_rad"]), float(np.linalg.norm(value))
-        if not (0 <= angle <= np.pi and length > 0):
-            raise InputError(sentence("a field is a direction and an angle from 0 to pi (rad)", got=str(dict(given))))
-        return Observation("field", t - start, np.array([angle]), sigma, value / length)
-    return Observation(str(kind), t - start, value, sigma)
+    return kind.of(given, value, t - start)

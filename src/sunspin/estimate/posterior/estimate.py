@@ -17,14 +17,15 @@ from sunspin.base.provenance import provenance
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
+from sunspin.estimate.passes import AS_STATED, UNCHECKED, table
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.check import Check, check
 from sunspin.estimate.posterior.data import Readings, group, readings
 from sunspin.estimate.posterior.fit import chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model, under
-from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, require_few
-from sunspin.estimate.posterior.verdict import Found, refused, spoilt_panels, verdict
+from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, require_few, within
+from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict
 from sunspin.estimate.posterior.widths import Sample, resampled, sample
 from sunspin.vehicle import Vehicle
 
@@ -100,7 +101,9 @@ def posterior(
         Group `posterior` over (chain, draw): `omega_B` (rad/s), `sun_B`, `wheel_speed_rad_s` at the first sample, the other
         unknowns by name, `mode_id`, `log_weight` (all alike: the draws are resampled). Group `modes`: centre, covariance,
         weight, evidence, chi-square, number of starts. Group `search`: trace of the enumeration; group `sampling`: trace of the
-        evidence. attrs: `verdict` and `verdict_word` ("unique", "aliases", "line", "not sure", "not explained"), `p_value`.
+        evidence. Group `passes`, of one pass: what may be believed, the variables of `passes.csv`
+        (:func:`sunspin.estimate.passes.table`). attrs: `verdict` and `verdict_word` ("unique", "aliases", "line", "not sure",
+        "not explained"), `p_value`.
 
     Raises
     ------
@@ -121,7 +124,7 @@ def posterior(
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
     search = Search(workers, None if store is None else Path(store), progress)
-    modes = search.modes(there, here, chosen, scale)
+    modes = within(search.modes(there, here, chosen, scale), there.max_rate)
     likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
     noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
     off = checked.tag_s if noticed else 0.0
@@ -135,8 +138,12 @@ def posterior(
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
     if edge > 0.01:
         modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
-    _judge(tree, modes, drawn, checked, here, vehicle, remarks)
     tree.attrs["time_sigma_s"] = there.time_sigma_s
+    found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
+    prior_sigma = min(chosen.limit, there.max_rate) / np.sqrt(5)  # of a component, even in the ball
+    row = believed(found, tree, prior_sigma, bool(off), AS_STATED if observations else UNCHECKED)
+    tree["passes"] = xr.Dataset(table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]})
+    tree.attrs["verdict"] += "; decided" if row.answers.decided else f"; not decided: {row.answers.why_not}"
     return tree
 
 
@@ -253,16 +260,16 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
 
 def _judge(
     tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
-) -> None:
-    table = group(tree, "modes")
+) -> Found:
+    regions = group(tree, "modes")
     doubts = list(modes.notes)
-    told = table["weight"].values >= 0.01
-    if np.any(table["starts"].values[told] == 1):
+    told = regions["weight"].values >= 0.01
+    if np.any(regions["starts"].values[told] == 1):
         doubts.append("a region of weight was reached from one start only, so others may have been missed")
     spoilt = spoilt_panels(vehicle.panel_names, checked.outliers, data.lit)
     found = Found(
-        table["weight"].values, table["omega_B"].values,
-        np.sqrt(np.linalg.eigvalsh(table["omega_cov_B"].values)[:, -1].clip(0)), table["starts"].values,
+        regions["weight"].values, regions["omega_B"].values,
+        np.sqrt(np.linalg.eigvalsh(regions["omega_cov_B"].values)[:, -1].clip(0)), regions["starts"].values,
         float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
         drawn.effective, doubts,
     )  # fmt: skip
@@ -274,3 +281,4 @@ def _judge(
         "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,
         "remarks": "; ".join(remarks), "spoilt_readings": float(checked.outliers.sum()),
     }  # fmt: skip
+    return found

@@ -16,7 +16,8 @@ from scipy.special import log_ndtr
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.model import Model, State
-from sunspin.estimate.posterior.tags import LOG_2PI, power_slope, tagged
+from sunspin.estimate.posterior.tags import power_slope, tagged
+from sunspin.estimate.terms.reading import LOG_2PI
 from sunspin.solve.rotations import moved, tangents
 
 OUTLIERS = 0.02
@@ -137,7 +138,7 @@ class Likelihood:
         """Log density (n) of the other observations."""
         out = np.zeros(len(prediction.fine))
         for i, o in enumerate(self.data.others):
-            out += np.sum(-0.5 * ((self._seen(prediction, i) - o.value) / o.sigma) ** 2 - np.log(o.sigma) - 0.5 * LOG_2PI, axis=1)
+            out += o.log_density(prediction.at[:, i], prediction.omega[:, i])
         return out
 
     def __call__(self, state: State, error: float | None = None) -> np.ndarray:
@@ -167,19 +168,13 @@ class Likelihood:
         power = self.power(prediction.sun, u)
         raw = np.where(data.lit, data.value - power, -np.maximum(power - data.threshold, 0.0))
         raw = np.where(data.used & prediction.fine[:, None, None], raw, 0.0).reshape(n, -1)
-        parts = [raw] + [(o.value - self._seen(prediction, i)) / o.sigma for i, o in enumerate(data.others)]
+        parts = [raw] + [o.residual(prediction.at[:, i], prediction.omega[:, i]) for i, o in enumerate(data.others)]
         every = np.concatenate(parts, axis=1)
         extra = np.zeros_like(every)
         if self.model.time_sigma_s:
             slope = power_slope(self, prediction.sun, prediction.rate, u)
             extra[:, : raw.shape[1]] = ((slope * self.model.time_sigma_s) ** 2).reshape(n, -1)
         return every, extra
-
-    def _seen(self, prediction: Prediction, i: int) -> np.ndarray:
-        kind, omega = self.data.others[i].kind, prediction.omega[:, i]
-        if kind == "field":
-            return np.arccos(np.clip(prediction.at[:, i] @ self.data.others[i].axis_B, -1.0, 1.0))[:, None]
-        return {"rate": np.linalg.norm(omega, axis=1)[:, None], "gyro": omega, "direction": prediction.at[:, i]}[kind]
 
     def weigh(self, raw: np.ndarray, extra: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Objective (n), sigma of each residual (n, R) and weights (n, R) that make least squares of it, under noise `sigma` (n).
@@ -249,14 +244,7 @@ class Likelihood:
         lit = base.sun @ normals > 0
         columns = [self._counting(base, u, self.gains(u)[:, None, :] * np.where(lit, move.sun @ normals, 0.0))]
         for i, o in enumerate(self.data.others):
-            change = {"direction": move.at[:, i]}.get(o.kind, move.omega[:, i])
-            if o.kind == "field":
-                sine = np.sqrt(np.maximum(1.0 - (base.at[:, i] @ o.axis_B) ** 2, 1e-6))
-                change = -((move.at[:, i] @ o.axis_B) / sine)[:, None]
-            if o.kind == "rate":
-                size = np.maximum(np.linalg.norm(base.omega[:, i], axis=1, keepdims=True), 1e-12)
-                change = np.sum(base.omega[:, i] * change, axis=1, keepdims=True) / size
-            columns.append(-change / o.sigma)
+            columns.append(-o.slope(base.at[:, i], base.omega[:, i], move.at[:, i], move.omega[:, i]) / o.sigma)
         return np.concatenate(columns, axis=1)
 
     def _standing(self, base: Prediction, u: np.ndarray, i: int) -> np.ndarray:

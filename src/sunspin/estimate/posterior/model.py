@@ -21,6 +21,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
+from sunspin.estimate.terms.term import Unknown
 from sunspin.vehicle import Vehicle
 
 DEFAULT_MAX_RATE = 0.6
@@ -42,18 +43,6 @@ KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction",
         "wheel_off_s", "wheel_off"}
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One of the further unknowns: what it is called, its unit, prior centre and sigma, and which element it is."""
-
-    name: str
-    kind: str
-    unit: str
-    centre: float
-    sigma: float
-    index: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, Unknown
+from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
 """Factor by which the window grows: what is known of the phase then still carries."""
@@ -65,6 +66,10 @@ DROP, MOST_MODES = 30.0, 300
 """Modes less probable than the best by exp(-30) are left out, and more than this."""
 
 
+INSIDE = 0.95
+"""Part of the largest rate at which modes begin that lie beyond it: draws about them stay inside."""
+
+
 @dataclass(frozen=True)
 class Modes:
     """What was found, best first: centres, minus the log posterior (n) but for a constant, curvature (n, D, D), how many
@@ -76,6 +81,14 @@ class Modes:
     hits: np.ndarray
     trace: tuple[tuple[int, int, int], ...]
     notes: tuple[str, ...]
+
+
+def within(modes: Modes, max_rate: float) -> Modes:
+    """The modes drawn back into the ball of rates where they all lie outside: no draw about them would count."""
+    if np.any(np.linalg.norm(modes.state.omega, axis=1) <= max_rate):
+        return modes
+    state = replace(modes.state, omega=shortened(modes.state.omega, INSIDE * max_rate))
+    return replace(modes, state=state, notes=(*modes.notes, "the readings ask for faster rates than those of the prior"))
 
 
 @dataclass(frozen=True)

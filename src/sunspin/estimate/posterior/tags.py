@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import log_ndtr
 
+from sunspin.estimate.terms.reading import LOG_2PI
 from sunspin.solve.rotations import seen_turned
 
 if TYPE_CHECKING:
@@ -25,8 +26,6 @@ FAR = 4.0
 
 TRIED = np.geomspace(1e-3, 0.1, 13)
 """Sigmas of time tags that are tried where they are said to be exact, as parts of the samples' interval."""
-
-LOG_2PI = float(np.log(2 * np.pi))
 
 
 def turned(sun: np.ndarray, rate: np.ndarray, shift_s: np.ndarray) -> np.ndarray:

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.estimate.passes import SPEEDS, PassMotions, speeds
+from sunspin.estimate.verdict import answers
+
 NOT_EXPLAINED = 0.002
 """Chance of readings this bad below which no motion found explains them; and the noise's distance that does the same."""
 
@@ -44,6 +47,17 @@ class Found:
     effective: float
     doubts: list[str]
 
+    @property
+    def rough(self) -> bool:
+        """Whether the sample is not to be trusted."""
+        return self.tail > TAIL_LIMIT or self.effective < EFFECTIVE_LIMIT
+
+    @property
+    def is_unique(self) -> bool:
+        """Whether one region of motions is left, and is no line."""
+        told = np.flatnonzero(self.weight >= COUNTS)
+        return bool(len(told) == 1 and self.weight[0] >= UNIQUE and not _is_line(self, told))
+
 
 def verdict(found: Found) -> tuple[str, str]:
     """A word ("unique", "aliases", "line", "not explained", "not sure") and the sentence."""
@@ -51,11 +65,11 @@ def verdict(found: Found) -> tuple[str, str]:
     if refused(found.p, found.noise_sigmas):
         return "not explained", _not_explained(found)
     doubts = list(found.doubts)
-    if found.tail > TAIL_LIMIT or found.effective < EFFECTIVE_LIMIT:
+    if found.rough:
         worth = f"{found.effective:.0f} draws (Pareto k {found.tail:.2f})"
         doubts.append(f"the sample is worth only {worth}: widths and weights are rough")
     text = _regions(found, told)
-    word = "line" if _is_line(found, told) else "unique" if len(told) == 1 and found.weight[0] >= UNIQUE else "aliases"
+    word = "line" if _is_line(found, told) else "unique" if found.is_unique else "aliases"
     if found.spoilt:
         text += "; " + "; ".join(found.spoilt)
     if doubts:
@@ -108,6 +122,26 @@ def spoilt_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray)
         if n >= 3 and n > PANEL_SHARE * of:
             told.append(f"panel {name} contradicts the motion in about {n:.0f} readings (shadow, dead panel or wrong name)")
     return told
+
+
+def believed(found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring: str) -> PassMotions:
+    """The posterior's motions at the first sample, and the three answers. `tree`: its draws and regions; `prior_sigma`: that of a
+    component of the rate in the ball that was searched; `tags_off`: the readings ask for errors of time tags said to be exact."""
+    modes, about = tree["modes"], tree.attrs
+    drawn = tree["posterior"]["omega_B"].values.reshape(-1, 3)
+    region = tree["posterior"]["mode_id"].values.ravel()
+    covariance = modes["omega_cov_B"].values
+    speed = speeds(modes["omega_B"].values, covariance)
+    for k in np.unique(region[(region >= 0) & (region < len(speed))]):  # the draws themselves, where there are any
+        speed[k] = np.quantile(np.linalg.norm(drawn[region == k], axis=1), SPEEDS)
+    explained = not (tags_off or refused(found.p, found.noise_sigmas))
+    complete = len(found.doubts) == int(tags_off) and not found.rough  # of the doubts that one is about the fit
+    first = about["t_first_s"]
+    return PassMotions(
+        about["samples"], first, about["t_last_s"], first, modes["weight"].values, modes["omega_B"].values,
+        np.sqrt(np.einsum("kii->ki", covariance)), speed,
+        answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete), wiring,
+    )  # fmt: skip
 
 
 def summary(tree: Any) -> dict[str, Any]:

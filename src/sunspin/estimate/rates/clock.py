@@ -36,8 +36,7 @@ class Late(NamedTuple):
 
 def others_there(o: Observations) -> bool:
     """Whether a pass has any of the sensors that may be late."""
-    field = np.isfinite(o.field).any() and np.isfinite(o.field_sigma)
-    return bool(np.isfinite(o.gyro).any() or np.isfinite(o.attitude).any() or field)
+    return any(term.readings() for term in o.terms)
 
 
 def lateness(passes: list[tuple[Observations, Track]], motion: Motion, clock: Clock) -> Late | None:

@@ -1,6 +1,5 @@
-"""Errors that all samples of a pass share, as unknowns of :mod:`sunspin.estimate.rates`: a gyro's zero and scale, the body's
-inertia, a magnetic torque, how the field turns, gains of panels that brightness alone does not tell, the Earth's light, and a
-clock; in this order.
+"""Errors that all samples of a pass share, as unknowns of :mod:`sunspin.estimate.rates`, in one list: of sensors of the state, the
+inertia, of terms that move the body or compare neighbours, of sensors of the Sun, and of a clock; in this order.
 
 Gyro, magnetometer and attitude of a row may be older than the row's Sun. The states of a fit are then those of the sensors'
 instants, and the Sun is seen so much later, after a turn by the rate: which says how late they are wherever the rate changes. A few
@@ -9,17 +8,16 @@ unknowns beside the many of the smoother border its block-tridiagonal equations.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates import field, torque
-from sunspin.estimate.rates.earth import begun, lit_by
-from sunspin.estimate.rates.light import student, sun_measured
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.smooth import between, damping_scale, followed, moved, normal_equations, whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
 from sunspin.solve.least_squares import least_squares, take
 from sunspin.solve.linear import Bordered, bordered, spread
 from sunspin.solve.rotations import turn
@@ -35,7 +33,7 @@ INERTIA_STEP = 0.02
 """Step, in sigmas, of the differences that give the answer of the motion to the inertia."""
 
 MOST_SIGMAS = 4.0
-"""No trial inertia or gain is further from that of the vehicle's file than this, in its sigmas."""
+"""No trial inertia is further from that of the vehicle's file than this, in its sigmas."""
 
 
 THINNEST, DRAWN_IN = 0.1, 10
@@ -83,9 +81,7 @@ def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
 
 def has_common(o: Observations, clock: Clock | None, motion: Motion) -> bool:
     """Whether a pass has such errors at all."""
-    gyro = np.isfinite(o.gyro).all(axis=1).any() and np.any(o.gyro_common)
-    light = len(o.row_unknowns) + o.light_unknowns > 0
-    return clock is not None or len(motion.body.errors) > 0 or motion.torque > 0 or light or bool(gyro)
+    return clock is not None or places_of(o, motion, clock).count > 0
 
 
 def acceleration(body: Body, omega: np.ndarray, momentum: np.ndarray) -> np.ndarray:
@@ -108,10 +104,11 @@ def with_common(
     A lateness moves the states of all samples along the motion: where that is stiff it is loosened, and cooled again. `begin`: the
     acceleration noise (rad/s^1.5) under which the hypotheses were found, if they have to be cooled from there.
     """
-    places = _places(o, motion, clock)
+    places = places_of(o, motion, clock)
     error = np.zeros((len(track.omega), places.count))
-    if o.light_unknowns:
-        track, error[:, places.earth] = begun(o, track)
+    for term, place in places.sun:
+        attitude, error[:, place] = term.begin(track)
+        track = replace(track, attitude=attitude)
     if clock is not None:
         error[:, -1] = first
         begin = max(begin, LOOSE[0])
@@ -128,12 +125,11 @@ def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = N
 
 def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int) -> Common:
     """K hypotheses and their common errors fitted at once."""
-    places = _places(o, motion, clock)
+    places = places_of(o, motion, clock)
+    farthest = np.array([unknown.limit for unknown in places.unknowns])
 
     def limit(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        error = state[2].copy()
-        for place in (places.inertia, places.gains):
-            error[:, place] = np.clip(error[:, place], -MOST_SIGMAS, MOST_SIGMAS)
+        error = np.clip(state[2], -farthest, farthest)
         error[:, places.inertia] = of_a_body(motion.body, error[:, places.inertia])
         return state[0], followed(state[1], motion), error
 
@@ -148,41 +144,50 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
     return Common(fitted, error, told.border, told.answer, system, seen)
 
 
-class _Places(NamedTuple):
-    """Where each kind of error stands among all `count` of them."""
+Placed = tuple[tuple[Any, slice], ...]
+"""Terms, and where the unknowns of each stand."""
 
-    gyro: slice
+
+class Places(NamedTuple):
+    """The list of all unknowns of a pass, and where those of each term, of the inertia and of the clock stand in it."""
+
+    unknowns: tuple[Unknown, ...]
+    state: Placed
     inertia: slice
-    torque: slice
-    field: slice
-    gains: slice
-    earth: slice
+    motion: Placed
+    pairs: Placed
+    sun: Placed
     clock: slice
-    count: int
+
+    @property
+    def count(self) -> int:
+        return len(self.unknowns)
 
     @property
     def moving(self) -> slice:
-        """Inertia, torque and how the field turns."""
-        return slice(self.inertia.start, self.field.stop)
-
-    @property
-    def light(self) -> slice:
-        """Gains and the Earth's light."""
-        return slice(self.gains.start, self.earth.stop)
+        """Inertia and what terms of the motion and of neighbours have."""
+        return slice(self.inertia.start, [self.inertia, *(place for _, place in (*self.motion, *self.pairs))][-1].stop)
 
 
-def _places(o: Observations, motion: Motion, clock: Clock | None) -> _Places:
-    gyro = o.gyro_common.shape[1] if np.any(o.gyro_common) else 0
-    moving = [len(motion.body.errors), torque.count(motion), field.count(o)]
-    edges = np.cumsum([0, gyro, *moving, len(o.row_unknowns), o.light_unknowns, int(clock is not None)])
-    spans = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    return _Places(spans[0], spans[1], spans[2], spans[3], spans[4], spans[5], spans[6], int(edges[-1]))
+def places_of(o: Observations, motion: Motion, clock: Clock | None) -> Places:
+    """Those of a pass."""
+    every: list[Unknown] = []
 
+    def add(unknowns: Iterable[Unknown]) -> slice:
+        start = len(every)
+        every.extend(unknowns)
+        return slice(start, len(every))
 
-def _with_light(o: Observations, error: np.ndarray, places: _Places) -> Observations:
-    """The same with the gains and the Earth's light of each hypothesis off by those of its errors (K, m), in sigmas."""
-    lit = lit_by(o, error[:, places.earth]) if o.light_unknowns else o
-    return replace(lit, rows=o.rows + np.einsum("km,mpj->kpj", error[:, places.gains], o.row_unknowns))
+    def of(terms: Iterable[Term]) -> Placed:
+        return tuple((term, add(term.unknowns())) for term in terms)
+
+    sizes = np.linalg.norm(motion.body.errors, axis=(1, 2))
+    late = () if clock is None else (Unknown("late_s", "clock", "s", clock.late_s, clock.sigma_s, scope="file"),)
+    state = of(o.of_state)
+    inertia = add(Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(x), i, limit=MOST_SIGMAS) for i, x in enumerate(sizes))
+    moved, pairs, sun = of(o.of_motion), of(o.of_pairs), of(o.of_sun)
+    last = add(late)
+    return Places(tuple(every), state, inertia, moved, pairs, sun, last)
 
 
 def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
@@ -190,12 +195,11 @@ def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
 
 
 def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> Bordered:
-    n, places = len(o), _places(o, motion, clock)
-    blind = np.full((n, 3, 3), np.nan)
-    nothing = replace(o, sun_cov=blind, power=np.zeros((n, 0)), power_sigma=np.zeros((n, 0)), gyro=np.full((n, 3), np.nan))
+    places = places_of(o, motion, clock)
+    unseen = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, SunTerm | StateTerm)))
     own = error[:, places.moving].size > 0  # else one body serves all at once
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
-    moved = [moving(nothing, track.take(k), motion, error[k, places.moving][0]) for k in each]
+    moved = [moving(unseen, track.take(k), motion, error[k, places.moving][0]) for k in each]
     diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
     border = np.zeros((*slope.shape, places.count))
     corner = np.repeat(np.eye(places.count)[None], len(error), axis=0)
@@ -207,13 +211,21 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
     cost = cost + (error**2).sum(axis=1) / 2 + sun.cost
     slope, border, corner, error_slope = slope + sun.slope, border + sun.border, corner + sun.corner, error_slope + sun.error_slope
     told = sun.matrix
-    cost += _add_gyro(o, track, error[:, places.gyro], places.gyro, told, slope, border, corner, error_slope)
+    for term, place in places.state:
+        matrix, gradient, part = normal(term, track, error[:, place])
+        told += matrix[..., :6, :6]
+        slope += gradient[..., :6]
+        border[..., place] += matrix[..., :6, 6:]
+        corner[:, place, place] += matrix[..., 6:, 6:].sum(axis=1)
+        error_slope[:, place] += gradient[..., 6:].sum(axis=1)
+        cost += part.sum(axis=1)
     return Bordered(cost, diagonal + told, upper, slope, damping_scale(told, o.t_s), border, corner, error_slope)
 
 
 def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the motion of K hypotheses says, with inertia, torque and field off by `error` (r) sigmas: blocks (K, n, 6, 6) and
-    (K, n-1, 6, 6), gradient (K, n, 6), cost (K), and of the errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
+    """What the motion of K hypotheses says, with inertia and the unknowns of its terms and those of neighbours off by `error` (r)
+    sigmas: blocks (K, n, 6, 6) and (K, n-1, 6, 6), gradient (K, n, 6), cost (K), and of the errors border (K, n, 6, r), corner
+    (K, r, r) and gradient (K, r)."""
     of_inertia, of_others = error[: len(motion.body.errors)], error[len(motion.body.errors) :]
     inertia = motion.body.inertia + np.tensordot(of_inertia, motion.body.errors, axes=1)
     sphere = motion.body.spherical and not len(of_inertia)
@@ -244,15 +256,20 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
 
 
 def _linear(o: Observations, track: Track, motion: Motion, shape: tuple[int, ...]) -> np.ndarray:
-    """What one sigma of each unknown of torque and field adds to the residuals between neighbours (K, n - 1, m) = `shape`; that it
+    """What one sigma of each unknown of these terms adds to the residuals between neighbours (K, n - 1, m) = `shape`; that it
     changes with the states is left out of their equations."""
     spans = np.diff(o.t_s)
-    parts = np.zeros((*shape, torque.count(motion) + field.count(o)))
-    if motion.torque:
-        parts[:, :, :6, : torque.UNKNOWNS] = -whitening(spans, motion.noise) @ torque.gained(track, motion, spans)
-    if field.count(o):
-        parts[:, :, 6:9, -field.count(o) :] = field.gained(o, track)
-    return parts
+    white, found = -whitening(spans, motion.noise), []
+    for term in o.of_motion:
+        found.append((slice(0, 6), white @ term.pushes(track, spans)))
+    for i, term in enumerate(o.of_pairs):
+        found.append((slice(6 + 3 * i, 9 + 3 * i), term.gained(o.t_s, track)))
+    columns = []
+    for rows, part in found:
+        column = np.zeros((*shape, part.shape[-1]))
+        column[:, :, rows] = part
+        columns.append(column)
+    return np.concatenate(columns, axis=-1)
 
 
 class SunPart(NamedTuple):
@@ -268,36 +285,25 @@ class SunPart(NamedTuple):
 
 
 def sun_part(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> SunPart:
-    """The Sun's readings, which answer to the states, to the gains and to how late the states are, at errors (K, m)."""
-    places = _places(o, motion, clock)
+    """The Sun's readings, which answer to the states, to their own unknowns and to how late the states are, at errors (K, m)."""
+    places = places_of(o, motion, clock)
     late = np.zeros(len(error)) if clock is None else _late(clock, error)
     seen = track if clock is None else seen_later(o, track, motion, late)
-    matrix, slope, cost = sun_measured(_with_light(o, error, places), seen, o.row_unknowns)
-    # of a turn at the Sun's instant and the gains, what the states (6) and the errors (m) of the equations do to each
-    bridge = np.zeros((*track.omega.shape[:2], slope.shape[-1], 6 + places.count))
-    bridge[..., :3, :3] = seen.attitude @ np.swapaxes(track.attitude, -1, -2) if clock is not None else np.eye(3)
-    bridge[..., :3, 3:6] = late[:, None, None, None] * np.eye(3)  # a rate turns it for as long as the state is late
-    bridge[..., 3:, 6:][..., places.light] = np.eye(bridge.shape[-2] - 3)
-    if clock is not None:
-        bridge[..., :3, -1] = clock.sigma_s * seen.omega
-    carried = np.swapaxes(bridge, -1, -2)
-    matrix, slope = carried @ matrix @ bridge, (carried @ slope[..., None])[..., 0]
+    size = 6 + places.count
+    matrix, slope = np.zeros((*track.omega.shape[:2], size, size)), np.zeros((*track.omega.shape[:2], size))
+    cost = np.zeros(len(error))
+    for term, place in places.sun:
+        own, downhill, part = normal(term, seen, error[:, place])
+        # of a turn at the Sun's instant and the term's unknowns, what the states (6) and all unknowns (m) do to each
+        bridge = np.zeros((*track.omega.shape[:2], downhill.shape[-1], size))
+        bridge[..., :3, :3] = seen.attitude @ np.swapaxes(track.attitude, -1, -2) if clock is not None else np.eye(3)
+        bridge[..., :3, 3:6] = late[:, None, None, None] * np.eye(3)  # a rate turns it for as long as the state is late
+        bridge[..., 3:, 6:][..., place] = np.eye(bridge.shape[-2] - 3)
+        if clock is not None:
+            bridge[..., :3, -1] = clock.sigma_s * seen.omega
+        carried = np.swapaxes(bridge, -1, -2)
+        matrix += carried @ own @ bridge
+        slope += (carried @ downhill[..., None])[..., 0]
+        cost += part.sum(axis=1)
     corner, error_slope = matrix[..., 6:, 6:].sum(axis=1), slope[..., 6:].sum(axis=1)
-    return SunPart(matrix[..., :6, :6].copy(), slope[..., :6], matrix[..., :6, 6:], corner, error_slope, cost.sum(axis=1))
-
-
-def _add_gyro(o, track, error, place, told, slope, border, corner, error_slope) -> np.ndarray:
-    known = np.isfinite(o.gyro).all(axis=1)
-    if not known.any():
-        return np.zeros(len(error))
-    column = np.nan_to_num(o.gyro_common[:, : error.shape[1]]) * known[:, None, None] / o.gyro_sigma
-    value = np.where(known[:, None], (track.omega - np.nan_to_num(o.gyro)) / o.gyro_sigma, 0.0)
-    value = value + np.einsum("ka,nai->kni", error, column)
-    weight, cost = student(value)
-    weight = weight * known
-    told[..., 3:, 3:] += weight[..., None, None] * np.eye(3) / o.gyro_sigma**2
-    slope[..., 3:] += weight[..., None] * value / o.gyro_sigma
-    border[..., 3:, place] += np.einsum("kn,nai->knia", weight, column) / o.gyro_sigma
-    corner[:, place, place] += np.einsum("kn,nai,nbi->kab", weight, column, column)
-    error_slope[:, place] += np.einsum("kn,nai,kni->ka", weight, column, value)
-    return cost.sum(axis=1)
+    return SunPart(matrix[..., :6, :6].copy(), slope[..., :6], matrix[..., :6, 6:], corner, error_slope, cost)

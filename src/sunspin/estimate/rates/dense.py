@@ -88,8 +88,8 @@ def _carried(
         return Way(number, np.empty((*shape, 3, 3)), np.empty((*shape, 3)), np.empty((*shape, 6, 6)), weight)
     ends = Ends(momentum=o.momentum[start], momentum_end=o.momentum[end])
     if np.any(motion.body.dipole):
-        known = np.all(np.isfinite(o.field[start]), axis=1) & np.all(np.isfinite(o.field[end]), axis=1)
-        first, second = (np.where(known[:, None], np.nan_to_num(o.field[index]), 0.0) for index in (start, end))
+        known = np.all(np.isfinite(o.field_B[start]), axis=1) & np.all(np.isfinite(o.field_B[end]), axis=1)
+        first, second = (np.where(known[:, None], np.nan_to_num(o.field_B[index]), 0.0) for index in (start, end))
         ends = ends._replace(field=first, field_end=second)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*shape, 3)) for part in ends))
     dt = np.broadcast_to(o.t_s[end] - o.t_s[start], shape)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -16,22 +17,31 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
 from sunspin.environment.frames import SUN_Z_LOCAL
-from sunspin.estimate.rates import torque
+from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.estimate.rates.dense import Dense
-from sunspin.estimate.rates.earth import is_told, with_beam
-from sunspin.estimate.rates.field import with_drift
+from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
+from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
 from sunspin.estimate.rates.link import linked
-from sunspin.estimate.rates.motion import SUN_N, Body, require_followed
-from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, refined, settled
+from sunspin.estimate.rates.motion import Body, require_followed
+from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
+from sunspin.estimate.rates.residuals import Fitted, residuals
 from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.terms.earth_light import faint
+from sunspin.estimate.terms.magnetic_torque import MagneticTorque
+from sunspin.estimate.terms.magnetometer import TURN_RATE
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.sensors import SENSORS
+from sunspin.estimate.terms.term import SUN_N
+from sunspin.estimate.verdict import NARROWER, answers, misfit
+from sunspin.estimate.wiring import better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -54,13 +64,17 @@ DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
 
+MOST_LATE = 0.1
+"""A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
+
 SUSPECTED = "the data alone, not counted"
 """Where a lateness comes from that the vehicle file does not speak of."""
 
 
 class Pass(NamedTuple):
     """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
-    smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3)."""
+    smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3);
+    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`."""
 
     index: np.ndarray
     kept: np.ndarray
@@ -68,6 +82,12 @@ class Pass(NamedTuple):
     weight: np.ndarray
     mean: np.ndarray
     mean_sigma: np.ndarray
+    residual: dict[str, np.ndarray]
+
+    def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
+        """The modes `order` with these weights."""
+        left = {name: part[order] for name, part in self.residual.items()}
+        return Pass(self.index, self.kept, self.track.take(order), weight, self.mean[order], self.mean_sigma[order], left)
 
 
 def rates(
@@ -78,8 +98,11 @@ def rates(
     max_rate_rad_s: float | None = None,
     acceleration_noise: float | None = None,
     gap_s: float | None = None,
+    pass_id: int | None = None,
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
+    wirings: bool = False,
+    progress: bool = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -101,11 +124,19 @@ def rates(
         rad/s^1.5; default: the vehicle's, else the best supported by the first passes.
     gap_s : float, optional
         A longer gap parts two passes; default: six usual intervals.
+    pass_id : int, optional
+        Only this pass, counted from zero as in the result; default: all.
     environment : Environment, optional
         What surrounds the body, on the telemetry's clock, with z of its N to the Sun (:func:`sunspin.environment.circular`).
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
+    wirings : bool
+        Where a pass does not fit, try on the one with the most samples to leave out each sensor
+        (:mod:`sunspin.estimate.rates.hypotheses`) and other wirings of panels and sensors (:mod:`sunspin.estimate.wiring`), which
+        takes minutes, and name what fits.
+    progress : bool
+        Show how many passes have been searched, and how long the others will take.
 
     Returns
     -------
@@ -129,6 +160,8 @@ def rates(
     _require_sun_along_z(environment)
     o, why, source = observations(vehicle, telemetry, source)
     parts = passes(o, why, gap_s)
+    ids = _asked_for(pass_id, len(parts))
+    parts = [parts[k] for k in ids]
     sensors = vehicle.sensors
     rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
     given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
@@ -143,20 +176,89 @@ def rates(
     motion = Motion(body, noise, rate_max / 2)
     use = usable(o, why)
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
-    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in parts]
+    searched = tqdm(parts, unit="pass", desc="rates", disable=not progress, leave=False)
+    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in searched]
     if not _torque_told(vehicle, o):
-        motion = replace(motion, torque=torque.prior_sigma(noise))
-    ready = [(with_unknowns(some), track) for some, track in tracks]
+        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
+    ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
     if given is None:
         motion = replace(motion, noise=refined(ready, motion))
     clock, late = _clock(sensors.clock, ready, motion)
     each = zip(wholes, parts, (track for _, track in tracks), strict=True)
     found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise) for one in each], motion)
+    missed = [coarse(o.take(part), motion, rate_max) for part in parts]
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
-    missed = sum(coarse(o.take(part), motion, rate_max) for part in parts)
-    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=missed)
+    result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed, telemetry.attrs.get("epoch_utc")))
+    walked = np.nan if walk is None else walk
+    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
+    if wirings and not result["fits"].values.all():
+        bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
+        result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
+        result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _odd_sensor(
+    o: Observations, p: Pass, motion: Motion, clock: Clock | None, rate_max: float, begin: float
+) -> dict[str, str]:
+    """Of a pass that does not fit: the sensor without which it does, in words, if there is one."""
+    stated = Hypothesis(AS_READ, o.take(p.index), np.searchsorted(p.index, p.kept), motion, clock)
+
+    def run(one: Hypothesis) -> Fit | None:
+        if one is stated:
+            return Fit(p.track.log_weight, False)
+        part = one.o.take(one.kept)
+        try:
+            track = leading(part, replace(motion, noise=begin), rate_max)
+        except InputError:
+            return None
+        made = finished(one.o, np.arange(len(one.o)), one.kept, track, motion, clock, rate_max, begin)
+        fits = all(misfit(left[0]).fits for left in made.residual.values())
+        return Fit(made.track.log_weight, bool(fits and made.track.cost[0] <= cost_limit(part)))
+
+    odd = odd_one(ranked([stated, *sensors_left_out(stated)], run))
+    if odd is None:
+        return {}
+    return {"odd_sensor": f"{odd.hypothesis.what} the other sensors agree: it does not read what they read"}
+
+
+def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
+    """The result with the wiring that fits the longest pass that does not fit as stated, if one does."""
+    bad = np.flatnonzero(~result["fits"].values)
+    k = bad[np.argmax(result["samples"].values[bad])]
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
+    source = None if result.attrs["source"] == "directions" else result.attrs["source"]
+    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment}
+
+    def evidence(other: Vehicle, data: xr.Dataset) -> float:
+        try:
+            o, why, _ = observations(other, data, source)
+            return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+        except InputError:
+            return -np.inf
+
+    def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
+        try:
+            return rates(other, data, torques=torques, **setting)
+        except InputError:
+            return None
+
+    found = better(vehicle, part, evidence, run, TURN_RATE)
+    if found is None:
+        return result
+    wiring = np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)
+    return result.assign(wiring=("pass_id", wiring)).assign_attrs(wiring_doubt=found.words)
+
+
+def _asked_for(pass_id: int | None, count: int) -> list[int]:
+    """Which of so many passes are estimated."""
+    if pass_id is None:
+        return list(range(count))
+    if isinstance(pass_id, bool) or not isinstance(pass_id, int | np.integer) or not 0 <= pass_id < count:
+        raise InputError(sentence("there is no such pass", got=pass_id, do=f"the file has passes 0 to {count - 1}"))
+    return [int(pass_id)]
 
 
 def _require_sun_along_z(environment: Environment | None) -> None:
@@ -174,7 +276,7 @@ def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
     """Whether the vehicle file has a dipole, and the field that pulls at it is measured."""
-    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field).all(axis=1).any())
+    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field_B).all(axis=1).any())
 
 
 def _clock(
@@ -184,7 +286,8 @@ def _clock(
     nothing = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
     if told is None:
         late = suspected(tracks, motion)
-        if late is None:
+        longest = max(float(np.ptp(o.t_s)) for o, _ in tracks)
+        if late is None or abs(late.late_s) > MOST_LATE * longest:  # it stands for a motion that does not fit
             return None, nothing
         return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
     clock = Clock(told.late_s, told.sigma_s)
@@ -224,7 +327,7 @@ def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
 def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
     """Modes found as if strong torques acted, then fitted with the inertia as it may be: where that of the file fits no motion."""
     loose = replace(motion, noise=max(LOOSER[0], motion.noise))
-    return with_common(with_unknowns(plain), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
+    return with_common(plain.freed(), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
 
 
 def finished(
@@ -234,26 +337,22 @@ def finished(
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
     found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
     plain = every.take(kept)
-    o = with_unknowns(plain)
+    o = plain.freed()
     common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
     if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
         common = other if other.track.cost.min() < common.track.cost.min() else common
     if common is not None:  # with their common errors two hypotheses may have become one
         common = common.take(distinct_index(common.track, o.t_s))
+    fit = Fitted.of(o, track, common, motion, clock)
     between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
     track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
     if common is not None:
         track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
+    whole = between.filled(track, motion)
+    left = residuals(every.take(index).freed(), np.searchsorted(index, kept), whole, fit)
     order, weight = _ranked(track)
-    whole = between.filled(track, motion).take(order)
-    return Pass(index, kept, whole, weight / weight.sum(), whole.omega.mean(axis=1), sigma[order])
-
-
-def with_unknowns(o: Observations) -> Observations:
-    """A pass with all that is estimated beside its motion."""
-    drifting = with_drift(o)
-    return with_beam(drifting) if is_told(drifting) else drifting
+    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), sigma, left).take(order, weight / weight.sum())
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -265,7 +364,7 @@ def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass]
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")
         keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
-        result.append(Pass(p.index, p.kept, p.track.take(keep), weight[keep], p.mean[keep], p.mean_sigma[keep]))
+        result.append(p.take(keep, weight[keep]))
     return result, walk
 
 
@@ -282,6 +381,32 @@ def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarr
     """Sigma (3) about the best mode's mean rate when the other modes, by their weights, are counted in."""
     share = (weight / weight.sum())[:, None]
     return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
+
+
+def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[bool], epoch_utc: str | None) -> dict[str, Any]:
+    """What may be believed of each pass, and its motions at the sample nearest to its middle."""
+    rows, names = [], sorted({name for p in found for name in p.residual})
+    misfits = {name: np.full((len(found), 3), np.nan) for name in names}
+    for k, (p, is_missed) in enumerate(zip(found, missed, strict=True)):
+        t = o.t_s[p.index]
+        at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+        omega, covariance = p.track.omega[:, at], p.track.covariance[:, at, 3:, 3:]
+        sigma = np.sqrt(np.einsum("kii->ki", covariance))
+        told = {name: misfit(left[0]) for name, left in p.residual.items()}
+        for name, one in told.items():
+            misfits[name][k] = one
+        explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
+        said = answers(p.weight[0] >= DECIDED, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
+        row = PassMotions(
+            len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
+            UNCHECKED if list(told) == ["Sun"] else AS_STATED,
+        )  # fmt: skip
+        rows.append(row)
+    about = {"long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"}
+    return table(rows, epoch_utc) | {
+        "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
+        "sensor": names, "figure": ["readings", "beyond", "chance"],
+    }  # fmt: skip
 
 
 def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
@@ -306,10 +431,11 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
         "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
-        "gyro_used": int(np.isfinite(o.gyro[index]).any()), "field_used": int(np.isfinite(o.field[index]).any()),
-        "attitude_used": int(np.isfinite(o.attitude[index]).any()), "earth_light": o.earth_light if is_told(o) else 0.0,
+        "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
         "frame_N": SUN_Z_LOCAL,
     }  # fmt: skip
+    read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
+    attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),
@@ -318,7 +444,6 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
             "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
             "B_from_N": (("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
             "pass_of": ("time", np.repeat(np.arange(len(found)), [len(p.index) for p in found])),
-            "weight": (("pass_id", "mode"), padded([p.weight for p in found]), {"units": "1"}),
             "omega_mean_B": (("pass_id", "mode", "axis"), padded([m[0] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
@@ -337,20 +462,26 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
 
 def verdict(result: xr.Dataset) -> str:
     """What the data can tell, in words."""
-    best = result["weight"].values[:, 0]
-    bad = result["cost"].values[:, 0] > result["cost_limit"].values
-    decided = int(np.count_nonzero((best >= DECIDED) & ~bad))
-    text = f"{decided} of {len(best)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight"
-    if bad.any():
-        text += f"; in {int(bad.sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
-    if decided + np.count_nonzero(bad) < len(best):
+    decided, unique, fits, complete = (result[name].values for name in ("decided", "unique", "fits", "search_complete"))
+    informed = np.all([result[f"informed_{axis}"].values for axis in "xyz"], axis=0)
+    text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight, "
+    text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
+    if not fits.all():
+        text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    if "odd_sensor" in result.attrs:
+        text += f"; {result.attrs['odd_sensor']}"
+    if "wiring_doubt" in result.attrs:
+        text += f"; {result.attrs['wiring_doubt']}"
+    if count := int((fits & unique & ~informed).sum()):
+        text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if (fits & ~unique).any():
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
-    if missed := result.attrs["coarse_passes"]:
+    if missed := int((~complete).sum()):
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
-    if result.attrs["sensors_late_from"] == SUSPECTED:
+    if result.attrs["sensors_late_from"] == SUSPECTED and "wiring_doubt" not in result.attrs:
         text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
-    elif np.isfinite(result.attrs["sensors_late_s"]):
+    elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
         text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"

@@ -1,6 +1,6 @@
 """One step of the smoother of :mod:`sunspin.estimate.rates`: attitude and rate from one sample to the next, and how they answer.
 
-The equations are those of :mod:`sunspin.dynamics.gyrostat`, called with arrays. Wheels enter by their momentum, linear in time
+The equations are those of :mod:`sunspin.dynamics.gyrostat`, compiled. Wheels enter by their momentum, linear in time
 between two samples (:mod:`sunspin.estimate.rates.wheels` says how fast they turn). A vehicle without inertia is searched as
 a sphere, whose torque-free rate is constant; what it is not are errors of its inertia, or the process noise where that is given.
 """
@@ -17,18 +17,15 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.ensemble.attitude import carry
 from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.dynamics.torques.acting import directions_of, outside
-from sunspin.environment import unknown
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
-from sunspin.solve.rotations import cross_matrix, turn, turn_between
+from sunspin.estimate.terms.term import SUN_N
+from sunspin.solve.rotations import turn, turn_between
 from sunspin.vehicle import Vehicle
 
-SUN_N = unknown().at(0.0).sun_N[0]
-"""The Sun in the local frame N."""
-
 STEP_ANGLE = 0.4
-"""rad turned in one Runge-Kutta step at most: the error over a turn is below 1e-4 rad, far below any panel's."""
+"""rad turned in one Runge-Kutta step at most: the error over a turn is some 1e-4 rad, far below any panel's."""
 
 MAX_STEPS = 400
 """Steps between two samples; 400 x 0.4 rad are 25 turns, more than sparse directions can tell."""
@@ -68,14 +65,6 @@ class Body:
             return cls(np.eye(3), pull, True, unknown_errors()[: 0 if torques_known else None])
         unit = mean_moment(vehicle)
         return cls(np.array(vehicle.inertia_kg_m2) / unit, pull, False, inertia_errors(vehicle) / unit, acting, unit)
-
-    def outside(self) -> tuple[g.OutsideTorque, ...]:
-        """The torques that act, in units of the mean moment times rad/s2: as on this inertia in kg m2, divided by the unit."""
-        bodies = Bodies.rigid(self.unit * self.inertia)
-        return tuple(
-            one._replace(torque=lambda *given, torque=one.torque: [x / self.unit for x in torque(*given)])
-            for one in outside(self.acting.torques, self.acting.values(bodies))
-        )
 
     def swing(self) -> float:
         """rad/s at which torques swing the body to and fro, at most."""
@@ -134,11 +123,16 @@ FREE = Ends()
 """Nothing acts."""
 
 
-def step(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE) -> tuple[np.ndarray, np.ndarray]:
-    """Relative attitude (..., 3, 3) and rate (..., 3) after `dt` (...) s, from rates `omega` (..., 3) rad/s."""
+def step(
+    body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE, counts: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Relative attitude (..., 3, 3) and rate (..., 3) after `dt` (...) s, from rates `omega` (..., 3) rad/s.
+
+    `counts` (...): steps to take, of :func:`steps_of` where they are not given.
+    """
     if body.spherical:
         return _sphere(body, omega, np.asarray(dt), ends.field, ends.field_end)
-    return _runge_kutta(body, omega, np.asarray(dt), ends)
+    return _runge_kutta(body, omega, np.asarray(dt), ends, steps_of(body, omega, dt, ends) if counts is None else counts)
 
 
 def _sphere(
@@ -162,60 +156,50 @@ def _sphere(
     return matrix, rate(1.0)
 
 
-def _runge_kutta(body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
-    field, field_end = ends.field, ends.field_end
-    nothing = np.zeros(3)
-    held, held_end = (nothing if part is None else part for part in (ends.momentum, ends.momentum_end))
-    unit = tuple(g.inverse_elements(body.inertia))
-    momentum = omega @ body.inertia + held
-    speed = np.linalg.norm(omega, axis=-1) + nutation(body, held) + body.swing()
-    rate = float(np.max(speed * np.abs(dt), initial=0.0))
-    count = int(np.clip(np.ceil(rate / STEP_ANGLE), 2, MAX_STEPS))
-    h = dt / count
-    shape, torques, acting = omega.shape[:-1], body.acting.torques, body.outside()
+def steps_of(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
+    """Runge-Kutta steps (...) for intervals that begin at rates `omega` (..., 3)."""
+    wheels = [nutation(body, part) for part in (ends.momentum, ends.momentum_end) if part is not None]
+    swing = np.max(wheels, axis=0) if wheels else 0.0
+    angle = (np.linalg.norm(omega, axis=-1) + swing + body.swing()) * np.abs(dt)
+    return np.clip(np.ceil(angle / STEP_ANGLE), 2, MAX_STEPS).astype(np.int64)
+
+
+def _runge_kutta(
+    body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, counts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    shape, torques, nothing = omega.shape[:-1], body.acting.torques, np.zeros(3)
+    n = int(np.prod(shape))
+
+    def flat(values: npt.ArrayLike | None, *size: int) -> np.ndarray:
+        return np.broadcast_to(nothing if values is None else values, (*shape, *size)).reshape(n, *size)
+
+    held, held_end = flat(ends.momentum, 3), flat(ends.momentum_end, 3)
+    field = () if ends.field is None or ends.field_end is None else (flat(ends.field, 3), flat(ends.field_end, 3))
     seen = np.zeros(0) if ends.directions is None else ends.directions
-    begin = np.broadcast_to(seen, (*shape, seen.shape[-1]))
-    still = (*(np.zeros(shape) for _ in range(3)), np.ones(shape))
-    y = np.stack([*np.moveaxis(momentum, -1, 0), *np.moveaxis(begin, -1, 0), *still])
-
-    def wheels(s: float) -> g.Parameters:
-        return g.Parameters(unit, tuple(np.moveaxis((1 - s) * held + s * held_end, -1, 0)), (), acting)
-
-    def slope(s: float, y: np.ndarray) -> np.ndarray:
-        H, q, p = y[:3], y[-4:], wheels(s)
-        w = g.body_rate(H, (), p)
-        directions = directions_of(torques, y[3:-4]) if torques else {}
-        change = g.momentum_rate(H, w, directions, p, 0.0 if ends.t_s is None else ends.t_s + s * dt)
-        moved = [x for direction in directions.values() for x in g.direction_rate(direction, w)]
-        if field is not None and field_end is not None:
-            torque = g.cross(body.dipole, np.moveaxis((1 - s) * field + s * field_end, -1, 0))
-            change = [c + sum(body.inertia[k, j] * torque[j] for j in range(3)) for k, c in enumerate(change)]
-        return np.stack([*change, *moved, *g.quaternion_rate(q, w)])
-
-    with np.errstate(over="ignore", invalid="ignore"):  # no step is fine enough for some trials: they must cost much, not fail
-        for i in range(count):
-            a = slope(i / count, y)
-            b = slope((i + 0.5) / count, y + h / 2 * a)
-            c = slope((i + 0.5) / count, y + h / 2 * b)
-            d = slope((i + 1) / count, y + h * c)
-            y = y + h / 6 * (a + 2 * b + 2 * c + d)
-    q = np.moveaxis(y[-4:], 0, -1)
-    lost = ~np.isfinite(y).all(axis=0) | ~np.any(q, axis=-1)
-    y[:, lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
-    matrix = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*omega.shape, 3)
-    return matrix, np.moveaxis(np.stack(g.body_rate(y[:3], (), wheels(1.0))), 0, -1)
+    start = flat(omega @ body.inertia, 3) + held, flat(seen, seen.shape[-1]), flat((0.0, 0.0, 0.0, 1.0), 4)
+    numbers = body.inertia, body.dipole, np.array(body.unit), body.acting.values(Bodies.rigid(body.unit * body.inertia))
+    clock = flat(0.0 if ends.t_s is None else ends.t_s)
+    # no step is fine enough for some trials: they must cost much, not fail
+    y = carry(np.concatenate(start, axis=1), flat(dt), flat(counts), (held, held_end), field, clock, numbers, torques)
+    q = y[:, -4:]
+    lost = ~np.isfinite(y).all(axis=1) | ~np.any(q, axis=1)
+    y[lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
+    p = g.Parameters(tuple(g.inverse_elements(body.inertia)), tuple(held_end.T), ())
+    rate = np.stack(g.body_rate(y[:, :3].T, (), p), axis=-1)
+    return Rotation.from_quat(q).as_matrix().reshape(*omega.shape, 3), rate.reshape(omega.shape)
 
 
-def nutation(body: Body, momentum: np.ndarray) -> float:
-    """rad/s at which the largest of the wheels' momenta (..., 3) turns a rate of the body round."""
-    flat = np.reshape(momentum, (-1, 3))
-    turning = cross_matrix(flat[np.argmax((flat**2).sum(axis=1))])
-    return float(np.abs(np.linalg.eigvals(np.linalg.solve(body.inertia, turning))).max())
+def nutation(body: Body, momentum: np.ndarray) -> np.ndarray:
+    """rad/s (...) at which momenta (..., 3) of wheels turn a rate of the body round.
+
+    Beside it, dw/dt = I^-1 (w x h), and the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
+    """
+    return np.sqrt(np.einsum("...i,ij,...j->...", momentum, body.inertia, momentum) / np.linalg.det(body.inertia))
 
 
 def require_followed(body: Body, momentum: np.ndarray, longest_s: float) -> None:
     """Refuse wheels whose momenta (n, 3) turn a rate of the body round too often in the longest interval (s) to be followed."""
-    turned = nutation(body, np.nan_to_num(momentum)) * longest_s
+    turned = float(np.max(nutation(body, np.nan_to_num(momentum)), initial=0.0)) * longest_s
     if not turned <= MOST_NUTATION:
         raise InputError(
             sentence(f"the wheels turn a rate of the body round by {turned:.3g} rad between two samples, more than can be followed",
@@ -230,24 +214,26 @@ def step_with_answer(
     size = np.asarray(dt)[..., None]
     shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)]) * DIFFERENCE
     many = omega[None] + shifts.reshape(4, *(1,) * (omega.ndim - 1), 3) / size
-    matrix, rate = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.spread())
+    counts = steps_of(body, omega, dt, ends)  # the same for all, or their differences would be those of the steps
+    matrix, rate = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.spread(), counts)
     answer = np.zeros((*omega.shape[:-1], 6, 6))
     answer[..., :3, :3] = matrix[0]  # a turn at the start is the same turn in the axes of the end
     for k in range(3):
         answer[..., :3, 3 + k] = turn_between(matrix[0], matrix[1 + k]) * size / DIFFERENCE
         answer[..., 3:, 3 + k] = (rate[1 + k] - rate[0]) * size / DIFFERENCE
     if ends.directions is not None:
-        _add_turns(answer, body, omega, dt, ends, matrix[0], rate[0])
+        _add_turns(answer, body, omega, dt, ends, counts, matrix[0], rate[0])
     return matrix[0], rate[0], answer
 
 
 def _add_turns(
-    answer: np.ndarray, body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, matrix: np.ndarray, rate: np.ndarray
-) -> None:
+    answer: np.ndarray, body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, counts: np.ndarray, matrix: np.ndarray,
+    rate: np.ndarray,
+) -> None:  # fmt: skip
     """Into an answer (..., 6, 6): what a turn at the start does besides, where torques depend on directions in space."""
     small = DIFFERENCE * np.eye(3)
     many = np.broadcast_to(omega, (3, *omega.shape))
-    ended, rates = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.turned(small))
+    ended, rates = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.turned(small), counts)
     for k in range(3):
         answer[..., :3, k] = turn_between(matrix, ended[k] @ turn(np.eye(3), small[k])) / DIFFERENCE
         answer[..., 3:, k] = (rates[k] - rate) / DIFFERENCE

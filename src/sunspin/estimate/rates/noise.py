@@ -69,6 +69,21 @@ def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: 
     return np.logaddexp.reduce([_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)], axis=0)
 
 
+QUICK_NOISES = (1e-4, 5e-6)
+"""Those under which wirings are compared: the search's own, and a quiet one."""
+
+
+def quick_evidence(o: Observations, part: np.ndarray, body: Body, rate_max: float) -> float:
+    """Log of the probability of a pass, up to a constant that only the readings' number decides: for comparing wirings.
+
+    With the sigmas of the readings counted, which follow the wiring; one that is left out counts as if it might be anything up to
+    full light.
+    """
+    o = o.take(part)
+    size = sum(term.log_size() for term in o.of_sun)
+    return float(_evidence(o, body, QUICK_NOISES, rate_max).max() - size)
+
+
 def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
     """The same with the motions that are found as `guess` has the measurements."""
     found = np.full(len(noises), -np.inf)
@@ -81,7 +96,8 @@ def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple
         motion = replace(motion, noise=noises[k])
         track, last = cooled(guess, track, last, motion), noises[k]
         known = replace(motion, body=replace(body, errors=body.errors[:0]))
-        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if len(o.row_unknowns) else track
+        free = any(term.unknowns() for term in o.of_sun)
+        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if free else track
         found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
     return found
 

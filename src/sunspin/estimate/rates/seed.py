@@ -8,6 +8,7 @@ window grows by a sixth at either end while hypotheses that have become alike or
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from sunspin.estimate.rates.shoot import carried, shot
 from sunspin.estimate.rates.smooth import cost_limit, measured, smooth
 from sunspin.estimate.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
+from sunspin.estimate.terms.panels import Panels
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -56,9 +58,6 @@ DIM_PENALTY = 3.0
 SUN_SHARE = 0.35
 """Directions of the Sun count so much less than turns there: they part mirror images, not what is still on its way to one place."""
 
-BRIGHTEST, OTHER_SCALE = 0.95, 0.1
-"""Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
-
 MAX_TURNS = 100
 """Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
 
@@ -79,15 +78,8 @@ def wider(o: Observations, noise: float, index: int, apart_rad: float) -> Observ
     t = np.abs(o.t_s - o.t_s[index])
     dt = o.t_s[index + 1] - o.t_s[index]
     drift = np.hypot(noise * np.sqrt(t**3 / 3), BLUR * apart_rad * t / dt)
-    size = np.linalg.norm(np.nan_to_num(o.field), axis=1).max(initial=0.0)
-    return replace(
-        o,
-        sun_cov=o.sun_cov + (drift**2)[:, None, None] * np.eye(3),
-        power_sigma=np.hypot(o.power_sigma, drift[:, None] * np.linalg.norm(o.rows, axis=1) * o.scale[:, None]),
-        field_sigma=np.hypot(o.field_sigma, drift.max() * size / 2),
-        gyro_sigma=float(np.hypot(o.gyro_sigma, np.hypot(BLUR * apart_rad / dt, noise * np.sqrt(t.max())))),
-        attitude_sigma=float(np.hypot(o.attitude_sigma, drift.max())),
-    )
+    drift_rad_s = float(np.hypot(BLUR * apart_rad / dt, noise * np.sqrt(t.max())))
+    return replace(o, terms=tuple(term.wider(drift, drift_rad_s) for term in o.terms))
 
 
 def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float, trust: bool = False) -> tuple[Track, int, int]:
@@ -198,29 +190,15 @@ def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None =
     return cooled(o, seeds(o, loose, rate_max, pairs), loose.noise, motion)
 
 
-def forgiving(o: Observations) -> Observations:
-    """The same with a gyro trusted no further than its zero and scale, and panels no further than gains that are unknown: the
-    search holds them at what the vehicle file says."""
-    common = np.sqrt((o.gyro_common**2).sum(axis=1).mean()) if o.gyro_common.size else 0.0
-    unknown = np.linalg.norm(o.row_unknowns, axis=(0, 2)) / np.maximum(np.linalg.norm(o.rows, axis=-1), 1e-300)
-    sigma = np.hypot(o.power_sigma, np.nan_to_num(o.power) * unknown) if len(o.row_unknowns) else o.power_sigma
-    return replace(o, gyro_sigma=float(np.hypot(o.gyro_sigma, common)), power_sigma=sigma)
-
-
 def guesses(o: Observations) -> list[Observations]:
-    """What is searched: the forgiving measurements, and where panels lie in one plane and their brightest samples do not look
-    like full Sun, also those with all gains as these samples have them: either the Sun never came near the plane, or the full
-    scale is wrong."""
-    loose = forgiving(o)
-    if blind_axis(o) is None or not len(o.row_unknowns):
-        return [loose]
-    full = float(np.quantile(np.linalg.norm(relative(o), axis=1), BRIGHTEST))
-    return [loose] if abs(full - 1) < OTHER_SCALE else [loose, replace(loose, rows=o.rows * full)]
+    """What is searched: each sensor trusted no further than its common errors, and whatever else its readings may mean."""
+    return [replace(o, terms=terms) for terms in product(*(term.guesses() for term in o.terms))]
 
 
-def relative(o: Observations) -> np.ndarray:
-    """Readings (n, n_panel) as shares of full Sun, zero where they say nothing."""
-    return np.where(np.isfinite(o.power_sigma), np.nan_to_num(o.power) / np.linalg.norm(o.rows, axis=1), 0.0) / o.scale[:, None]
+def brightness(o: Observations) -> np.ndarray:
+    """Light (n) of each sample as a share of full Sun, where panels say it."""
+    relative = [term.relative() for term in o.of_sun if isinstance(term, Panels)]
+    return np.linalg.norm(np.concatenate(relative, axis=1), axis=1) if relative else np.ones(len(o))
 
 
 def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track:
@@ -234,7 +212,7 @@ def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track
 def bright_pairs(o: Observations) -> np.ndarray:
     """Pairs of neighbours, those first whose whole windows are bright: there the Sun stands in the plane of the panels and the
     battery limits nothing. Windows that overlap come later, since what spoils one spoils the other."""
-    dim = 1 - np.minimum(np.linalg.norm(relative(o), axis=1), 1.0)
+    dim = 1 - np.minimum(brightness(o), 1.0)
     ends = np.arange(len(o) - 1)
     window = [dim[max(0, i - 1) : i + 3].mean() for i in ends]
     order = np.argsort(np.diff(o.t_s) * (1 + DIM_PENALTY * np.array(window)), kind="stable")
@@ -253,7 +231,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     so little that four pairs are tried in any case, and each motion found is tried mirrored.
     """
     blind = blind_axis(o)
-    quality = np.where(o.told, 1.0, 2.0)
+    quality = np.where(o.points, 1.0, 2.0)
     order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable") if blind is None else bright_pairs(o)
     dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
     trust = gyro_decides(o, int(order[0]))

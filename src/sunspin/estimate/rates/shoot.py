@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.estimate.rates.motion import step, step_with_answer
-from sunspin.estimate.rates.smooth import TURN_PRIOR, followed, measured
-from sunspin.estimate.rates.start import facing
+from sunspin.estimate.rates.smooth import followed, free_turn, measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.term import facing
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import turn
@@ -66,8 +66,7 @@ def _equations(o: Observations, index: int, attitude: np.ndarray, omega: np.ndar
     turned = np.swapaxes(answer, -1, -2)
     matrix = (turned @ each @ answer).sum(axis=1)
     slope = (turned @ slope[..., None])[..., 0].sum(axis=1)
-    sun = track.sun_B[:, index]
-    matrix[:, :3, :3] += sun[:, :, None] * sun[:, None, :] / TURN_PRIOR**2
+    matrix[:, :3, :3] += free_turn(o, track.sun_B[:, index])
     matrix[:, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 3:] += omega / motion.rate_prior**2
     total = cost.sum(axis=1) + (omega**2).sum(axis=1) / (2 * motion.rate_prior**2)

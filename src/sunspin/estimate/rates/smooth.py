@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.estimate.rates.light import student, sun_measured
 from sunspin.estimate.rates.motion import Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.term import Seen, normal
 from sunspin.solve.least_squares import least_squares, shortened
 from sunspin.solve.linear import Bordered, bordered, spread
-from sunspin.solve.rotations import cross_matrix, turn, turn_between
+from sunspin.solve.rotations import turn, turn_between
 
 RATE_LIMIT = 4.0
 """No trial rate exceeds this many times the prior's sigma (twice the largest rate of the search)."""
@@ -30,31 +30,30 @@ THREE_READINGS = 1.5
 """What three sound readings cost in the mean."""
 
 
-def measured(observations: Observations, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def measured(o: Observations, track: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal matrices (K, n, 6, 6), gradients (K, n, 6) and costs (K, n) of what was measured at each sample."""
     k, n = track.omega.shape[:2]
-    matrix, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
-    matrix[..., :3, :3], slope[..., :3], cost = sun_measured(observations, track)
-    known = np.all(np.isfinite(observations.gyro), axis=1)
-    if known.any():
-        value = np.where(known[:, None], (track.omega - np.nan_to_num(observations.gyro)) / observations.gyro_sigma, 0.0)
-        weight, part = student(value)
-        matrix[..., 3:, 3:] += (weight * known)[..., None, None] * np.eye(3) / observations.gyro_sigma**2
-        slope[..., 3:] += (weight * known)[..., None] * value / observations.gyro_sigma
+    matrix, slope, cost = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6)), np.zeros((k, n))
+    for term in (*o.of_sun, *o.of_state):
+        own, downhill, part = normal(term, track)
+        size = downhill.shape[-1]  # of a turn, or of turn and rate
+        matrix[..., :size, :size] += own
+        slope[..., :size] += downhill
         cost += part
     return matrix, slope, cost
 
 
-def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the motion and the field say of neighbours: residuals (K, n-1, m), Jacobians to the first and second of them."""
+def between(o: Observations, track: Seen, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the motion (6) and other terms (3 each) say of neighbours: residuals (K, n-1, m), Jacobians to the first and second."""
     dt = np.diff(o.t_s)
     start, end = track.attitude[:, :-1], track.attitude[:, 1:]
     relative = end @ np.swapaxes(start, -1, -2)
-    pair = field_pairs(o)
-    b0, b1 = np.nan_to_num(o.field[:-1]) * pair[:, None], np.nan_to_num(o.field[1:]) * pair[:, None]
     ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
-    if pair.any() and np.any(motion.body.dipole):
-        ends = ends._replace(field=b0, field_end=b1)
+    if np.any(motion.body.dipole):
+        met = np.all(np.isfinite(o.field_B), axis=1)
+        pair = (met[:-1] & met[1:])[:, None]
+        if pair.any():
+            ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
     ends = motion.body.seen(ends, start, o.t_s[:-1])
     made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
@@ -63,24 +62,9 @@ def between(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, 
     value = np.einsum("nij,knj->kni", white, defect)
     first = -np.einsum("nij,knjl->knil", white, answer)
     second = np.broadcast_to(white, (*value.shape, 6)).copy()
-    if pair.any() and np.isfinite(o.field_sigma):
-        more = _field_residuals(o, relative, b0, b1, pair)
+    for term in o.of_pairs:
+        more = term.between(o.t_s, relative)
         value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
-    known = np.isfinite(o.attitude[:, 0, 0])
-    if (pair := known[:-1] & known[1:]).any():
-        more = _attitude_residuals(o, relative, pair)
-        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
-    return value, first, second
-
-
-def _attitude_residuals(o, relative, pair):
-    """The turn between neighbours less that of the given attitudes, in sigma; small, so that turns add as vectors."""
-    given = np.where(pair[:, None, None], o.attitude[1:] @ np.swapaxes(o.attitude[:-1], -1, -2), np.eye(3))
-    inverse = np.where(pair, 1 / (np.sqrt(2) * o.attitude_sigma), 0.0)[:, None]
-    value = turn_between(np.broadcast_to(given, relative.shape), relative) * inverse
-    first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))
-    second[..., :3] = np.eye(3) * inverse[..., None]
-    first[..., :3] = -relative * inverse[..., None]
     return value, first, second
 
 
@@ -94,35 +78,10 @@ def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
     return np.linalg.inv(np.linalg.cholesky(covariance)) / noise
 
 
-def field_pairs(o: Observations) -> np.ndarray:
-    """Which neighbours (n - 1) both have a field."""
-    met = np.all(np.isfinite(o.field), axis=1)
-    return met[:-1] & met[1:]
-
-
-def field_sigmas(o: Observations) -> np.ndarray:
-    """One sigma (n - 1) of the field's change between neighbours: of two readings, and of its turning."""
-    return np.sqrt(2 * o.field_sigma**2 + (np.linalg.norm(o.field[:-1], axis=1) * o.field_turn_rate * np.diff(o.t_s)) ** 2)
-
-
-def _field_residuals(o, relative, b0, b1, pair):
-    inverse = np.where(pair, 1 / field_sigmas(o), 0.0)[:, None]
-    carried = np.einsum("knij,nj->kni", relative, b0)
-    value = (carried - b1) * inverse
-    first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))
-    second[..., :3] = cross_matrix(carried) * inverse[..., None]
-    first[..., :3] = -relative @ cross_matrix(b0) * inverse[..., None]
-    return value, first, second
-
-
 def cost_limit(o: Observations) -> float:
     """The cost beyond which even the best motion does not fit: so much for each sample's Sun, and what sound readings of the
     other sensors cost in the mean."""
-    more = [np.all(np.isfinite(o.gyro), axis=1)]
-    field_known = np.all(np.isfinite(o.field), axis=1)
-    for known, used in ((field_known, np.isfinite(o.field_sigma)), (np.isfinite(o.attitude[:, 0, 0]), True)):
-        more.append(known[:-1] & known[1:] & used)
-    return BAD_COST * len(o) + THREE_READINGS * sum(int(part.sum()) for part in more)
+    return BAD_COST * len(o) * bool(o.of_sun) + THREE_READINGS * sum(term.readings() for term in o.terms)
 
 
 def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
@@ -136,12 +95,18 @@ def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
     slope[:, :-1] += np.einsum("knmi,knm->kni", first, value)
     slope[:, 1:] += np.einsum("knmi,knm->kni", second, value)
     total = cost.sum(axis=1) + (value**2).sum(axis=(1, 2)) / 2
-    sun = track.sun_B[:, 0]
-    diagonal[:, 0, :3, :3] += sun[:, :, None] * sun[:, None, :] / TURN_PRIOR**2
+    diagonal[:, 0, :3, :3] += free_turn(o, track.sun_B[:, 0])
     diagonal[:, 0, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 0, 3:] += track.omega[:, 0] / motion.rate_prior**2
     total += (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2)
     return Bordered(total, diagonal, upper, slope, damping)
+
+
+def free_turn(o: Observations, sun_B: np.ndarray) -> np.ndarray:
+    """The weak prior (K, 3, 3) of what no reading says of the attitude: the turn about the Sun (K, 3); without a Sun, any turn."""
+    if not o.of_sun:
+        return np.tile(np.eye(3) / TURN_PRIOR**2, (len(sun_B), 1, 1))
+    return sun_B[:, :, None] * sun_B[:, None, :] / TURN_PRIOR**2
 
 
 def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:

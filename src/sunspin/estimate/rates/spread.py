@@ -44,27 +44,9 @@ def with_spread(
     for axis in range(3):
         variance[:, axis] = np.einsum("kni,kni->k", mean[..., axis, :], answer(-mean[..., axis, :]))
     covariance, before = track.covariance, slopes(o)
-    for other, share in [*_other_gains(o), *_earth_lit(o, track if common is None else common.seen)]:
+    seen = track if common is None else common.seen
+    for other, share in [(o.swapped(term, other), share) for term in o.terms for other, share in term.considered(seen)]:
         shift = share * answer(*(new - old for new, old in zip(slopes(other), before, strict=True)))
         covariance = covariance + shift[..., :, None] * shift[..., None, :]
         variance += np.einsum("knji,kni->kj", mean, shift) ** 2
     return replace(track, covariance=covariance), np.sqrt(np.maximum(variance, 0.0))
-
-
-def _other_gains(o: Observations) -> list[tuple[Observations, float]]:
-    """With one sigma more of each common error of the panels' gains."""
-    return [(replace(o, rows=o.rows + error), 1.0) for error in o.row_errors]
-
-
-def _earth_lit(o: Observations, track: Track) -> list[tuple[Observations, float]]:
-    """With the Earth's light as each hypothesis sees it, from each end of three axes that are fixed in space.
-
-    It may come from anywhere: the mean over the six stands for that over all directions.
-    """
-    if not (o.earth_light > 0 and o.power.size):
-        return []
-    found = []
-    for side in np.vstack([np.eye(3), -np.eye(3)]):
-        light = o.earth_light * o.scale[:, None] * np.maximum(track.attitude @ side @ o.rows.T, 0.0)
-        found.append((replace(o, power=o.power + light), 1 / np.sqrt(6)))
-    return found

@@ -8,11 +8,11 @@ What a gyro or an attitude sensor says is a start as well.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.smooth import measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.term import SUN_N, facing
 from sunspin.vehicle.response.cosine import sphere
 
 ANGLES = 36
@@ -23,9 +23,6 @@ GRID = 500
 
 CANDIDATES = 10
 """Directions kept of such a region."""
-
-SHARP_RAD = 0.15
-"""A direction better than this is a point to start from; a worse one is a region."""
 
 PRECESSION_RAD = 0.5
 """A rate that turns in the body by more than this between samples: a constant rate is no start then."""
@@ -40,17 +37,12 @@ GRID_RAD, GRID_MOST = 0.35, 200_000
 """Step of the grid of rates, as a turn between the first pair of samples, and how many starts it may make."""
 
 
-FLAT = 1e-6
-"""Panels' normals out of one plane by less than this see no difference between a Sun on either side of it."""
-
-
 def blind_axis(o: Observations) -> np.ndarray | None:
-    """The direction (3) along which no panel looks, where the Sun is known from panels in one plane alone; else None."""
-    if o.told.any() or not o.power.size:
+    """The direction (3) along which nothing sees the Sun, where it is known from panels in one plane alone; else None."""
+    if o.points.any():
         return None
-    seeing = o.rows[np.isfinite(o.power_sigma).any(axis=0)]
-    size, axes = np.linalg.svd(seeing / np.linalg.norm(seeing, axis=1, keepdims=True))[1:]
-    return axes[2] if np.count_nonzero(size > FLAT) == 2 else None
+    axes = [term.blind_axis() for term in o.of_sun]
+    return axes[0] if len(axes) == 1 else None
 
 
 def mirrored(track: Track, axis: np.ndarray) -> Track:
@@ -59,18 +51,13 @@ def mirrored(track: Track, axis: np.ndarray) -> Track:
     return Track(mirror @ track.attitude @ np.diag([-1.0, 1.0, 1.0]), -track.omega @ mirror)
 
 
-def facing(sun_B: np.ndarray) -> np.ndarray:
-    """Some attitude (..., 3, 3), B_from_N, that shows the Sun of N in the direction `sun_B` (..., 3)."""
-    other = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = np.cross(other, sun_B)
-    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(sun_B, x), sun_B], axis=-1)
-
-
 def candidates(o: Observations, index: int) -> np.ndarray:
-    """Directions (n, 3) of the Sun that the sample `index` allows, best first."""
-    if o.told[index] and np.trace(o.sun_cov[index]) < 3 * SHARP_RAD**2:
-        return o.sun_B[index : index + 1]
+    """Directions (n, 3) of the Sun that the sample `index` allows, best first; where nothing sees it, its own."""
+    if not o.of_sun:
+        return SUN_N[None]
+    for term in o.of_sun:
+        if (sharp := term.directions(index)) is not None:
+            return sharp
     grid = sphere(GRID)
     still = Track(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
     cost = measured(o.part(index, index + 1), still)[2][:, 0]
@@ -110,7 +97,7 @@ def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: fl
 def unsteadiness(body: Body, momentum: np.ndarray, rate_max: float) -> float:
     """rad/s at which uneven moments and the wheels' momenta (..., 3) turn a rate of `rate_max` round in the body, at most."""
     low, middle, high = np.linalg.eigvalsh(body.inertia)
-    return nutation(body, momentum) + rate_max * (high - low) / middle
+    return float(np.max(nutation(body, momentum), initial=0.0)) + rate_max * (high - low) / middle
 
 
 def steady(o: Observations, index: int, motion: Motion, rate_max: float) -> bool:
@@ -121,8 +108,12 @@ def steady(o: Observations, index: int, motion: Motion, rate_max: float) -> bool
 
 def gyro_decides(o: Observations, index: int) -> bool:
     """Whether a gyro tells the turn from sample `index` to the next, so that no other rate need be tried."""
-    told = np.isfinite(o.gyro[index : index + 2]).all()
-    return bool(told and o.gyro_sigma * (o.t_s[index + 1] - o.t_s[index]) < GYRO_RAD)
+    return bool(rate_sigma(o, index) * (o.t_s[index + 1] - o.t_s[index]) < GYRO_RAD)
+
+
+def rate_sigma(o: Observations, index: int) -> float:
+    """rad/s to which some sensor reads the rate at sample `index` and the next."""
+    return min((term.rate_sigma(index) for term in o.terms), default=np.inf)
 
 
 def starts(
@@ -134,7 +125,8 @@ def starts(
     suns = candidates(o, index)
     told = told_rates(o, index, rate_max)
     if trust and gyro_decides(o, index) and len(told):
-        return np.repeat(suns, len(told), axis=0), np.tile(told, (len(suns), 1)), max(2 * np.pi / ANGLES, 2 * o.gyro_sigma * dt)
+        apart = max(2 * np.pi / ANGLES, 2 * rate_sigma(o, index) * dt)
+        return np.repeat(suns, len(told), axis=0), np.tile(told, (len(suns), 1)), apart
     if not steady(o, index, motion, rate_max):
         size = grid_step(len(suns), dt, rate_max)
         rates = np.concatenate([_ball(size, rate_max), told])
@@ -164,13 +156,8 @@ def _ball(size: float, rate_max: float) -> np.ndarray:
 
 def told_rates(o: Observations, index: int, rate_max: float) -> np.ndarray:
     """Rates (n, 3) that a gyro or the change of a given attitude tells at sample `index`, with whole turns more or less."""
-    found = [o.gyro[index : index + 2]]
-    if np.isfinite(o.attitude[index : index + 2]).all():
-        dt = o.t_s[index + 1] - o.t_s[index]
-        angle = -Rotation.from_matrix(o.attitude[index + 1] @ o.attitude[index].T).as_rotvec()
-        size = max(float(np.linalg.norm(angle)), 1e-9)
-        turns = np.arange(-int(rate_max * dt / (2 * np.pi)) - 1, int(rate_max * dt / (2 * np.pi)) + 1)
-        found.append(angle / dt * (1 + 2 * np.pi * turns[:, None] / size))
+    dt = float(o.t_s[index + 1] - o.t_s[index])
+    found = [np.zeros((0, 3)), *(term.rates(index, dt, rate_max) for term in o.terms)]
     rates = np.concatenate(found)
     rates = rates[np.isfinite(rates).all(axis=1)]
     return rates[np.linalg.norm(rates, axis=1) <= rate_max]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.netcdf import read_netcdf
 from sunspin.base.provenance import provenance
 from sunspin.estimate.scan.lines import fit_lines
 from sunspin.estimate.scan.volume import below, near_minimum
@@ -39,3 +43,22 @@ def with_chosen(
         lines = fit_lines(points, n_lines, seed=seed).rename({"axis": "line_axis", "n": "near_point"})
         scan = scan.merge(lines, combine_attrs="override")
     return scan.assign_attrs(provenance("scan", telemetry, vehicle=volume.attrs["vehicle"], seed=seed))
+
+
+def stored_near_minimum(path: Path, factor: float) -> np.ndarray:
+    """Body rates (n, 3), rad/s, within `factor` times the smallest value of a scan in a file.
+
+    Raises
+    ------
+    InputError
+        The file is not there, is no scan, or is damaged.
+    """
+    if not path.is_file():
+        raise InputError(sentence("there is no such file", do="give scan.nc as `sunspin scan --out` writes it", where=str(path)))
+    file = read_netcdf(path, str(path), InputError)
+    volume = file.get("emd", file.get("E"))
+    if volume is None or set(volume.dims) != {"omega_x", "omega_y", "omega_z"} or not set(volume.dims) <= set(volume.coords):
+        raise InputError(sentence("this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)))
+    if not all(np.issubdtype(part.dtype, np.number) for part in (volume, *volume.coords.values())):
+        raise InputError(sentence("this scan holds what is no number", do="write it again", where=str(path)))
+    return near_minimum(volume, factor)

@@ -28,15 +28,24 @@ ABOVE = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.
 matplotlib.rcParams["svg.hashsalt"] = "sunspin"  # the same figure gives the same bytes
 
 
+def lay_out(figure: Figure) -> Figure:
+    """Find the places of axes and labels once and for all: matplotlib does it anew, twice, for each format that is written."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+    return figure
+
+
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG."""
-    paths = []
-    for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
-        draw = partial(figure.savefig, format=suffix, dpi=130, metadata=metadata)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
-            paths.append(write_whole(folder / f"{name}.{suffix}", draw))
-    return paths
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
+        lay_out(figure)
+        return [
+            write_whole(folder / f"{name}.{suffix}", partial(figure.savefig, format=suffix, dpi=130, metadata=metadata))
+            for suffix, metadata in (("png", {}), ("svg", {"Date": None}))
+        ]
 
 
 def named(name: Any) -> str:

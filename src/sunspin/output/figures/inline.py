@@ -9,6 +9,8 @@ from xml.etree import ElementTree
 
 from matplotlib.figure import Figure
 
+from sunspin.output.figures import lay_out
+
 THEME = {
     "#000000": "ink", "#ffffff": "paper", "#0072b2": "blue", "#d55e00": "orange", "#009e73": "green", "#cc79a7": "pink",
     "#e69f00": "gold", "#56b4e9": "sky", "#999999": "grey", "#cccccc": "line", "#555555": "muted",
@@ -33,7 +35,7 @@ def inline_svg(figure: Figure, prefix: str) -> str:
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # odd numbers of a damaged file are drawn as far as they can be
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        lay_out(figure).savefig(buffer, format="svg", metadata={"Date": None})
     root = _cleaned(ElementTree.fromstring(buffer.getvalue()), prefix)
     for name in ("width", "height"):
         root.attrib.pop(name, None)

@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.landing.strategies import BestDelay
 from sunspin.landing.tally import Estimate, density, tally
 from sunspin.output.figures import COLOURS, named
 
@@ -156,27 +155,25 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
     return figure
 
 
-def delay_figure(search: BestDelay) -> Figure:
+def delay_figure(search: xr.Dataset) -> Figure:
     """The search for the best delay: its metric with errors, the delays that are as good, and what else changes."""
     figure = Figure(figsize=(8, 6.2), layout="constrained")
     top, low = figure.subplots(2, 1, sharex=True)
-    minutes = search.delays_s / 60
-    top.errorbar(minutes, search.value, yerr=search.error, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error")
-    good = np.isin(search.delays_s, search.as_good_s)
-    top.plot(
-        minutes[good], search.value[good], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.6, label="not behind the best by 2 errors"
-    )
-    top.axvspan(
-        search.spread_s[0] / 60, search.spread_s[1] / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings"
-    )
-    top.set_ylabel({"touch_leg": "probability that a leg touches first"}.get(search.metric, search.metric.replace("_", " ")))
+    minutes, metric = search["delay_s"].values / 60, str(search.attrs["metric"])
+    value, error = (search[part].sel(quantity=metric).values for part in ("value", "error"))
+    top.errorbar(minutes, value, yerr=error, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error")
+    good = search["as_good"].values
+    top.plot(minutes[good], value[good], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.6, label="not behind the best by 2 errors")
+    low_s, high_s = search.attrs["spread_s"]
+    top.axvspan(low_s / 60, high_s / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings")
+    top.set_ylabel({"touch_leg": "probability that a leg touches first"}.get(metric, metric.replace("_", " ")))
     top.legend(fontsize=8, frameon=False)
     top.set_title("When to switch the wheel off")
     quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"), ("rest_leg", "rests on its legs"),
                   ("leg_tip_speed", "fastest leg tip at contact (m/s)"))  # fmt: skip
     for k, (name, text) in enumerate(quantities):
-        if name in search.table["quantity"].values:
-            at = search.table.sel(quantity=name)
+        if name in search["quantity"].values:
+            at = search.sel(quantity=name)
             low.errorbar(
                 minutes, at["value"], yerr=at["error"], fmt="osD"[k] + "-", ms=4, color=COLOURS[k + 1], capsize=2, label=text
             )

@@ -14,7 +14,7 @@ from sunspin.output.figures.rates import SHOWN, chosen_passes, clock_text
 from sunspin.telemetry.quality import panel_quality
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 SHOWN_SIGMAS = 6.0
 """Residuals farther out are drawn at the edge."""

@@ -22,6 +22,7 @@ KINDS: dict[str, Kind] = {
     ),
     "outcomes": Kind("outcomes", "outcomes.nc", outcomes.outcomes_summary, outcomes.outcomes_drawings),
     "strategies": Kind("outcomes", "strategies.nc", outcomes.strategies_summary, outcomes.strategies_drawings),
+    "best_delay": Kind("outcomes", "best-delay.nc", outcomes.delay_summary, outcomes.delay_drawings),
     "landing": Kind("outcomes", "", outcomes.landing_summary, outcomes.landing_drawings, outcomes.landing_tables),
 }
 """`attrs["kind"]` -> what can be said, drawn and written of it."""

@@ -14,6 +14,7 @@ from sunspin.estimate.posterior.predict import intervals
 from sunspin.estimate.posterior.verdict import summary as main_numbers
 from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
 
 MOST_MODES = 12
 """Modes that are printed."""
@@ -22,6 +23,11 @@ MOST_MODES = 12
 def posterior_summary(tree: Any) -> Summary:
     """The verdict, the angular speed, the modes, what the verdict rests on, and the predictions where there are any."""
     numbers = main_numbers(tree)
+    if "passes" in tree.children:
+        found = tree["passes"].to_dataset()
+        numbers["passes"] = [
+            pass_numbers(found, 0) | {"modes": [motion_numbers(found, 0, k) for k in range(found.sizes["mode"])]}
+        ]
     rate = numbers["rate_rad_s"]
     lines = [numbers["verdict"], *(["  synthetic telemetry: not measured"] if numbers["synthetic_telemetry"] else [])]
     lines.append(
@@ -101,6 +107,8 @@ def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
         columns[f"sigma_{axis}_rad_s"] = modes["omega_cov_B"].values[:, k, k] ** 0.5
     columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
     _table(folder / "modes.csv", tree, columns)
+    if "passes" in tree.children:
+        write_passes(tree["passes"].to_dataset(), folder, tree)
     if beside.vehicle is not None:
         from sunspin.estimate.posterior.motion import best_motions
         from sunspin.vehicle import Vehicle, load_vehicle

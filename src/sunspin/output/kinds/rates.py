@@ -10,7 +10,10 @@ import numpy as np
 
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
 from sunspin.output.kinds.rate_words import clock_of, rate_at
+from sunspin.output.text import digits_of
+from sunspin.vehicle.timeline import utc_after
 
 READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
 """Variables of telemetry of which residuals are drawn."""
@@ -28,7 +31,22 @@ def rates_summary(result: Any) -> Summary:
         "synthetic_telemetry": bool(result.attrs.get("synthetic", 0)),
     }  # fmt: skip
     lines = [result.attrs["verdict"], *(line for _, line in found)]
-    return Summary(numbers, lines + [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)])
+    counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
+    return Summary(numbers, [*lines, *_mirrored(numbers["passes"], numbers["source"]), *counted])
+
+
+def _mirrored(passes: list[dict[str, Any]], source: str) -> list[str]:
+    """What no data of panels alone can decide, with the rates of the first decided pass."""
+    sure = [one for one in passes if one["decided"] and one["wiring"] == "unchecked"]
+    if not sure or source != "panels":
+        return []
+    x, y, z = (sure[0]["modes"][0][f"omega_{axis}_deg_s"] for axis in "xyz")
+    digits = digits_of([sure[0]["modes"][0][f"sigma_{axis}_deg_s"] for axis in "xyz"])
+    stated, mirrored = (", ".join(f"{part:.{digits}f}" for part in rate) for rate in ((x, y, z), (x, -y, -z)))
+    return [
+        "  wiring unchecked: panels alone cannot tell whether the columns of two opposite panels are exchanged; were it so "
+        f"along x, the motion at {sure[0]['utc_at']} would be ({mirrored}) and not ({stated}) deg/s"
+    ]
 
 
 def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
@@ -38,16 +56,16 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     sigma = np.degrees(result["omega_sigma_all_B"].values[k])
     mean = np.degrees(result["omega_mean_B"].values[k, :n])
     weight = result["weight"].values[k, :n]
-    numbers = {
-        "start_s": float(t[0]), "end_s": float(t[-1]), "samples": len(at), "sigma_deg_s": sigma.tolist(),
-        "modes": [{"weight": float(w), "omega_deg_s": m.tolist()} for w, m in zip(weight, mean, strict=True)],
-    }  # fmt: skip
-    poor = "  FITS BADLY" if result["cost"].values[k, 0] > result["cost_limit"].values[k] else ""
+    numbers = pass_numbers(result, k)
+    numbers |= {
+        "start_s": float(t[0]), "end_s": float(t[-1]), "sigma_deg_s": sigma.tolist(),
+        "modes": [{"omega_deg_s": m.tolist()} | motion_numbers(result, k, i) for i, m in enumerate(mean)],
+    }
     others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
     rate = rate_at(result, k)
     numbers |= {"speed_deg_s": [rate.low, rate.mean, rate.high], "at_s": rate.at_s, "omega_at_deg_s": rate.omega.tolist()}
     best = f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
-    best += f"  weight {weight[0]:.2f}{others}{poor}"
+    best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
     return numbers, f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}"
 
 
@@ -77,18 +95,21 @@ def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
 
 
 def _decided(result: Any) -> str:
-    weight = np.nan_to_num(result["weight"].values[:, 0])
-    sure = int((weight >= 0.9).sum())
-    return f"It holds at least 90 % of the weight in {sure} of {weight.size} passes; in the others look at the list of motions too."
+    sure = result["decided"].values
+    return f"{int(sure.sum())} of {sure.size} passes are decided; of the others look at what is said of each, and at all motions."
 
 
 def rates_tables(result: Any, folder: Path, _: Beside) -> None:
     import pandas as pd
 
-    columns: dict[str, np.ndarray] = {"time_s": result["time"].values, "pass": result["pass_of"].values}
+    epoch = result.attrs.get("epoch_utc")
+    utc = ["" if epoch is None else utc_after(float(t), epoch, 3) for t in result["time"].values]
+    columns: dict[str, Any] = {"time_s": result["time"].values, "utc": utc, "pass": result["pass_of"].values}
+    columns["pass_id"] = result["pass_id"].values[result["pass_of"].values]
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = result["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = np.sqrt(result["omega_cov_B"].values[:, k, k])
+    columns |= {name.replace("_rad_s", "_deg_s"): np.degrees(columns[name]) for name in [*columns] if name.endswith("_rad_s")}
     for k, axis in enumerate("xyz"):
         columns[f"sun_{axis}_B"] = result["sun_B"].values[:, k]
     for k, part in enumerate("xyzw"):
@@ -96,3 +117,4 @@ def rates_tables(result: Any, folder: Path, _: Beside) -> None:
     head = f"# time_s from {result.attrs.get('epoch_utc')}; best motion of each pass; body axes; N: z to the Sun, local\n"
     text = synthetic_label(result) + head + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
     write_whole(folder / "rates.csv", lambda part: part.write_text(text, "utf-8"))
+    write_passes(result, folder, result)

@@ -58,14 +58,15 @@ def _sentence(text: str) -> str:
 
 def _rates(results: Results) -> list[str]:
     told = _verdict(results)[:1]
-    found = results.first("omega_B", "pass_of", "cost", "cost_limit")
+    found = results.first("omega_B", "pass_of", "decided", "fits")
     passes = [p for p in results.summary.get("passes", []) if p.get("modes")]
     if found is None or len(passes) != found.sizes["pass_id"]:
         return told
-    fits = found["cost"].values[:, 0] <= found["cost_limit"].values
-    sound = [p for p, fit in zip(passes, fits, strict=True) if fit]
-    if not sound:
+    if not found["fits"].values.any():
         return [*told, "So the rates below describe no motion that the samples support, and should not be used."]
+    sound = [p for p, decided in zip(passes, found["decided"].values, strict=True) if decided]
+    if not sound:
+        return [*told, "No pass is decided: of each, only the components that are said to be informed may be used."]
     best = max(sound, key=lambda p: (p["modes"][0]["weight"], -max(p["sigma_deg_s"])))
     rate = rate_at(found, passes.index(best))
     speed = rate.mean

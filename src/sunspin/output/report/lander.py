@@ -15,7 +15,7 @@ from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Special, epoch_ms, motion_order
 from sunspin.output.text import capital
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 MOST_INSTANTS = 12_000
 """Instants of one motion put into the page; longer ones are thinned where they turn slowly enough, else cut."""

@@ -25,7 +25,7 @@ from sunspin.output.report.section import (
 from sunspin.output.text import capital
 from sunspin.telemetry.quality import USED, panel_quality
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 MOST_SAMPLES = 4000
 """Samples drawn in one plot; more are thinned evenly, and the caption says so."""

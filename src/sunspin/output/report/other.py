@@ -39,7 +39,9 @@ SEEN_OF = {
     "rates": {"verdict", "source", "passes", "acceleration_noise", "max_rate_deg_s", "samples", "wrong_units"},
     "sun": {"samples", "reconstructed", "status", "median_sigma_deg", "noise_from"},
     "scan": {"metric", "rows", "minimum", "best_omega_B", "near_minimum_points", "lines"},
-    "posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "p_value", "effective_draws", "pareto_k", "predicted"},
+    "posterior": {
+        "verdict", "verdict_word", "rate_rad_s", "modes", "passes", "p_value", "effective_draws", "pareto_k", "predicted",
+    },
 }
 """The same, for one command's summary."""
 

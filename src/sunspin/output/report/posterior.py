@@ -59,7 +59,7 @@ def section(results: Results) -> Section | None:
     draws = Draws.of(results)
     if draws is None:
         return None
-    tables = [_regions(draws, results), _judged(results), _predicted(results)]
+    tables = [_regions(draws, results), _believed(results), _judged(results), _predicted(results)]
     known = [table for table in tables if table is not None]
     return Section("posterior", "The posterior", [], [_cloud(draws), *drawn(results, "posterior"), *known])
 
@@ -79,6 +79,22 @@ def _regions(draws: Draws, results: Results) -> Table:
         rows.append(row + more)
     head = ["region", "weight", *(f"ω{axis} (deg/s)" for axis in "xyz"), "chi-square", "lit readings", "starts that led to it"]
     return Table(head, rows, "Regions of motions, heaviest first: rates at the first sample, body axes, and one sigma")
+
+
+ASKED = {
+    "unique": "one region of motions is left", "informed_x": "the data inform ωx", "informed_y": "the data inform ωy",
+    "informed_z": "the data inform ωz", "fits": "it fits the readings", "search_complete": "the search left nothing out",
+    "decided": "decided: all of these",
+}  # fmt: skip
+
+
+def _believed(results: Results) -> Table | None:
+    """The three questions and their answers."""
+    found = results.first(*ASKED)
+    if found is None:
+        return None
+    rows = [[what, "yes" if bool(found[name].values.ravel()[0]) else "no"] for name, what in ASKED.items()]
+    return Table(["question", "answer"], rows, "What may be believed")
 
 
 def _judged(results: Results) -> Table | None:

@@ -18,7 +18,9 @@ def rates(results: Results) -> Section | None:
     found = results.first("omega_B", "omega_cov_B", "pass_of", "weight")
     if found is None:
         return None
-    rows = []
+    rows, said = [], [""] * found.sizes["pass_id"]
+    if "why_not_decided" in found:
+        said = [str(why) or "decided" for why in found["why_not_decided"].values]
     for k in range(found.sizes["pass_id"]):
         at = np.flatnonzero(found["pass_of"].values == k)
         weight, rate = found["weight"].values[k], rate_at(found, k)
@@ -30,11 +32,11 @@ def rates(results: Results) -> Section | None:
             rows.append([
                 str(k + 1), utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True), str(at.size), str(mode + 1),
                 f"{weight[mode]:.3f}", speed, at_s or "mean of the pass",
-                *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)),
+                *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), said[k],
             ])  # fmt: skip
     table = Table(
         ["pass", "begins", "samples", "motion", "weight", "speed and its range (deg/s)", "components at",
-         *(f"ω{axis} (deg/s)" for axis in "xyz")], rows,
+         *(f"ω{axis} (deg/s)" for axis in "xyz"), "may be believed"], rows,
         "Every motion that fits, by pass", closed=len(rows) > 30,
     )  # fmt: skip
     lead = ["Each pass may allow several motions, mostly whole turns more or less between samples; their weights add to one."]

@@ -1,142 +1,196 @@
-"""The forward model of the panels: direction to the Sun -> power; and which panels can be lit together."""
+"""Gain times cosine (paper, eq. 1), in closed form.
+
+The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Minimising it is maximising the cosine between P(n) and M.
+Inside a cell of the sphere, where the same panels are lit, P is linear in n and the best n is parallel to pinv(B) M, B being
+the lit rows; on an arc between two cells likewise in the arc's plane; vertices are points. The global minimum is among these
+few candidates, each linear in M, so it is found without a search and for many samples at once.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from sunspin.vehicle import Vehicle
+from sunspin.solve.rotations import moved, seen_turned
+from sunspin.vehicle.response.panels import panel_power as panel_power
+from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula, plane_basis
+from sunspin.vehicle.response.protocol import (
+    BLUR_NODES,
+    BLUR_WEIGHTS,
+    Counted,
+    Regions,
+    Slopes,
+    misfit,
+    unit_readings,
+)
+from sunspin.vehicle.response.protocol import (
+    sphere as sphere,  # here for rates and posterior, as panel_power is
+)
 
-Pattern = frozenset[str]  # of panel names: the lit ones
+NUMBERS = 10_000_000
+"""Candidates times panels times samples solved at once: some 200 MB."""
 
-ON_PLANE = 1e-9
-"""A direction this close to a panel's plane counts as lying in it (cosine of the angle to the normal)."""
-
-
-def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
-    """Signal of each panel, ``gain * max(0, normal . sun)`` (paper, eq. 1).
-
-    Parameters
-    ----------
-    sun_B : (..., 3)
-        Direction to the Sun, body axes.
-
-    Returns
-    -------
-    (..., n_panel) in the unit of the gains (`vehicle.gain_unit`), or relative.
-    """
-    vehicle.require_panels()
-    cosine = np.asarray(sun_B, dtype=np.float64) @ vehicle.panel_normals_B.T
-    return vehicle.panel_gains * np.maximum(0.0, cosine)
+RANK_TOLERANCE = 1e-6
+"""Normals whose smallest singular value is below this lie in one plane (or on one line)."""
 
 
-def sphere(n: int) -> np.ndarray:
-    """About evenly spread directions (n, 3), by Fibonacci's spiral."""
-    z = 1 - (2 * np.arange(n) + 1) / n
-    longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
-    return np.stack([np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1)
+@dataclass(frozen=True, eq=False)
+class Flat:
+    """Panels by their normals (n_panel, 3) and gains (n_panel): what every law has."""
+
+    normals_B: np.ndarray
+    gains: np.ndarray
+
+    def cosines(self, sun_B: np.ndarray, tilt: np.ndarray | None) -> np.ndarray:
+        """Of the angles (..., n_panel) between the Sun and normals turned by `tilt`."""
+        if tilt is None:
+            return sun_B @ self.normals_B.T
+        return np.einsum("...i,...pi->...p", sun_B, self.turned(tilt))
+
+    def turned(self, tilt: np.ndarray) -> np.ndarray:
+        """Normals (..., n_panel, 3) turned by rotation vectors of that shape."""
+        return seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+
+    def strengths(self, gain: np.ndarray | None) -> np.ndarray:
+        """Gains (..., n_panel) with their factors."""
+        return self.gains if gain is None else self.gains * gain
 
 
-class Arrangement(NamedTuple):
-    """How the planes of the panels cut the sphere: one interior direction per open cell, arc and vertex, and what is lit.
-
-    Directions are (n, 3); `lit` arrays are (n, n_panel) of bool; `arc_plane` (n_arc) is the panel in whose plane an arc lies.
-    """
-
-    cell_B: np.ndarray
-    cell_lit: np.ndarray
-    arc_B: np.ndarray
-    arc_lit: np.ndarray
-    arc_plane: np.ndarray
-    vertex_B: np.ndarray
+def blurred(power, sun_B: np.ndarray, blur_rad: float) -> np.ndarray:
+    """The mean of a function `power` over directions that err by `blur_rad`, one sigma to each side."""
+    flat = sun_B.reshape(-1, 3)
+    each = [moved(flat, np.broadcast_to(blur_rad * node, (len(flat), 2))).reshape(sun_B.shape) for node in BLUR_NODES]
+    return np.einsum("m,m...->...", BLUR_WEIGHTS, np.stack([power(sun) for sun in each]))
 
 
-def arrangement(vehicle: Vehicle) -> Arrangement:
-    """The arrangement of great circles that the panels' planes make on the sphere of directions."""
-    vehicle.require_panels()
-    return _arrangement(tuple(map(tuple, vehicle.panel_normals_B.tolist())))
+class Cosine(Flat):
+    """``gain * max(0, normal . sun)``. Names and shapes as in :class:`sunspin.vehicle.response.protocol.PanelResponse`."""
 
+    @property
+    def facing_B(self) -> np.ndarray:
+        return self.normals_B
 
-def lit_patterns(vehicle: Vehicle) -> tuple[Pattern, ...]:
-    """The sets of panels that the Sun can light together, for directions in no panel's plane (16 for Philae)."""
-    names = np.array(vehicle.panel_names)
-    patterns = [frozenset(names[lit].tolist()) for lit in arrangement(vehicle).cell_lit]
-    return tuple(sorted(set(patterns), key=lambda pattern: (len(pattern), sorted(pattern))))
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """Gain times normal (n_panel, 3): in a region power is linear in the direction."""
+        return self.gains[:, None] * self.normals_B
 
+    @property
+    def largest(self) -> float:
+        return np.abs(self._rows).max()
 
-def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
-    """The lit patterns that a measurement can show: those of `lit_patterns`, and those of directions in a panel's plane.
+    def power(
+        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None, blur_rad: float = 0.0
+    ) -> np.ndarray:
+        if blur_rad:
+            return blurred(lambda sun: self.power(sun, gain=gain, tilt=tilt), sun_B, blur_rad)
+        return self.strengths(gain) * np.maximum(0.0, self.cosines(sun_B, tilt))
 
-    A panel that the Sun grazes may read as dark, so the patterns of arcs and vertices occur in real data.
-    """
-    names, parts = np.array(vehicle.panel_names), arrangement(vehicle)
-    vertex_lit = parts.vertex_B @ vehicle.panel_normals_B.T > ON_PLANE
-    rows = np.concatenate([parts.cell_lit, parts.arc_lit, vertex_lit])
-    return frozenset(frozenset(names[lit].tolist()) for lit in rows)
+    def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
+        cosine, strength = self.cosines(sun_B, tilt), self.strengths(gain)
+        normals = self.normals_B if tilt is None else self.turned(tilt)
+        sun = sun_B[..., None, :]
+        lit = (strength * (cosine >= 0))[..., None]
+        to_sun, to_tilt = lit * (normals - cosine[..., None] * sun), lit * np.cross(normals, sun)
+        return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
+    def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        rows = self._rows / unit
+        return np.maximum(0.0, light_B @ rows.T), rows
 
-@lru_cache(maxsize=64)
-def _arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
-    p = np.array(normals)
-    vertices = _vertices(p)
-    arcs, planes = [], []
-    for k in range(len(p)):
-        for direction in _arc_midpoints(p[k], vertices):
-            arcs.append(direction)
-            planes.append(k)
-    arc_B = np.array(arcs).reshape(-1, 3)
-    cell_B = _cells(p, arc_B, np.array(planes, dtype=int))
-    return Arrangement(cell_B, cell_B @ p.T > ON_PLANE, arc_B, arc_B @ p.T > ON_PLANE, np.array(planes, dtype=int), vertices)
+    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Earth fills a disk of 66 degrees' radius seen from 550 km: on a panel turned away by an angle a its light falls as
+        ((1 + cos a) / 2)^2, to 0.05 of what it is at most."""
+        part = (1 + axis_B @ self.normals_B.T) / 2
+        axis = axis_B[..., None, :]
+        slope = part[..., None] * (axis + self.normals_B) - part[..., None] ** 2 * axis
+        return self.gains * part**2 * np.asarray(strength)[..., None], self.gains[:, None] * slope
 
+    def bounds(self, sun_B: np.ndarray, angle: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        off, angle = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0)), np.asarray(angle)[..., None]
+        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
+        return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
 
-def _distinct(directions: np.ndarray) -> np.ndarray:
-    kept: list[np.ndarray] = []
-    for direction in directions:
-        if not kept or np.max(np.array(kept) @ direction) < 1 - 1e-12:
-            kept.append(direction)
-    return np.array(kept).reshape(-1, 3)
+    @cached_property
+    def _cells(self) -> Arrangement:
+        return arrangement(tuple(map(tuple, self.normals_B.tolist())))
 
+    def regions(self) -> Regions:
+        return Regions(self._cells.cell_B, self._cells.cell_lit)
 
-def _vertices(p: np.ndarray) -> np.ndarray:
-    """Directions in which two planes meet, both signs."""
-    found = []
-    for i in range(len(p)):
-        for j in range(i):
-            line = np.cross(p[i], p[j])
-            length = np.linalg.norm(line)
-            if length > ON_PLANE:
-                found += [line / length, -line / length]
-    return _distinct(np.array(found).reshape(-1, 3))
+    def edges(self) -> np.ndarray:
+        return np.concatenate([self._cells.arc_lit, self._cells.vertex_B @ self.normals_B.T > ON_PLANE])
 
+    @cached_property
+    def _maps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Matrices (n_map, 3, n_panel) that turn powers into candidate directions, and fixed candidates (n_vertex, 3)."""
+        cells, maps = self._cells, []
+        for lit in cells.cell_lit:
+            if lit.any():
+                maps.append(np.linalg.pinv(self._rows * lit[:, None]))
+        for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True):
+            if lit.any():
+                basis = plane_basis(self.normals_B[k])
+                maps.append(basis @ np.linalg.pinv((self._rows * lit[:, None]) @ basis))
+        return np.array(maps), np.concatenate([cells.vertex_B, cells.cell_B])
 
-def plane_basis(normal: np.ndarray) -> np.ndarray:
-    """Two orthonormal vectors (3, 2) that span the plane of a normal."""
-    return np.linalg.svd(normal[None])[2][1:].T
+    def _mapped(self, target: np.ndarray) -> np.ndarray:
+        """The candidates (n, n_map, 3) that depend on the readings."""
+        candidates = np.einsum("mik,nk->nmi", self._maps[0], target)
+        length = np.linalg.norm(candidates, axis=2, keepdims=True)
+        return candidates / np.where(length > 0, length, 1.0)
 
+    def candidates(self, share: np.ndarray) -> np.ndarray:
+        fixed = np.broadcast_to(self._maps[1], (len(share), *self._maps[1].shape))
+        return np.concatenate([self._mapped(unit_readings(share)), fixed], axis=1)
 
-def _arc_midpoints(normal: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:
-    """The middle of each arc into which the vertices cut the great circle of a plane."""
-    basis = plane_basis(normal)
-    on_circle = vertices[np.abs(vertices @ normal) < ON_PLANE]
-    if len(on_circle) == 0:
-        return [basis[:, 0]]
-    angles = np.sort(np.arctan2(on_circle @ basis[:, 1], on_circle @ basis[:, 0]))
-    middles = (angles + np.append(angles[1:], angles[0] + 2 * np.pi)) / 2
-    return [basis @ [np.cos(angle), np.sin(angle)] for angle in middles]
+    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        maps, fixed = self._maps
+        fixed_shape = self.power(fixed)
+        direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
+        chunk = max(1, NUMBERS // ((len(maps) + len(fixed)) * readings.shape[1]))
+        for start in range(0, len(readings), chunk):
+            part = slice(start, start + chunk)
+            target = unit_readings(readings[part])
+            candidates = self._mapped(target)
+            away = misfit(self.power(candidates), target[:, None, :])
+            away_fixed = misfit(np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :])
+            best, best_fixed = np.argmin(away, axis=1), np.argmin(away_fixed, axis=1)
+            each = np.arange(len(target))
+            use_fixed = away_fixed[each, best_fixed] < away[each, best] - 1e-14
+            direction[part] = np.where(use_fixed[:, None], fixed[best_fixed], candidates[each, best])
+            delta[part] = np.minimum(away_fixed[each, best_fixed], away[each, best])
+        return direction, delta
 
+    def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
+        values = np.linalg.svd(self.normals_B[lit], compute_uv=False) if lit.any() else np.zeros(0)
+        return int(np.count_nonzero(values > RANK_TOLERANCE))
 
-def _cells(p: np.ndarray, arcs: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """An interior direction of each open cell: step off the middle of each arc to both sides of its plane."""
-    found = []
-    for arc, k in zip(arcs, planes, strict=True):
-        distances = np.abs(p @ arc)
-        room = np.min(distances[distances > ON_PLANE], initial=1.0) / 2
-        for side in (1.0, -1.0):
-            direction = arc + side * room * p[k]
-            found.append(direction / np.linalg.norm(direction))
-    lit = np.array(found).reshape(-1, 3) @ p.T > 0
-    _, first = np.unique(lit, axis=0, return_index=True)
-    return np.array(found)[np.sort(first)]
+    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: float) -> np.ndarray:
+        design = self._rows * lit[:, None]
+        x = readings @ np.linalg.pinv(design).T
+        length = np.linalg.norm(x, axis=1)
+        n = x / length[:, None]
+        tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
+        scaled = noise**2 * np.linalg.inv(design.T @ design) / length[:, None, None] ** 2
+        return tangent @ scaled @ tangent
+
+    def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
+        design = self._rows[lit]
+        middle = np.linalg.pinv(design) @ readings[lit]
+        middle /= np.linalg.norm(middle)
+        free = np.linalg.svd(design)[2][2]
+        low, high = -np.pi / 2, np.pi / 2  # n(a) = cos(a) middle + sin(a) free
+        for normal in self.normals_B[~lit]:
+            a, b = normal @ middle, normal @ free
+            if abs(b) > RANK_TOLERANCE:
+                crossing = np.arctan2(-a, b) if b > 0 else np.arctan2(a, -b)
+                low, high = (low, min(high, crossing)) if b > 0 else (max(low, crossing), high)
+        if low > high:
+            return np.full((2, 3), np.nan)
+        return np.array([np.cos(angle) * middle + np.sin(angle) * free for angle in (low, high)])
+
+    def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
+        return Counted(self.normals_B, formula(good, bad))

@@ -1,8 +1,7 @@
-"""`sunspin reproduce`, `sunspin coverage`, `sunspin report`."""
+"""`sunspin reproduce`."""
 
 from __future__ import annotations
 
-from copy import copy
 from pathlib import Path
 
 import click
@@ -62,61 +61,3 @@ SHOWN = ("delta_mean", "wheel_stop", "emd_min")
 def _short(row: dict) -> str:
     unit = "" if row["unit"] == "1" else f" {row['unit']}"
     return f"{row['ours']:.4g}{unit} (published {row['published']:.4g})"
-
-
-@click.command()
-@click.option("--twins", type=click.IntRange(10, 1_000_000), default=400, show_default=True, help="Synthetic rebounds per kind.")
-@click.option("--confidence", type=click.FloatRange(0, 1, min_open=True, max_open=True), default=0.9, show_default=True,
-              help="Of the region whose threshold on EMD is looked for.")
-@click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
-@click.option("--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only.")
-@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps finished twins; the same command resumes.")
-@output_options()
-@run_options
-def coverage(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
-    """Coverage of the paper's method: it is repeated on synthetic rebounds whose truth is known.
-
-    How far the lines move from one data set to the next, how often the truth lies in the near-minimum set, which threshold
-    makes that set a confidence region, and what the lower bound on the angular speed at the touchdown is then. `sunspin scan`
-    takes such a threshold as --threshold.
-
-    \b
-    Examples:
-      sunspin coverage --out coverage-results
-      sunspin coverage --twins 2000 --confidence 0.95 --store coverage-twins --out coverage-results
-    """
-    from sunspin.philae.coverage_results import coverage as run
-
-    summary = run(
-        out, twins, confidence=confidence, factor=factor, coarser=coarser, seed=seed, store=store, workers=workers,
-        progress=on_terminal(quiet),
-    )  # fmt: skip
-    lines = [*summary["sentences"], *(f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in summary["figures"])]
-    report(summary, lines + ([f"Results: {summary['folder']}"] if summary["folder"] else []), as_json, quiet)
-
-
-worth = copy(coverage)
-worth.name, worth.help = "worth", (coverage.help or "").replace("sunspin coverage", "sunspin worth")
-
-
-def _value(ours) -> str:
-    return ", ".join(f"{x:.4g}" for x in ours) if isinstance(ours, list) else f"{ours:.4g}"
-
-
-@click.command(name="report")
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@output_options(out=False)
-def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
-    """One page to look into, from a results folder: DIR/report.html, complete in itself, to open from disk or send away.
-
-    DIR is the --out of an earlier command. What the page does not know how to draw it lists.
-
-    \b
-    Example:
-      sunspin report rates
-    """
-    from sunspin.output.report import write_report
-
-    target = write_report(folder)
-    size = target.stat().st_size
-    report({"report": str(target), "bytes": size}, [f"Report: {target} ({size / 1e6:.1f} MB)"], as_json, quiet)

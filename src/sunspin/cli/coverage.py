@@ -1,0 +1,49 @@
+"""`sunspin coverage`, and `sunspin worth`, its earlier name."""
+
+from __future__ import annotations
+
+from copy import copy
+from pathlib import Path
+
+import click
+
+from sunspin.cli.common import on_terminal, output_options, report, run_options
+
+
+@click.command()
+@click.option("--twins", type=click.IntRange(10, 1_000_000), default=400, show_default=True, help="Synthetic rebounds per kind.")
+@click.option("--confidence", type=click.FloatRange(0, 1, min_open=True, max_open=True), default=0.9, show_default=True,
+              help="Of the region whose threshold on EMD is looked for.")
+@click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
+@click.option("--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only.")
+@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps finished twins; the same command resumes.")
+@output_options()
+@run_options
+def coverage(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
+    """Coverage of the paper's method: it is repeated on synthetic rebounds whose truth is known.
+
+    How far the lines move from one data set to the next, how often the truth lies in the near-minimum set, which threshold
+    makes that set a confidence region, and what the lower bound on the angular speed at the touchdown is then. `sunspin scan`
+    takes such a threshold as --threshold.
+
+    \b
+    Examples:
+      sunspin coverage --out coverage-results
+      sunspin coverage --twins 2000 --confidence 0.95 --store coverage-twins --out coverage-results
+    """
+    from sunspin.philae.coverage_results import coverage as run
+
+    summary = run(
+        out, twins, confidence=confidence, factor=factor, coarser=coarser, seed=seed, store=store, workers=workers,
+        progress=on_terminal(quiet),
+    )  # fmt: skip
+    lines = [*summary["sentences"], *(f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in summary["figures"])]
+    report(summary, lines + ([f"Results: {summary['folder']}"] if summary["folder"] else []), as_json, quiet)
+
+
+worth = copy(coverage)
+worth.name, worth.help = "worth", (coverage.help or "").replace("sunspin coverage", "sunspin worth")
+
+
+def _value(ours) -> str:
+    return ", ".join(f"{x:.4g}" for x in ours) if isinstance(ours, list) else f"{ours:.4g}"

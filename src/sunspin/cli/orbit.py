@@ -1,0 +1,79 @@
+"""Options and words on orbits, for the commands that take elements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def orbit_options(command: Callable) -> Callable:
+    """--tle and --omm, which are one, and --tle-shift-sigma."""
+    command = click.option(
+        "--tle-shift-sigma", "shift_sigma", type=click.FloatRange(0, min_open=True),
+        help="One sigma of the place along the track, s; default: by the elements' age.",
+    )(command)  # fmt: skip
+    return click.option(
+        "--tle", "--omm", "elements", type=click.Path(path_type=Path),
+        help="Orbital elements of one satellite, as TLE or OMM; default: those of the vehicle file.",
+    )(command)  # fmt: skip
+
+
+def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: float | None) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on whether the elements fit the telemetry; nothing where there are none."""
+    from sunspin.estimate.orbit import orbit_of
+
+    orbit = orbit_of(craft, samples, elements, shift_sigma)
+    if orbit is None:
+        return {}, []
+    from sunspin.environment.elements import nearest
+    from sunspin.estimate.orbit_check import check_orbit
+
+    time = samples["time"].values
+    one = nearest(orbit.elements, orbit.instants(time).middle)
+    found, notes = check_orbit(orbit, craft, samples), orbit.notes(time)
+    summary = {
+        "satellite": one.number, "name": one.name, "verdict": found.verdict.name.lower(), "copies": found.copies,
+        "better_copies": found.better, "copies_expected_better_by_chance": found.mistaken,
+        "node_turn_rad": found.turn_rad, "node_turn_times": found.turn_times,
+        "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border, "samples": found.samples,
+        "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
+        "sign_turned": found.sign_turned,
+        "clock_behind_s": found.clock_behind_s, "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0],
+        "notes": notes,
+    }  # fmt: skip
+    if found.matrix is not None and found.zero is not None:
+        summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
+    return {"orbit": summary}, _lines(one, found, notes)
+
+
+def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
+    import numpy as np
+
+    named = f"{one.name} ({one.number})" if one.name else f"satellite {one.number}"
+    lines = [f"Orbit of {named}: {found.verdict.value}", *(f"  {note}" for note in notes)]
+    if hours := round(found.clock_behind_s / 3600):
+        side = "behind" if hours > 0 else "ahead of"
+        lines.append(f"  they would fit if the telemetry's clock were {abs(hours)} h {side} UTC")
+    if found.sign_turned:
+        lines.append("  the magnetometer reads the field with the opposite sign")
+    used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
+    if not used:
+        return [*lines, "  no sample shows a field, the Sun or the dark"]
+    lines.append(f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)")
+    if found.turn_times > 1.05:
+        turn = f"with the node turned by {np.degrees(found.turn_rad):+.0f} deg"
+        lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
+    border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
+    both = " (with the clock: of both, the data determine the sum)"
+    lines.append(f"  shift along the track {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s{both}{border}")
+    if np.isfinite(found.strength_residual_T):
+        angle = np.degrees(found.angle_residual_rad)
+        sun = f", of its angle to the Sun {angle:.1f} deg" if np.isfinite(angle) else ""
+        lines.append(f"  residuals in the middle: of the field's strength {1e6 * found.strength_residual_T:.2f} uT{sun}")
+    seen, dark = found.eclipse
+    if dark:
+        lines.append(f"  {dark} samples lie in the Earth's shadow; {seen} of them show a Sun")
+    return lines

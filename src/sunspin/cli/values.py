@@ -1,0 +1,112 @@
+"""Text of options into values; what is no such value is one sentence that names the option."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.base.untrusted import SIZES, is_sensible
+
+if TYPE_CHECKING:
+    import numpy as np
+
+MAX_GRID = 100_000
+"""Values of one axis of a scan's grid."""
+
+
+def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
+    """Refuse numbers that are infinite, none, or beyond all measure."""
+    name = parameter.opts[0]
+    for value in given if isinstance(given, tuple) else (given,):
+        if isinstance(value, float):
+            _check_number(name, value)
+    return given
+
+
+def _check_number(name: str, value: float) -> None:
+    if not is_sensible(value):
+        raise InputError(sentence(f"{name} must be {SIZES}", got=str(value)))
+
+
+def numbers(text: str | None, name: str, count: int | None = None) -> list[float]:
+    """Comma-separated numbers of an option."""
+    try:
+        values = [float(part) for part in text.split(",")] if text else []
+    except ValueError:
+        values = None
+    for value in values or ():
+        _check_number(name, value)
+    if values is None or (count is not None and len(values) != count):
+        wanted = f"{count} numbers" if count else "numbers"
+        raise InputError(sentence(f"{name} takes {wanted} separated by commas", got=text, do=f"for example {name} 0.1,0,-0.2"))
+    return values
+
+
+def grid(text: str, name: str) -> np.ndarray:
+    """low:high:step, or values separated by commas."""
+    import numpy as np
+
+    from sunspin.estimate.scan.volume import check_size
+
+    if ":" not in text:
+        return np.array(numbers(text, name))
+    parts = text.split(":")
+    if len(parts) != 3:
+        raise InputError(sentence(f"{name} must be low:high:step", got=text, do=f"for example {name}=-0.1:0.1:0.02"))
+    low, high, step = numbers(",".join(parts), name, 3)
+    count = (high - low) / step + 1 if step > 0 and high >= low else math.nan
+    if not math.isfinite(count):
+        raise InputError(sentence(f"{name} must be low:high:step, finite and with a positive step", got=text))
+    if count > MAX_GRID:
+        check_size(count, 1, 1)
+        raise InputError(sentence(f"{name} has {count:.3g} values, more than {MAX_GRID}", got=text, do="use a larger step"))
+    return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
+
+
+def vertical(text: str | None) -> Any:
+    """The name of a rule, rad about legs-down, or a direction."""
+    if text is None or text in ("legs_down", "any"):
+        return text
+    values = numbers(text, "--vertical")
+    if len(values) == 1:
+        return math.radians(values[0])
+    if len(values) == 3:
+        return tuple(values)
+    raise InputError(sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text))
+
+
+def prior(text: str) -> tuple[str, float]:
+    """KEY=SIGMA."""
+    key, _, value = text.partition("=")
+    return key.strip(), numbers(value, f"--prior {key.strip()}", 1)[0]
+
+
+def observation(kind: str, text: str, count: int) -> dict[str, Any]:
+    """T,VALUES,SIGMA of something seen otherwise."""
+    t, *value, sigma = numbers(text, f"--{kind}", count + 2)
+    return {"kind": kind, "t_s": t, "value": value, "sigma": sigma}
+
+
+def field(text: str) -> dict[str, Any]:
+    """T,X,Y,Z,ANGLE,SIGMA of a magnetic direction."""
+    t, x, y, z, angle, sigma = numbers(text, "--field", 6)
+    return {"kind": "field", "t_s": t, "value": [x, y, z], "angle_rad": angle, "sigma": sigma}
+
+
+def times(text: str, epoch_utc: str | None) -> dict[float, str]:
+    """s from the epoch -> what was asked for, in order of time."""
+    from sunspin.vehicle.timeline import utc_seconds
+
+    times = {}
+    for part in (piece.strip() for piece in text.split(",")):
+        if ":" not in part:
+            times[numbers(part, "--predict", 1)[0]] = f"{part} s"
+        elif epoch_utc is None:
+            raise InputError(sentence("the telemetry has no epoch, so a time must be in s", got=part))
+        else:
+            utc = part if "T" in part else f"{epoch_utc[:10]}T{part}"
+            times[utc_seconds(utc, epoch_utc)] = f"{utc.rstrip('Z')} UTC"
+    return dict(sorted(times.items()))

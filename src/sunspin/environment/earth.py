@@ -1,0 +1,99 @@
+"""Where the Earth's axes and the Sun are: time scales, TEME, Earth-fixed axes and Sun in J2000, by ERFA (the IAU's SOFA).
+
+J2000 stands for the axes of the GCRS, which are those of the mean equator and equinox of J2000.0 to 0.02 arcseconds. UT1 is taken
+to be UTC, which it is within 0.9 s (13 arcseconds of the Earth's turn): nothing needs to be downloaded.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from datetime import datetime
+from typing import Any, NamedTuple
+
+import numpy as np
+
+EQUATOR_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
+"""The Earth's equatorial radius (m) and flattening: WGS 84."""
+
+SUN_M = 6.957e8
+"""The Sun's radius: IAU 2015, resolution B3."""
+
+NODES_DAYS = 0.25
+"""Precession and nutation are computed so often and interpolated between: to 1e-9."""
+
+DAY_S = 86400.0
+
+
+class Instants(NamedTuple):
+    """UTC Julian dates: a day `jd` (n) and its `fraction` (n), and how far TT is ahead (days)."""
+
+    jd: np.ndarray
+    fraction: np.ndarray
+    tt_ahead: float
+
+    @classmethod
+    def of(cls, epoch_utc: str, t_s: np.ndarray) -> Instants:
+        """Times (n) in s from an ISO-8601 UTC epoch. A leap second between them is not counted, as in Unix time."""
+        import erfa
+
+        moment = datetime.fromisoformat(epoch_utc.replace("Z", "+00:00"))
+        day = moment.toordinal() + 1_721_424.5
+        fraction = (moment.hour * 3600 + moment.minute * 60 + moment.second + moment.microsecond / 1e6) / DAY_S
+        with warnings.catch_warnings():  # years beyond the announced leap seconds
+            warnings.simplefilter("ignore", erfa.ErfaWarning)
+            tai_ahead = float(erfa.dat(moment.year, moment.month, moment.day, fraction))
+        later = fraction + np.asarray(t_s, dtype=np.float64) / DAY_S
+        return cls(day + np.floor(later), later - np.floor(later), (tai_ahead + 32.184) / DAY_S)
+
+    def later(self, seconds: Any) -> Instants:
+        return self._replace(fraction=self.fraction + np.asarray(seconds) / DAY_S)
+
+    @property
+    def middle(self) -> float:
+        """UTC Julian date in the middle."""
+        both = self.jd + self.fraction
+        return float((both.min() + both.max()) / 2)
+
+    def slowly(self, function: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """A slow function of TT (two parts) at these instants, by straight lines between nodes."""
+        both = self.jd + self.fraction + self.tt_ahead
+        low, high = NODES_DAYS * np.floor(both.min() / NODES_DAYS), both.max()
+        nodes = low + NODES_DAYS * np.arange(int(np.ceil((high - low) / NODES_DAYS)) + 2)
+        values = function(np.full(len(nodes), low), nodes - low)
+        at = (both - low) / NODES_DAYS
+        k = at.astype(int)
+        share = (at - k).reshape(-1, *(1,) * (values.ndim - 1))
+        return (1 - share) * values[k] + share * values[k + 1]
+
+
+def J2000_from_TEME(when: Instants) -> np.ndarray:
+    """Matrices (n, 3, 3) from the true equator and mean equinox of SGP4 to J2000.
+
+    The equinox of SGP4 lies off the true one by the equation of the equinoxes of 1994 (Vallado et al. 2006, AIAA 2006-6753).
+    """
+    import erfa
+
+    def matrix(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+        true = erfa.pnm06a(one, two)
+        return np.swapaxes(erfa.rz(erfa.eqeq94(one, two), true), -1, -2)
+
+    return when.slowly(matrix)
+
+
+def earth_from_J2000(when: Instants) -> np.ndarray:
+    """Matrices (n, 3, 3) from J2000 to the axes that turn with the Earth (ITRF without polar motion, which is 0.3 arcseconds)."""
+    import erfa
+
+    return erfa.rz(erfa.era00(when.jd, when.fraction), when.slowly(erfa.c2i06a))
+
+
+def sun_J2000_m(when: Instants) -> np.ndarray:
+    """The Sun (n, 3) in m from the Earth's centre, where it is seen: aberration included."""
+    import erfa
+
+    heliocentric, barycentric = erfa.epv00(when.jd, when.fraction + when.tt_ahead)
+    place = -heliocentric["p"]
+    distance = np.linalg.norm(place, axis=-1, keepdims=True)
+    seen = place / distance + barycentric["v"] * (erfa.DAU / DAY_S / erfa.CMPS)
+    return erfa.DAU * distance * seen / np.linalg.norm(seen, axis=-1, keepdims=True)

@@ -1,0 +1,256 @@
+"""Orbital elements as others publish them: TLE and OMM (CCSDS 502.0-B) in, one sentence on what is wrong with them.
+
+Elements are data here; :mod:`sunspin.environment.orbit` propagates them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.base.untrusted import read_bytes
+
+MAX_FILE_BYTES = 10_000_000
+"""Elements of one satellite for ten years, some a day, are 2 MB."""
+
+OLD_DAYS = 10.0
+"""Elements farther than this from the telemetry are warned about: the place along the track is no longer known to a few seconds."""
+
+LINE_1 = re.compile(
+    r"1 [0-9A-Z ][0-9 ]{4}. .{8} \d\d[ \d]{3}\.\d{8} [-+ ][ .\d]\d{8} [-+ ]\d{5}[-+]\d [-+ ]\d{5}[-+]\d [ \d] [ \d]{4}\d"
+)
+LINE_2 = re.compile(
+    r"2 [0-9A-Z ][0-9 ]{4} [ \d]{3}\.\d{4} [ \d]{3}\.\d{4} \d{7} [ \d]{3}\.\d{4} [ \d]{3}\.\d{4} [ \d]{2}\.\d{8}[ \d]{5}\d"
+)
+"""Columns of the two lines, checksum included."""
+
+KEYS = (
+    "EPOCH", "MEAN_MOTION", "ECCENTRICITY", "INCLINATION", "RA_OF_ASC_NODE", "ARG_OF_PERICENTER", "MEAN_ANOMALY", "NORAD_CAT_ID",
+    "BSTAR", "MEAN_MOTION_DOT", "MEAN_MOTION_DDOT",
+)  # fmt: skip
+"""What SGP4 needs of an OMM."""
+
+ASSUMED = {"EPHEMERIS_TYPE": "0", "CLASSIFICATION_TYPE": "U", "ELEMENT_SET_NO": "0", "REV_AT_EPOCH": "0", "OBJECT_ID": "",
+           "OBJECT_NAME": "", "MEAN_MOTION_DDOT": "0"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Elements:
+    """One set of mean elements for SGP4, as it was given: the two lines, or the keys of an OMM.
+
+    `epoch_jd`: its instant, a UTC Julian date in two parts; `where` names file and line in messages.
+    """
+
+    given: tuple[str, str] | tuple[tuple[str, str], ...]
+    number: int
+    name: str
+    epoch_jd: tuple[float, float]
+    where: str
+
+    def states_TEME(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) m and velocities (n, 3) m/s in the true equator and mean equinox of date, at UTC Julian dates (n) and
+        fractions of a day (n). `InputError` where SGP4 gives none: the orbit has decayed, or is none."""
+        error, place, speed = _satrec(self.given).sgp4_array(np.ascontiguousarray(jd), np.ascontiguousarray(fraction))
+        if error.any():
+            from sgp4.api import SGP4_ERRORS
+
+            what = f"these elements cannot be propagated to the telemetry: {SGP4_ERRORS[int(error[error > 0][0])]}"
+            raise InputError(sentence(what, do="give elements of the telemetry's time", where=self.where))
+        return 1e3 * place, 1e3 * speed
+
+    @property
+    def period_s(self) -> float:
+        return float(2 * np.pi / _satrec(self.given).no_kozai * 60)
+
+    def days_to(self, jd: float) -> float:
+        """Days from the epoch to a UTC Julian date."""
+        return jd - self.epoch_jd[0] - self.epoch_jd[1]
+
+
+@lru_cache(maxsize=64)
+def _satrec(given: tuple) -> Any:
+    from sgp4 import omm
+    from sgp4.api import Satrec
+
+    if isinstance(given[0], str):
+        return Satrec.twoline2rv(*given)
+    satellite = Satrec()
+    omm.initialize(satellite, dict(given))
+    return satellite
+
+
+def read_elements(path: Path | str) -> tuple[Elements, ...]:
+    """The element sets of a file of one satellite, oldest first: TLE, with names or without, or OMM as KVN, XML, CSV or JSON.
+
+    Raises
+    ------
+    InputError
+        Naming file, line, what was found there and what to do.
+    """
+    path = Path(path)
+    content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE or OMM file")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(sentence("the file is not UTF-8 text", do="give a TLE or OMM file", where=str(path))) from None
+    return parse_elements(text, str(path))
+
+
+def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
+    """As :func:`read_elements`, of a text; `where` names it in messages."""
+    begin = text.lstrip()[:1]
+    if begin == "<":
+        found = [_from_omm(fields, where) for fields in _xml(text, where)]
+    elif begin in ("[", "{") and begin:
+        found = [_from_omm(fields, where) for fields in _json(text, where)]
+    elif "MEAN_MOTION" in text.split("\n", 1)[0]:
+        found = [_from_omm(fields, where) for fields in csv.DictReader(io.StringIO(text.strip()))]
+    elif re.search(r"^\s*MEAN_MOTION\s*=", text, re.MULTILINE):
+        found = [_from_omm(fields, where) for fields in _kvn(text)]
+    else:
+        found = list(_lines(text, where))
+    if not found:
+        raise InputError(sentence("no orbital elements here", do="give two lines that begin with 1 and 2, or an OMM", where=where))
+    numbers = sorted({one.number for one in found})
+    if len(numbers) > 1:
+        what = f"the file has elements of {len(numbers)} satellites"
+        do = "keep those of yours"
+        raise InputError(sentence(what, got=", ".join(map(str, numbers[:4])), do=do, where=where))
+    return tuple(sorted(found, key=lambda one: one.epoch_jd))
+
+
+def nearest(found: tuple[Elements, ...], jd: float) -> Elements:
+    """The elements whose epoch is nearest to a UTC Julian date."""
+    return min(found, key=lambda one: abs(one.days_to(jd)))
+
+
+# ------------------------------------------------------------------------------------------------------------------------- TLE
+
+
+def _lines(text: str, where: str) -> Iterator[Elements]:
+    name, first = "", None
+    for number, line in enumerate(text.splitlines(), 1):
+        line, at = line.rstrip(), f"{where}, line {number}"
+        if not line.strip() or line.startswith("#"):
+            continue
+        if first is None and line.startswith("2 ") and len(line) > 60:
+            raise InputError(sentence("line 2 of the elements comes before line 1", do="exchange the two lines", where=at))
+        if first is None and line.startswith("1 ") and len(line) > 60:
+            first = _checked(line, LINE_1, at)
+        elif first is not None:
+            if not line.startswith("2 "):
+                raise InputError(sentence("line 2 of the elements must follow their line 1", got=line, where=at))
+            yield _from_lines(first, _checked(line, LINE_2, at), name, at)
+            name, first = "", None
+        elif line.startswith(("1 ", "2 ")):
+            raise InputError(sentence("a line of elements has 69 characters", got=f"{len(line)}", do="copy it whole", where=at))
+        else:
+            name = line.removeprefix("0 ").strip()[:100]
+    if first is not None:
+        raise InputError(sentence("line 1 of the elements has no line 2", do="add it", where=where))
+
+
+def _checked(line: str, form: re.Pattern[str], at: str) -> str:
+    if len(line) != 69:
+        raise InputError(sentence("a line of elements has 69 characters", got=f"{len(line)}", do="copy it whole", where=at))
+    total = sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10
+    if line[68] != str(total):
+        what = f"the checksum of the line is {total}, but its last character says {line[68]!r}"
+        raise InputError(sentence(what, do="the line was damaged or edited: copy it anew", where=at))
+    if not form.fullmatch(line):
+        raise InputError(sentence("the columns are not those of a line of elements", got=line, do="copy it anew", where=at))
+    return line
+
+
+def _from_lines(first: str, second: str, name: str, at: str) -> Elements:
+    if first[2:7] != second[2:7]:
+        what = "the two lines are of different satellites"
+        raise InputError(sentence(what, got=f"{first[2:7]} and {second[2:7]}", do="keep those of yours", where=at))
+    if not 1 <= float(first[20:32]) < 367:
+        raise InputError(sentence("the epoch's day of the year must be from 1 to 366", got=first[20:32], where=at))
+    return _elements((first, second), name, at)
+
+
+def _elements(given: tuple, name: str, at: str) -> Elements:
+    try:
+        satellite = _satrec(given)
+    except (ValueError, TypeError, KeyError, RuntimeError) as error:
+        raise InputError(sentence(f"the elements cannot be read ({error})", do="copy them anew", where=at)) from None
+    if satellite.error or not satellite.no_kozai > 0:
+        raise InputError(sentence("the elements are those of no orbit", do="check mean motion and eccentricity", where=at))
+    return Elements(given, int(satellite.satnum), name, (satellite.jdsatepoch, satellite.jdsatepochF), at)
+
+
+# ------------------------------------------------------------------------------------------------------------------------- OMM
+
+
+def _from_omm(fields: dict[str, Any], where: str) -> Elements:
+    known = ASSUMED | {str(key).strip(): str(value).strip() for key, value in fields.items() if key and value not in (None, "")}
+    missing = [key for key in KEYS if key not in known]
+    if missing:
+        raise InputError(sentence("the OMM lacks a key", got=missing[0], do="give the whole message", where=where))
+    theory = known.get("MEAN_ELEMENT_THEORY", "SGP4")
+    if theory.upper().replace("/", "") not in ("SGP4", "SGP", "SGPSGP4"):
+        raise InputError(sentence("the OMM's elements are not for SGP4", got=theory, do="give SGP4 elements", where=where))
+    for key in KEYS[1:]:
+        try:
+            good = np.isfinite(float(known[key]))
+        except ValueError:
+            good = False
+        if not good:
+            raise InputError(sentence(f"{key} must be a number", got=known[key], where=where))
+    epoch = known["EPOCH"].rstrip("Z")
+    if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?", epoch):
+        raise InputError(sentence("EPOCH must be a UTC time such as 2026-01-31T12:00:00.0", got=known["EPOCH"], where=where))
+    known["EPOCH"] = epoch if "." in epoch else epoch + ".0"
+    wanted = {key: known[key] for key in (*KEYS, *ASSUMED)}
+    return _elements(tuple(sorted(wanted.items())), known["OBJECT_NAME"][:100], where)
+
+
+def _kvn(text: str) -> Iterator[dict[str, str]]:
+    """Messages of keys and values; each begins with its version or name, of which a file may have either."""
+    fields: dict[str, str] = {}
+    for line in text.splitlines():
+        key, found, value = line.partition("=")
+        if not found:
+            continue
+        key = key.strip()
+        if key in fields:
+            yield fields
+            fields = {}
+        fields[key] = value.split("[")[0].strip()
+    if fields:
+        yield fields
+
+
+def _json(text: str, where: str) -> list[dict[str, Any]]:
+    try:
+        table = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError(sentence("this is not valid JSON", do="give the whole file", where=where)) from None
+    table = table if isinstance(table, list) else [table]
+    if not all(isinstance(one, dict) for one in table):
+        raise InputError(sentence("the JSON is not an OMM", do="give a list of messages with the keys of an OMM", where=where))
+    return table
+
+
+def _xml(text: str, where: str) -> Iterator[dict[str, str]]:
+    if "<!" in text.replace("<!--", ""):
+        raise InputError(sentence("the XML defines entities", do="give a plain OMM", where=where))
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise InputError(sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)) from None
+    for message in root.iter("omm"):
+        yield {leaf.tag: leaf.text or "" for leaf in message.iter() if not len(leaf)}

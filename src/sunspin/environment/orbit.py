@@ -1,0 +1,162 @@
+"""The surroundings of a spacecraft in an orbit about the Earth that others have determined.
+
+Two numbers say how far that orbit may be trusted along its track, each with its error: `shift_s`, how far the spacecraft is ahead
+of the elements (negative: it comes later), and `clock_s`, how far the telemetry's clock is behind UTC. The Sun and the Earth's
+turn follow the clock, the place follows clock plus shift. The Earth turns by only a degree in four minutes, so that what data
+determine well is the sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sunspin.environment.earth import EQUATOR_M, Instants, J2000_from_TEME, earth_from_J2000, sun_J2000_m
+from sunspin.environment.elements import OLD_DAYS, Elements
+from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
+from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, lit
+from sunspin.environment.surroundings import Surroundings
+from sunspin.solve.rotations import tangents
+
+SUN_SIGMA_RAD = 1e-5
+"""ERFA's Sun, parallax of the orbit included."""
+
+CLOCK_SIGMA_S = 1.0
+"""Of a telemetry clock of which nothing is said: stamps in whole seconds."""
+
+
+def age_sigma_s(days: float) -> float:
+    """How far elements may be off along the track after so many days, s: 2 km at their epoch and in a low orbit 1.5 km more a day,
+    growing with the square of the time as drag's errors do (an assumption; Vallado and Cefola 2012 find 1 to 3 km a day)."""
+    return 0.3 + 0.2 * abs(days) + 0.01 * days**2
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """An environment by elements; times are s from `epoch_utc`, the telemetry's. Made by :func:`in_orbit`.
+
+    `node_rad` turns the whole orbit about the Earth's axis: the orbit check compares with orbits turned at random.
+    """
+
+    epoch_utc: str
+    elements: tuple[Elements, ...]
+    shift_s: float
+    shift_sigma_s: float
+    clock_s: float = 0.0
+    clock_sigma_s: float = CLOCK_SIGMA_S
+    node_rad: float = 0.0
+    frame_N: str = J2000
+
+    def instants(self, t_s: npt.ArrayLike) -> Instants:
+        """The true times."""
+        return Instants.of(self.epoch_utc, np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + self.clock_s)
+
+    def states(self, when: Instants, ahead_s: npt.ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities (..., n, 3) in J2000, m and m/s, `ahead_s` (..., n) along the track; default: the shift."""
+        moved = when.later(self.shift_s if ahead_s is None else ahead_s)
+        jd, fraction = (part.ravel() for part in np.broadcast_arrays(moved.jd, moved.fraction))
+        which = np.abs((jd + fraction)[:, None] - [sum(one.epoch_jd) for one in self.elements]).argmin(axis=1)
+        both = np.empty((2, len(jd), 3))
+        for k in np.unique(which):
+            both[:, which == k] = self.elements[k].states_TEME(jd[which == k], fraction[which == k])
+        turn = J2000_from_TEME(when)
+        if self.node_rad:
+            c, s = np.cos(self.node_rad), np.sin(self.node_rad)
+            turn = turn @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        place, speed = turned(turn, both.reshape(2, *moved.fraction.shape, 3))
+        return place, speed
+
+    def map(self, when: Instants, place: np.ndarray) -> FieldMap:
+        """The field's map that covers these times and places."""
+        radius = np.linalg.norm(place, axis=-1)
+        return field_map(when.middle, (float(radius.min()), float(radius.max())))
+
+    def at(self, t_s: npt.ArrayLike) -> Surroundings:
+        """The surroundings at times (n) in s from the epoch; sigmas are those of shift and clock, and of the models."""
+        when = self.instants(t_s)
+        sun, turn = sun_J2000_m(when), earth_from_J2000(when)
+        place, speed = self.states(when)
+        fields = self.map(when, place)
+        along = np.hypot(self.shift_sigma_s, self.clock_sigma_s)
+
+        def seen(at: np.ndarray) -> tuple[np.ndarray, ...]:
+            field = turned(np.swapaxes(turn, -1, -2), fields.at(turned(turn, at)))
+            return lit(at, sun), field, albedo_light(at, sun)
+
+        here = seen(place)
+        sides = [seen(self.states(when, self.shift_s + side)[0]) for side in (-along, along)]
+        lit_sigma, field_sigma, light_sigma = (_spread(*three) for three in zip(here, *sides, strict=True))
+        to_sun, distance = sun - place, np.linalg.norm(place, axis=1)
+        turning = np.cross(place, speed) / distance[:, None] ** 2
+        return Surroundings(
+            sun_N=to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True), sun_sigma_rad=np.full(len(place), SUN_SIGMA_RAD),
+            lit=here[0], lit_sigma=lit_sigma,
+            field_N=here[1], field_sigma_T=np.hypot(np.linalg.norm(field_sigma, axis=1), MODEL_SIGMA_T),
+            nadir_N=-place / distance[:, None], nadir_sigma_rad=np.linalg.norm(turning, axis=1) * along, nadir_turn_N=turning,
+            earth_radius_rad=np.arcsin(EQUATOR_M / distance),
+            albedo_light_N=here[2],
+            albedo_sigma=np.hypot(np.linalg.norm(light_sigma, axis=1),
+                                  REFLECTIVITY_SIGMA / REFLECTIVITY * np.linalg.norm(here[2], axis=1)),
+        )  # fmt: skip
+
+    def notes(self, t_s: npt.ArrayLike) -> list[str]:
+        """What has to be said of these elements at these times."""
+        when = self.instants(t_s)
+        days = max(min(abs(one.days_to(jd)) for one in self.elements) for jd in (when.jd + when.fraction)[[0, -1]])
+        known = f"the place along the track is known to some {self.shift_sigma_s:.0f} s"
+        return [] if days < OLD_DAYS else [f"the elements are {days:.0f} days from the telemetry: {known}"]
+
+
+@dataclass(frozen=True)
+class SunAlongZ:
+    """An orbit's environment in axes whose z is the Sun's direction at t = 0, as `rates` wants it: `N_from_J2000` (3, 3)."""
+
+    orbit: Orbit
+    N_from_J2000: tuple[tuple[float, ...], ...]
+    frame_N: str = SUN_Z_LOCAL
+
+    @classmethod
+    def of(cls, orbit: Orbit) -> SunAlongZ:
+        sun = orbit.at(0.0).sun_N
+        first, second = tangents(sun)
+        return cls(orbit, tuple(tuple(row) for row in np.stack([first[0], second[0], sun[0]]).tolist()))
+
+    def at(self, t_s: npt.ArrayLike) -> Surroundings:
+        here, matrix = self.orbit.at(t_s), np.array(self.N_from_J2000)
+        vectors = ("sun_N", "field_N", "nadir_N", "nadir_turn_N", "albedo_light_N")
+        return replace(here, **{name: getattr(here, name) @ matrix.T for name in vectors})
+
+
+def turned(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Matrices (n, 3, 3) times vectors (..., n, 3)."""
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def _spread(here: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """How much a value differs along the track: the larger difference of the two sides."""
+    return np.maximum(np.abs(before - here), np.abs(after - here))
+
+
+def in_orbit(
+    elements: tuple[Elements, ...],
+    epoch_utc: str,
+    t_s: npt.ArrayLike,
+    *,
+    shift_s: float = 0.0,
+    shift_sigma_s: float | None = None,
+    clock_s: float = 0.0,
+    clock_sigma_s: float | None = None,
+) -> Orbit:
+    """The environment of telemetry whose times (n) count from `epoch_utc`, in an orbit by these elements (`read_elements`).
+
+    Of several element sets the one whose epoch is nearest serves each time. `shift_s`, `clock_s` and their sigmas (s): see the
+    module; by default the shift is as uncertain as the elements are old, and the clock by 1 s.
+    """
+    orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s)
+    if shift_sigma_s is None:
+        middle = orbit.instants(t_s).middle
+        shift_sigma_s = age_sigma_s(min((one.days_to(middle) for one in elements), key=abs))
+    return Orbit(epoch_utc, elements, shift_s, shift_sigma_s, clock_s, orbit.clock_sigma_s)

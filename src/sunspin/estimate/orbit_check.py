@@ -1,0 +1,442 @@
+"""Does this orbit belong to this telemetry? A check that needs no attitude.
+
+Three things that a tumbling body sees do not depend on how it is turned: how strong the field is, the angle between field and Sun,
+and whether the Sun is up. The orbit predicts all three up to its shift along the track; the magnetometer's zero and its matrix
+(scale, soft iron, axes) are fitted with the shift, so that a badly calibrated sensor is no reason to refuse an orbit. The same is
+fitted to copies of the orbit, its node and phase turned at random. Elements that are right predict better than nearly all copies;
+the rank among them is the answer, and how clearly the copies differ from the orbit in these data says whether there is one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.special import erfc
+
+from sunspin.environment.earth import earth_from_J2000, sun_J2000_m
+from sunspin.environment.light import lit
+from sunspin.environment.orbit import Orbit, turned
+from sunspin.solve.least_squares import least_squares
+from sunspin.solve.linear import Dense, dense
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sun import SunStatus, sun_directions
+from sunspin.vehicle import Vehicle
+
+COPIES = 50
+BETTER = 1
+"""Copies that may predict better: right elements are refused once in 50 times at most."""
+
+TURNS_DEG = (-24.0, -12.0, -6.0, -3.0, 3.0, 6.0, 12.0, 24.0)
+TIMES = 1.3
+"""Turns of the node beside the copies; elements are refused too if one of them makes residuals so many times smaller. On skCUBE,
+whose plane is known, some of them do by 1.05: a sensor's own errors."""
+
+SPAN, STEP_S, MOST_STEPS = 3.0, 20.0, 37
+"""The shift is sought within so many sigmas, in such steps; a wider span has wider steps."""
+
+MOST_SAMPLES = 200
+"""Samples of the file that are compared, spread evenly."""
+
+STUDENT = 4.0
+"""Degrees of freedom of the residuals' distribution: a beacon in eight is worse than a Gaussian allows."""
+
+MATRIX_SIGMA = 0.2
+"""Of each element of the magnetometer's matrix over its scale: soft iron, axes."""
+
+ZERO_SIGMA = 1.0
+"""Of its zero, in medians of its readings: the file's may be missing."""
+
+LEAST_FIELD, LEAST_SINE = 0.003, 0.01
+"""The smallest scatter that residuals may have, as a part of the field and in units of the Sun's sigma: models are no better."""
+
+SEEN_IN_SHADOW = 0.02
+"""Samples that show a Sun where there is none: a clock's jitter, the Moon, noise."""
+
+MISTAKEN = 0.2
+"""If more copies than this are expected to win by chance against right elements, the data cannot rank."""
+
+FEWEST = 20
+"""Fewer readings of field or light than this are not compared."""
+
+NEAR = 60.0
+"""A copy is fitted at a third of the shifts first, and at all of them where its cost comes so near to the one that counts."""
+
+MOST_SCATTER = np.array([0.1, 3.0])
+"""Noise that is believed, where no orbit fits: of strength, as a part of it, and in sigmas of the Sun."""
+
+HOURS, CLEARLY = range(-12, 15), 12.0
+"""Errors of a clock that are tried, those of time zones; and by how much (in log likelihood) one must fit better."""
+
+BLOCKS, BESIDE = 8, 3
+"""Parts of the file that are left out in turn, and steps of the shift on either side that are tried then."""
+
+ROUNDS, STEPS, TOLERANCE = 3, 10, 0.05
+
+
+class Verdict(Enum):
+    """What the rank says; the values are the sentences."""
+
+    FITS = "the elements fit the telemetry"
+    REFUSED = "the elements do not fit the telemetry: no answer may rest on them"
+    UNDECIDED = "the telemetry cannot tell these elements from others; what is known of the shift stays as it was"
+
+
+class Seen(NamedTuple):
+    """What n samples show whatever the attitude: `t_s`; `field` (n, 3), any unit, NaN where none; `sun` (n, 3) and its
+    covariance, NaN where none; `light` (n): 1 the Sun is up, 0 it is dark, NaN not known."""
+
+    t_s: np.ndarray
+    field: np.ndarray
+    sun: np.ndarray
+    covariance: np.ndarray
+    light: np.ndarray
+
+
+class Predicted(NamedTuple):
+    """For K shifts: strength of the field (K, n) T, its component to the Sun (K, n) T, part of the Sun seen (K, n)."""
+
+    strength: np.ndarray
+    to_sun: np.ndarray
+    lit: np.ndarray
+
+    def take(self, shifts: Any) -> Predicted:
+        return Predicted(*(part[shifts] for part in self))
+
+
+class Fits(NamedTuple):
+    """For K shifts: the cost; matrix and zero of the magnetometer (K, 12); scatter (K, 2) of strength (part of the field) and of
+    the component to the Sun (sigmas of the Sun)."""
+
+    cost: np.ndarray
+    calibration: np.ndarray
+    scatter: np.ndarray
+
+
+@dataclass(frozen=True)
+class OrbitCheck:
+    """The answer: `better` copies of `copies` predict better; residuals are medians; `calibration`: field (T) = matrix reading -
+    zero, None without magnetometer. With the node turned by `turn_rad` residuals are `turn_times` smaller. `eclipse` counts
+    samples that show the Sun in the predicted shadow, and all there. `clock_behind_s`: what would make the elements fit, 0 where
+    nothing does. `sign_turned`: the field read with the opposite sign fits clearly better to the Sun."""
+
+    shift_s: float
+    shift_sigma_s: float
+    verdict: Verdict = Verdict.UNDECIDED
+    better: int = 0
+    copies: int = 0
+    mistaken: float = float(COPIES)
+    turn_rad: float = 0.0
+    turn_times: float = 1.0
+    samples: dict[str, int] = field(default_factory=dict)
+    strength_residual_T: float = np.nan
+    angle_residual_rad: float = np.nan
+    eclipse: tuple[int, int] = (0, 0)
+    matrix: np.ndarray | None = None
+    zero: np.ndarray | None = None
+    border: bool = False
+    clock_behind_s: float = 0.0
+    sign_turned: bool = False
+
+
+def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: int = 0) -> OrbitCheck:
+    """Rank an orbit against copies with node and phase turned at random, by what telemetry shows whatever the attitude.
+
+    Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
+    """
+    seen, grid = _seen(vehicle, telemetry), _Grid.of(orbit)
+    if not len(seen.t_s):
+        return OrbitCheck(orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)))
+    rng = np.random.default_rng(seed)
+    turns = zip(rng.uniform(0, 2 * np.pi, COPIES), rng.uniform(0, orbit.elements[0].period_s, COPIES), strict=True)
+    here = _predict(orbit, seen, grid, 0.0, 0.0)
+    own = _fit(seen, here, grid.prior)
+    copies = [_predict(orbit, seen, grid, *one) for one in turns]
+    fits = [_nearly(seen, copy, grid.prior, float(own.cost.min())) for copy in copies]
+    turn, times = _turned(orbit, seen, grid, own)
+    better = sum(fit.cost.min() <= own.cost.min() for fit in fits)
+    best = min([own, *fits], key=lambda fit: fit.cost.min())
+    mistaken = _mistaken(seen, here.take([own.cost.argmin()]), copies, best, grid.prior)
+    enough = max(np.isfinite(seen.field).all(axis=1).sum(), np.isfinite(seen.light).sum()) >= FEWEST
+    verdict = Verdict.REFUSED if better > BETTER or times > TIMES else Verdict.FITS
+    verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
+    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
+    if verdict is Verdict.FITS:
+        return answer
+    return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, min(fit.cost.min() for fit in [own, *fits])))
+
+
+class _Grid(NamedTuple):
+    """Shifts (K) s beside the orbit's own, and their cost by the prior (K)."""
+
+    shifts: np.ndarray
+    prior: np.ndarray
+
+    @classmethod
+    def of(cls, orbit: Orbit) -> _Grid:
+        along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+        half = int(np.clip(np.ceil(SPAN * along / STEP_S), 3, MOST_STEPS // 2))
+        shifts = SPAN * along / half * np.arange(-half, half + 1)
+        return cls(shifts, (shifts / along) ** 2 / 2)
+
+
+# ---------------------------------------------------------------------------------------------------------- what is seen, predicted
+
+
+def _seen(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
+    time = telemetry["time"].values
+    n, nothing = len(time), np.full((len(time), 3), np.nan)
+    reading = telemetry["field_B"].values if "field_B" in telemetry else nothing
+    sun, covariance, light = nothing, np.full((n, 3, 3), np.nan), np.full(n, np.nan)
+    if "panel" in telemetry.coords:
+        found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
+        sun, covariance = found["sun_B"].values, found["sun_cov_B"].values
+        status = found["status"].values
+        light = np.where(status == SunStatus.MISSING, np.nan, np.where(status == SunStatus.DARK, 0.0, 1.0))
+    if "sun_sensor_B" in telemetry:
+        there = np.array(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
+        sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
+        covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
+        light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
+    late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
+    use = np.flatnonzero((np.isfinite(reading).all(axis=1) | np.isfinite(light)) & ~late)
+    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), MOST_SAMPLES)).astype(int))] if len(use) else use
+    return Seen(*(part[use] for part in (time, reading, sun, covariance, light)))
+
+
+def _predict(orbit: Orbit, seen: Seen, grid: _Grid, node_rad: float, phase_s: float) -> Predicted:
+    when = orbit.instants(seen.t_s)
+    place, _ = replace(orbit, node_rad=node_rad).states(when, orbit.shift_s + phase_s + grid.shifts[:, None])
+    sun, turn = sun_J2000_m(when), earth_from_J2000(when)
+    field = orbit.map(when, place).at(turned(turn, place))
+    to_sun = turned(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+    return Predicted(np.linalg.norm(field, axis=-1), (field * to_sun).sum(axis=-1), lit(place, np.broadcast_to(sun, place.shape)))
+
+
+# ------------------------------------------------------------------------------------------------------------------------ fitting
+
+
+class _State(NamedTuple):
+    """Unknowns (K, 12): the matrix over its first scale less one, by rows, and the zero over the field; predictions; scatters."""
+
+    unknown: np.ndarray
+    strength: np.ndarray
+    to_sun: np.ndarray
+    scatter: np.ndarray
+
+
+def _fit(seen: Seen, predicted: Predicted, prior: np.ndarray, scatter: np.ndarray | None = None) -> Fits:
+    """The magnetometer's calibration at each shift, by residuals with Student's tails whose scatter is fitted too, or given (2)."""
+    n_shift = len(prior)
+    use = np.isfinite(seen.field).all(axis=1)
+    cost = prior + _eclipse_cost(seen.light, predicted.lit)
+    if use.sum() < FEWEST:
+        return Fits(cost, np.full((n_shift, 12), np.nan), np.full((n_shift, 2), np.nan))
+    reading = seen.field[use] / np.median(np.linalg.norm(seen.field[use], axis=1))
+    size = np.median(predicted.strength[:, use])
+    state = _State(np.zeros((n_shift, 12)), predicted.strength[:, use] / size, predicted.to_sun[:, use] / size,
+                   np.tile([0.1, 1.0] if scatter is None else scatter, (n_shift, 1)))  # fmt: skip
+    model = _Model(reading, seen.sun[use], seen.covariance[use])
+    for _ in range(ROUNDS if scatter is None else 1):
+        state = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE).state
+        state = state if scatter is not None else state._replace(scatter=model.scatter(state))
+    cost = cost + model.linearise(state).cost
+    scale = size / np.median(np.linalg.norm(seen.field[use], axis=1))
+    calibration = np.concatenate([scale * (np.eye(3).ravel() + state.unknown[:, :9]), size * state.unknown[:, 9:]], axis=1)
+    return Fits(cost, calibration, state.scatter)
+
+
+def _stepped(state: _State, step: np.ndarray) -> _State:
+    return state._replace(unknown=state.unknown + step)
+
+
+class _Model:
+    """Residuals of readings (n, 3), in units of their median, with Sun directions (n, 3; NaN: none) and their covariance."""
+
+    def __init__(self, reading: np.ndarray, sun: np.ndarray, covariance: np.ndarray) -> None:
+        self.reading, self.with_sun = reading, np.isfinite(sun).all(axis=1)
+        self.sun = sun[self.with_sun]
+        unit = reading[self.with_sun] / np.linalg.norm(reading[self.with_sun], axis=1, keepdims=True)
+        across = unit - (unit * self.sun).sum(axis=1, keepdims=True) * self.sun
+        self.sigma = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance[self.with_sun], across) + 0.02**2)
+        # the mean of the diagonal is the scale, which is free
+        isotropic = np.eye(3).ravel() / np.sqrt(3)
+        tied = np.eye(9) - np.outer(isotropic, isotropic)
+        self.prior = np.zeros((12, 12))
+        self.prior[:9, :9], self.prior[9:, 9:] = tied / MATRIX_SIGMA**2 + np.eye(9) / 10, np.eye(3) / ZERO_SIGMA**2
+
+    def residuals(self, state: _State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Of strength (K, n) and component to the Sun (K, m), in units of their scatter, and their Jacobians (K, ., 12)."""
+        matrix = np.eye(3) + state.unknown[:, :9].reshape(-1, 3, 3)
+        field = np.einsum("kij,nj->kni", matrix, self.reading) - state.unknown[:, None, 9:]
+        length = np.linalg.norm(field, axis=2)
+        unit = field / np.maximum(length, 1e-9)[..., None]
+        strength = (length - state.strength) / state.strength / state.scatter[:, :1]
+        by_strength = self._by_unknown(unit, self.reading) / (state.strength * state.scatter[:, :1])[..., None]
+        there = state.strength[:, self.with_sun]
+        weight = 1 / (there * self.sigma * state.scatter[:, 1:])
+        to_sun = ((field[:, self.with_sun] * self.sun).sum(axis=2) - state.to_sun[:, self.with_sun]) * weight
+        by_sun = self._by_unknown(np.broadcast_to(self.sun, (len(field), *self.sun.shape)), self.reading[self.with_sun])
+        return strength, to_sun, by_strength, by_sun * weight[..., None]
+
+    @staticmethod
+    def _by_unknown(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
+        rows = (direction[..., :, None] * reading[None, :, None, :]).reshape(*direction.shape[:2], 9)
+        return np.concatenate([rows, -direction], axis=2)
+
+    def linearise(self, state: _State) -> Dense:
+        strength, to_sun, by_strength, by_sun = self.residuals(state)
+        cost = (state.unknown @ self.prior * state.unknown).sum(axis=1) / 2
+        slope = state.unknown @ self.prior
+        matrix = np.tile(self.prior, (len(cost), 1, 1))
+        for k, (residual, by) in enumerate(((strength, by_strength), (to_sun, by_sun))):
+            weight = (STUDENT + 1) / (STUDENT + residual**2)
+            cost = cost + (STUDENT + 1) / 2 * np.log1p(residual**2 / STUDENT).sum(axis=1)
+            cost = cost + residual.shape[1] * np.log(state.scatter[:, k])
+            turned = np.swapaxes(by * weight[..., None], 1, 2)
+            slope = slope + (turned @ residual[..., None])[..., 0]
+            matrix = matrix + turned @ by
+        return Dense(cost, matrix, slope)
+
+    def scatter(self, state: _State) -> np.ndarray:
+        """The scatters (K, 2) that make the residuals likeliest, given their weights."""
+        least = np.array([LEAST_FIELD, LEAST_SINE])
+        found = []
+        for k, residual in enumerate(self.residuals(state)[:2]):
+            weight = (STUDENT + 1) / (STUDENT + residual**2)
+            rms = np.sqrt((weight * residual**2).mean(axis=1)) if residual.shape[1] else 1.0
+            found.append(np.maximum(state.scatter[:, k] * rms, least[k]))
+        return np.stack(found, axis=1)
+
+
+def _eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Minus the log likelihood (K) of light and dark where part (K, n) of the Sun is predicted; how often it is dark in the Sun
+    (a face that sees nothing, an idle panel) is fitted."""
+    known = np.isfinite(light)
+    dark, sunny = light[known] == 0, part[:, known]
+    in_sun = (sunny * dark).sum(axis=1) / np.maximum(sunny.sum(axis=1), 1)
+    in_sun = np.clip(in_sun, 0.5 / max(len(dark), 1), 1 - SEEN_IN_SHADOW)[:, None]
+    chance = sunny * in_sun + (1 - sunny) * (1 - SEEN_IN_SHADOW)
+    return -np.where(dark, np.log(chance), np.log1p(-chance)).sum(axis=1)
+
+
+# ------------------------------------------------------------------------------------------------------------------------ judging
+
+
+def _nearly(seen: Seen, copy: Predicted, prior: np.ndarray, reach: float, scatter: np.ndarray | None = None) -> Fits:
+    """A copy's fits: at every third shift, and at all where one of those comes near the cost that would win."""
+    some = slice(1, None, 3)
+    coarse = _fit(seen, copy.take(some), prior[some], scatter)
+    return coarse if coarse.cost.min() > reach + NEAR else _fit(seen, copy, prior, scatter)
+
+
+def _turned(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, float]:
+    """The turn of the node (rad), among some, with which the orbit fits best, and how many times smaller residuals are then; (0, 1)
+    where none fits better."""
+    field = np.isfinite(seen.field).all(axis=1)
+    if field.sum() < FEWEST:
+        return 0.0, 1.0
+    costs = [_nearly(seen, _predict(orbit, seen, grid, turn, 0.0), grid.prior, np.inf).cost.min() for turn in np.radians(TURNS_DEG)]
+    gain = (own.cost.min() - min(costs)) / (field.sum() + (field & np.isfinite(seen.sun).all(axis=1)).sum())
+    return (float(np.radians(TURNS_DEG)[np.argmin(costs)]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
+
+
+def _clock_behind(orbit: Orbit, seen: Seen, grid: _Grid, lowest: float) -> float:
+    """By how many s the telemetry's clock is behind UTC if it is off by whole hours and the elements are right: what fits best,
+    where it fits clearly better than the orbit and all its copies; else 0."""
+    clocks = [replace(orbit, clock_s=orbit.clock_s + 3600.0 * hours) for hours in HOURS if hours]
+    costs = [_nearly(seen, _predict(other, seen, grid, 0.0, 0.0), grid.prior, lowest).cost.min() for other in clocks]
+    return clocks[int(np.argmin(costs))].clock_s - orbit.clock_s if min(costs) < lowest - CLEARLY else 0.0
+
+
+def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits, prior: np.ndarray) -> float:
+    """How many copies are expected to predict better than this orbit if it is right, by the noise that the best
+    of all orbits leaves.
+
+    Data without noise, as the orbit predicts them, are fitted by every copy; what a copy leaves of them is the mean of the D by
+    which its cost is higher, and noise of the data makes that D +- sqrt(2 D).
+    """
+    k = int(best.cost.argmin())
+    clean, scatter = _as_predicted(seen, right, best.calibration[k]), np.minimum(best.scatter[k], MOST_SCATTER)
+    zero = float(_fit(clean, right, np.zeros(1), scatter).cost[0])
+    higher = np.array([_nearly(clean, copy, prior, zero, scatter).cost.min() - zero for copy in copies])
+    return float((erfc(np.sqrt(np.maximum(higher, 0)) / 2) / 2).sum())
+
+
+def _as_predicted(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen:
+    """The samples as they would be if the orbit were right and nothing had noise: the field of the predicted strength and angle
+    to the Sun, in the half plane where it was read; dark in the predicted shadow."""
+    light = np.where(np.isfinite(seen.light) & (right.lit[0] < 0.5), 0.0, seen.light)
+    if not np.isfinite(calibration).all():
+        return seen._replace(light=light)
+    matrix, zero = calibration[:9].reshape(3, 3), calibration[9:]
+    unit = seen.field @ matrix.T - zero
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    strength = right.strength[0][:, None]
+    across = unit - (unit * seen.sun).sum(axis=1, keepdims=True) * seen.sun
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    cosine = right.to_sun[0][:, None] / strength
+    turned_to = cosine * seen.sun + np.sqrt(1 - cosine**2) * across
+    field = strength * np.where(np.isfinite(turned_to), turned_to, unit)
+    return seen._replace(field=np.linalg.solve(matrix, (field + zero)[..., None])[..., 0], light=light)
+
+
+def _answer(
+    orbit: Orbit, seen: Seen, grid: _Grid, here: Predicted, own: Fits, verdict: Verdict, rank: tuple[int, float],
+    beside: tuple[float, float],
+) -> OrbitCheck:
+    shift, sigma, at_border = _shift(seen, grid, here, own)
+    k = int(own.cost.argmin())
+    dark, shadow = seen.light == 0, here.lit[k] < 0.5
+    known = np.isfinite(seen.light)
+    calibrated = bool(np.isfinite(own.calibration[k]).all())
+    strength = angle = np.nan
+    if calibrated:
+        field = seen.field @ own.calibration[k][:9].reshape(3, 3).T - own.calibration[k][9:]
+        size = np.linalg.norm(field, axis=1)
+        strength = float(np.nanmedian(np.abs(size - here.strength[k])))
+        both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, here.to_sun[k] / here.strength[k])]
+        angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
+    opposite = _fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
+    return OrbitCheck(
+        verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0], turn_times=beside[1],
+        sign_turned=bool(opposite.cost[0] < own.cost[k] - CLEARLY), shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
+        border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
+        samples={"field": int(np.isfinite(seen.field).all(axis=1).sum()), "light": int(known.sum()),
+                 "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
+        eclipse=(int((known & shadow & ~dark).sum()), int((known & shadow).sum())),
+        matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None, zero=own.calibration[k][9:] if calibrated else None,
+    )  # fmt: skip
+
+
+def _shift(seen: Seen, grid: _Grid, here: Predicted, own: Fits) -> tuple[float, float, bool]:
+    """The shift beside the orbit's own, its sigma, and whether it lies at the border of what was tried.
+
+    The sigma is the larger of what the cost's curvature says, if samples erred independently, and of what leaving out each eighth
+    of the file changes (jackknife): calibration drifts, and a pass of beacons errs as one.
+    """
+    k = int(own.cost.argmin())
+    near = slice(max(k - BESIDE, 0), k + BESIDE + 1)
+    part = here.take(near)
+    mean, sigma = _lowest(grid.shifts[near], own.cost[near])
+    blocks = np.array_split(np.arange(len(seen.t_s)), BLOCKS)
+    found = []
+    for block in blocks if len(seen.t_s) >= BLOCKS * FEWEST / 2 else ():
+        rest = np.setdiff1d(np.arange(len(seen.t_s)), block)
+        some = Seen(*(each[rest] for each in seen))
+        cost = _fit(some, Predicted(*(each[:, rest] for each in part)), grid.prior[near]).cost
+        found.append(_lowest(grid.shifts[near], cost)[0])
+    if found:
+        sigma = max(sigma, float(np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum())))
+    return mean, sigma, k < 2 or k > len(grid.shifts) - 3
+
+
+def _lowest(shifts: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
+    """Mean and sigma of the shift under the density that falls with the cost."""
+    weight = np.exp(cost.min() - cost)
+    weight /= weight.sum()
+    mean = float(weight @ shifts)
+    return mean, float(np.sqrt(weight @ (shifts - mean) ** 2 + (shifts[1] - shifts[0]) ** 2 / 12))

@@ -1,0 +1,81 @@
+"""The table that `rates` and `posterior` share: a row for every motion of every pass, with what may be believed of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunspin.estimate.verdict import Answers
+from sunspin.vehicle.timeline import utc_after
+
+AS_STATED, UNCHECKED, DOUBTFUL = "as_stated", "unchecked", "doubtful"
+"""Whether the data confirm which column is which: they do; they cannot; another wiring explains them, the stated one does not."""
+
+SPEEDS = (0.05, 0.5, 0.95)
+"""Quantiles of the angular speed that are reported."""
+
+DRAWS = 2000
+"""Draws behind them, where a motion is known by mean and covariance."""
+
+
+class PassMotions(NamedTuple):
+    """The K motions of one pass at the instant `at_s`: samples used, first and last instant (s from the epoch), weights (K), rates
+    (K, 3) with sigmas (K, 3), quantiles of the angular speed (K, 3), rad/s."""
+
+    samples: int
+    first_s: float
+    last_s: float
+    at_s: float
+    weight: np.ndarray
+    omega: np.ndarray
+    sigma: np.ndarray
+    speed: np.ndarray
+    answers: Answers
+    wiring: str
+
+
+def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Quantiles (K, 3) of the angular speed of rates (K, 3) with covariances (K, 3, 3), from the same draws every time."""
+    normal = np.random.default_rng(0).standard_normal((DRAWS, 3))
+    values, axes = np.linalg.eigh(covariance)
+    spread = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    drawn = omega[:, None] + np.einsum("kij,nj->kni", spread, normal)
+    return np.quantile(np.linalg.norm(drawn, axis=-1), SPEEDS, axis=1).T
+
+
+def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any]:
+    """Variables for a Dataset over (`pass_id`, `mode`), those of `passes.csv`; NaN where a pass has fewer motions than another."""
+    count = max(len(one.weight) for one in passes)
+
+    def padded(values: list[np.ndarray]) -> np.ndarray:
+        out = np.full((len(values), count), np.nan)
+        for row, value in zip(out, values, strict=True):
+            row[: len(value)] = value
+        return out
+
+    def utc(seconds: float) -> str:
+        return "" if epoch_utc is None else utc_after(seconds, epoch_utc, 3)
+
+    def flags(values: list[bool]) -> Any:
+        return "pass_id", np.array(values, dtype=bool)
+
+    each = ("pass_id", "mode")
+    variables: dict[str, Any] = {
+        "utc_start": ("pass_id", [utc(one.first_s) for one in passes]), "utc_end": ("pass_id", [utc(one.last_s) for one in passes]),
+        "samples": ("pass_id", [one.samples for one in passes]),
+        "weight": (each, padded([one.weight for one in passes]), {"units": "1"}),
+        "decided": flags([one.answers.decided for one in passes]), "unique": flags([one.answers.unique for one in passes]),
+        **{f"informed_{axis}": flags([one.answers.informed[k] for one in passes]) for k, axis in enumerate("xyz")},
+        "fits": flags([one.answers.fits for one in passes]),
+        "search_complete": flags([one.answers.search_complete for one in passes]),
+        "wiring": ("pass_id", [one.wiring for one in passes]), "utc_at": ("pass_id", [utc(one.at_s) for one in passes]),
+    }  # fmt: skip
+    for k, name in enumerate(("speed_low", "speed_median", "speed_high")):
+        variables[name] = (each, padded([one.speed[:, k] for one in passes]), {"units": "rad s-1", "quantile": SPEEDS[k]})
+    for name in ("omega", "sigma"):
+        for k, axis in enumerate("xyz"):
+            variables[f"{name}_{axis}"] = (each, padded([getattr(one, name)[:, k] for one in passes]), {"units": "rad s-1"})
+    variables["why_not_decided"] = ("pass_id", [one.answers.why_not for one in passes])
+    return variables

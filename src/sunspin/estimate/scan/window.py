@@ -1,0 +1,37 @@
+"""The directions of the Sun that a scan is held against: those of a window of the file, on a clock that starts at the first."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.telemetry.sun import is_reconstructed, sun_directions
+from sunspin.vehicle import Vehicle
+
+
+def directions_within(vehicle: Vehicle, telemetry: xr.Dataset, begin_s: float | None, end_s: float | None) -> xr.Dataset:
+    """`sun_B (time, axis)` of the samples from `begin_s` to `end_s` (s of the file's clock; None: no bound) that give one.
+
+    `time` is counted from the first of them.
+
+    Raises
+    ------
+    InputError
+        Fewer than two samples of the window give a direction.
+    """
+    sun = sun_directions(vehicle, telemetry)
+    time = sun["time"].values
+    low, high = -np.inf if begin_s is None else begin_s, np.inf if end_s is None else end_s
+    use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
+    if use.sum() < 2:
+        raise InputError(
+            sentence(
+                "fewer than two samples in this window give a direction of the Sun",
+                got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
+                do="widen --from and --to; `sunspin sun` says why samples give none",
+                where=str(telemetry.attrs.get("file", "")),
+            )
+        )
+    track = sun[["sun_B"]].isel(time=np.flatnonzero(use))
+    return track.assign_coords(time=track["time"] - track["time"].values[0])

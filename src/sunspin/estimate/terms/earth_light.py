@@ -1,0 +1,134 @@
+"""The Earth's light on the panels, an unknown of a pass: a beam fixed in space, and what panels read too much all the time.
+
+It comes from where the Earth is, from a low orbit a wide disk, up to a third of full Sun on a panel that looks there, and turns
+with the orbit. Its three components in N and their drift are estimated with the motion: as noise it would drown weak light.
+By the response's `disc` two opposite panels differ by just the component of the beam along them, so the differences of opposite
+panels follow one vector, Sun and beam together, that stays in space too: the search uses those, and needs to know nothing of the
+beam. What a smooth beam leaves, clouds and coasts, stays noise. What panels read too much all the time, zeros of converters
+that nobody subtracts, looks much the same in their brightness: it is estimated beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sunspin.estimate.terms.term import SUN_N, Unknown, drifting
+from sunspin.solve.rotations import cross_matrix
+from sunspin.vehicle.response.protocol import PanelResponse
+
+TURN_RATE = 1.5e-3
+"""rad/s; the beam turns with the orbit, 1.1e-3, and brightens or fades as the ground below does."""
+
+LEAST = 0.03
+"""Share of full Sun; less light than this, beside the noise of panels, is not worth six unknowns."""
+
+WIDER = 1.5
+"""Prior sigma of the beam, in units of what faces away from the Sun get on average."""
+
+LEAST_BEAM = 1e-12
+"""Share of full Sun at which a beam is taken for this weak, so that it has a direction."""
+
+OPPOSITE = -0.99
+"""Cosine of the angle between opposite panels, at most."""
+
+ZERO = 0.3
+"""Prior sigma of what a panel reads too much all the time, in the same units."""
+
+CORNERS = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T / np.sqrt(3)
+FIRST_DIRECTIONS, FIRST_SHARES = np.vstack([np.eye(3), -np.eye(3), CORNERS]), (0.4, 0.8)
+"""Where a fit begins: the best of these directions in N, with these parts of the prior's sigma."""
+
+
+@dataclass(frozen=True)
+class EarthLight:
+    """`beam_N` (n, 6, 3), shares of full Sun: one sigma of each unknown of the beam; `zeros` (n_panel), unit of the powers: one
+    sigma of what each panel reads too much."""
+
+    beam_N: np.ndarray
+    zeros: np.ndarray
+
+    @classmethod
+    def prior(cls, t_s: np.ndarray, share: float, gain: np.ndarray) -> EarthLight:
+        """Of a pass at these times, if faces away from the Sun get this share of full Sun, on panels of these gains."""
+        return cls(drifting(t_s, WIDER * share / np.sqrt(3), TURN_RATE), ZERO * share * gain)
+
+    def take(self, index: np.ndarray | slice) -> EarthLight:
+        """The samples `index`."""
+        return replace(self, beam_N=self.beam_N[index])
+
+    def unknowns(self, panels: tuple[str, ...]) -> tuple[Unknown, ...]:
+        """The beam's and each panel's."""
+        sizes = np.linalg.norm(self.beam_N, axis=2).max(axis=0)
+        beam = [Unknown(f"earth_beam_{i}", "earth_light", "1", 0.0, float(size), i) for i, size in enumerate(sizes)]
+        zeros = zip(panels, self.zeros, strict=True)
+        return (*beam, *(Unknown(f"zero_{name}", "panel_zero", "reading", 0.0, float(s), i) for i, (name, s) in enumerate(zeros)))
+
+    def light(
+        self, response: PanelResponse, gain: np.ndarray, attitude: np.ndarray, error: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Light of the beam (K, n, n_panel) on panels with factors `gain`, and its derivative (K, n, n_panel, 3 + u) to a turn and
+        the unknowns."""
+        beam_N = np.einsum("km,nmj->knj", error[:, : self.beam_N.shape[1]], self.beam_N)
+        beam = (attitude @ beam_N[..., None])[..., 0]
+        size = np.maximum(np.linalg.norm(beam, axis=-1), LEAST_BEAM)
+        more, to_beam = response.disc(beam / size[..., None], size)
+        more, to_beam = more * gain, to_beam * gain[..., None]
+        own = np.einsum("knpj,knji,nmi->knpm", to_beam, attitude, self.beam_N)
+        zeros = np.broadcast_to(np.diag(self.zeros), (*more.shape, len(self.zeros)))
+        return more, np.concatenate([to_beam @ cross_matrix(beam), own, zeros], axis=-1)
+
+    def zero(self, error: np.ndarray) -> np.ndarray:
+        """What panels read too much (K, 1, n_panel)."""
+        return (error[:, self.beam_N.shape[1] :] * self.zeros)[:, None]
+
+    def begin(
+        self, attitude: np.ndarray, cost: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Hypotheses (K, n, 3, 3) whose z axis is where Sun and beam together were taken for the Sun: with z to the Sun itself, and
+        where a fit of the beam begins (K, u), in sigmas. `cost` (K) of unknowns and attitudes."""
+        k = len(attitude)
+        error, least, turned = np.zeros((k, self.beam_N.shape[1] + len(self.zeros))), np.full(k, np.inf), attitude
+        sigma = np.linalg.norm(self.beam_N[0, 0])
+        for direction in FIRST_DIRECTIONS:
+            for share in FIRST_SHARES:
+                beam = share * np.sqrt(3) * direction
+                back = _sun_first(sigma * beam)
+                trial = np.zeros_like(error)
+                trial[:, :3] = beam @ back
+                new = cost(trial, attitude @ back)
+                better = new < least
+                error = np.where(better[:, None], trial, error)
+                turned = np.where(better[:, None, None, None], attitude @ back, turned)
+                least = np.minimum(new, least)
+        return turned, error
+
+
+def faint(share: float) -> bool:
+    """Whether there is no light of the Earth to be estimated."""
+    return share <= LEAST
+
+
+def pairs_differing(
+    facing: np.ndarray, gain: np.ndarray, whole: np.ndarray, whole_sigma: np.ndarray, power: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Powers and sigmas (n, n_panel) with those of two opposite panels replaced by their difference, on the brighter one."""
+    share, error = whole / gain, whole_sigma / gain
+    power, sigma = power.copy(), sigma.copy()
+    for i, j in np.argwhere(facing @ facing.T < OPPOSITE):
+        both = np.isfinite(error[:, i]) & np.isfinite(error[:, j])
+        power[both, i] = gain[i] * np.maximum(share[both, i] - share[both, j], 0.0)
+        sigma[both, i] = gain[i] * np.hypot(error[both, i], error[both, j])
+    return power, sigma
+
+
+def _sun_first(beam: np.ndarray) -> np.ndarray:
+    """The matrix (3, 3) that takes components in the frame with z to the Sun to those in the frame with z to Sun and beam together,
+    in which this is the beam (3)."""
+    across = np.array([beam[0], beam[1], 0.0])
+    sun = -across + SUN_N * np.sqrt(max(1 - across @ across, 0.0))
+    axis = np.cross(SUN_N, sun)  # as long as the sine of the angle between them, which is less than a quarter turn
+    return Rotation.from_rotvec(axis * np.arcsin(min(np.linalg.norm(axis), 1.0)) / max(np.linalg.norm(axis), 1e-300)).as_matrix()

@@ -1,0 +1,42 @@
+"""The sensors that telemetry may have, as terms. A new one is its file in this room and its line here."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.terms.attitude import Attitude
+from sunspin.estimate.terms.gyro import Gyro
+from sunspin.estimate.terms.magnetometer import Magnetometer
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.sun_direction import SunDirection
+from sunspin.estimate.terms.term import Term
+from sunspin.vehicle import Vehicle
+
+SENSORS = (Gyro, Magnetometer, Attitude)
+"""Those beside the Sun's."""
+
+
+def sun_source(telemetry: xr.Dataset, wanted: str | None) -> str:
+    """Where the Sun comes from: the first of directions, Sun sensors, panels that there is, unless one is wanted."""
+    has = {
+        "directions": "sun_B" in telemetry and "sun_cov_B" in telemetry,
+        "sun_sensor": "sun_sensor_B" in telemetry,
+        "panels": "power_W" in telemetry or "current_A" in telemetry,
+    }
+    if wanted is None:
+        wanted = next((name for name, there in has.items() if there), None)
+    if wanted not in has or not has[wanted]:
+        there = ", ".join(name for name, is_there in has.items() if is_there) or "nothing of the Sun"
+        raise InputError(
+            sentence(f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}", got=there, do=f"use {', '.join(has)}")
+        )
+    return wanted
+
+
+def read_terms(vehicle: Vehicle, telemetry: xr.Dataset, source: str) -> tuple[tuple[Term, ...], np.ndarray]:
+    """All that telemetry has, the Sun first, and a sentence for each sample (n)."""
+    sun, why = Panels.read(vehicle, telemetry) if source == "panels" else SunDirection.read(vehicle, telemetry, source)
+    others = (sensor.read(vehicle, telemetry) for sensor in SENSORS)
+    return (sun, *(term for term in others if term is not None)), why

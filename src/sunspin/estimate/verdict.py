@@ -1,0 +1,107 @@
+"""What may be believed of an estimate: three questions, asked alike of every pass of `rates` and of every posterior.
+
+Is one motion left? Do the data inform it, or is the prior given back? Does it fit, each sensor by itself? A motion is decided
+where all three are answered with yes and the search left nothing out. Everything here is a pure function of what was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+NARROWER = 0.5
+"""A component is informed where its standard deviation, all modes counted, is below this part of the prior's."""
+
+BEYOND = 2 * norm.sf(3.0)
+"""Chance of a sound reading to lie beyond three sigma."""
+
+MOST_BEYOND, ONE_SPIKE = 0.3, 1.5
+"""No motion fits where a larger share of one sensor's readings, and more than one, lies beyond three sigma, however strewn."""
+
+FEW_BEYOND, LEAST_BEYOND = 0.04, 4
+"""Readings beyond three sigma that come one after another are no spikes, but a motion that is not this one: from this share on,
+and so many of them."""
+
+IN_RUNS = 1e-2
+"""Chance below which readings beyond three sigma would lie next to each other so often if they were strewn."""
+
+
+class Misfit(NamedTuple):
+    """One sensor's residuals along the best motion: readings, share beyond three sigma, chance of so few runs over time."""
+
+    count: int
+    share: float
+    chance: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the sensor agrees with the motion."""
+        beyond = self.share * self.count
+        in_runs = self.share > FEW_BEYOND and beyond > LEAST_BEYOND - 0.5 and self.chance < IN_RUNS
+        return not (in_runs or (self.share > MOST_BEYOND and beyond > ONE_SPIKE))
+
+
+class Answers(NamedTuple):
+    """The three answers for one pass or posterior, and whether the search left nothing out; `informed` (3) by component, `wrong`
+    the sensors that do not agree with the motion."""
+
+    unique: bool
+    informed: tuple[bool, bool, bool]
+    fits: bool
+    search_complete: bool
+    wrong: tuple[str, ...] = ()
+
+    @property
+    def decided(self) -> bool:
+        """Whether an operator may act on the motion."""
+        return self.unique and self.fits and all(self.informed) and self.search_complete
+
+    @property
+    def why_not(self) -> str:
+        """What keeps the motion from being decided, in words; empty where it is."""
+        known = [axis for axis, told in zip("xyz", self.informed, strict=True) if told]
+        reasons = []
+        if not self.fits:
+            reasons.append("FITS BADLY" + (f" ({', '.join(self.wrong)})" if self.wrong else ""))
+        if not self.unique:
+            reasons.append("several motions")
+        if len(known) < 3:
+            reasons.append(f"informed: {' '.join(known)} only" if known else "NOT INFORMED, the prior is given back")
+        if not self.search_complete:
+            reasons.append("search not complete")
+        return "; ".join(reasons)
+
+
+def answers(
+    unique: bool, sigma: np.ndarray, prior_sigma: float, misfits: Mapping[str, Misfit], explained: bool, search_complete: bool
+) -> Answers:
+    """The answers for one motion.
+
+    `sigma` (3), standard deviation of each component over all modes, and `prior_sigma`, that before anything was measured, in one
+    unit; `misfits` by sensor; `explained`: the misfit of all readings together is as of a motion of this kind.
+    """
+    wrong = tuple(name for name, one in misfits.items() if not one.fits)
+    x, y, z = (bool(one < NARROWER * prior_sigma) for one in np.asarray(sigma))  # NaN is not informed
+    return Answers(bool(unique), (x, y, z), bool(explained and not wrong), bool(search_complete), wrong)
+
+
+def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:
+    """Sums of squared residuals (...) with so many degrees of freedom, scaled so that 3 has the chance of three sigma."""
+    return 3 * np.sqrt(np.maximum(square, 0.0) / chi2.isf(BEYOND, np.maximum(freedom, 1)))
+
+
+def misfit(sigmas: np.ndarray) -> Misfit:
+    """Of one sensor's residuals (n) in the order of time, in sigmas (`in_sigma`); NaN where it read nothing."""
+    beyond = np.asarray(sigmas)[np.isfinite(sigmas)] > 3.0
+    n, bad = len(beyond), int(beyond.sum())
+    good = n - bad
+    if not bad or not good:
+        return Misfit(n, bad / max(n, 1), 1.0)
+    runs = 1 + int(np.count_nonzero(beyond[1:] != beyond[:-1]))  # Wald and Wolfowitz
+    expected = 1 + 2 * bad * good / n
+    variance = (expected - 1) * (expected - 2) / max(n - 1, 1)
+    chance = norm.cdf((runs - expected) / np.sqrt(variance)) if variance > 0 else 1.0
+    return Misfit(n, bad / n, float(chance))

@@ -1,0 +1,162 @@
+"""Which column is which: checked against the motion and not believed, where the wiring as stated does not fit.
+
+Two panels' columns exchanged, a panel mounted the other way round, a second sensor's axes permuted or reversed, a quaternion
+read the other way: one change at a time. Another wiring is named only where the stated one does not fit, the other does, and is
+better by `CLEARLY` in log evidence; so a file that fits is never accused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import combinations, islice, permutations, product
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from sunspin.vehicle import Vehicle
+
+CLEARLY = 10.0
+"""Log evidence by which another wiring must be better."""
+
+MOST = 60
+"""Wirings of panels that are tried; ten panels have as many."""
+
+MOST_SQUARE = 30.0
+"""No reading of a second sensor speaks more against a motion than this squared distance: some are spikes."""
+
+SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
+"""Variable of the telemetry -> what a person calls it."""
+
+
+class Wiring(NamedTuple):
+    """A vehicle and telemetry as they would be if something were wired otherwise, and what, in words."""
+
+    what: str
+    vehicle: Vehicle
+    telemetry: xr.Dataset
+
+
+class Better(NamedTuple):
+    """The wiring that fits where the stated one does not, and by how much its log evidence is better."""
+
+    wiring: Wiring
+    gain: float
+
+    @property
+    def words(self) -> str:
+        """For the verdict."""
+        return f"the data fit with {self.wiring.what} (log evidence better by {self.gain:.0f}): CHECK THE WIRING"
+
+
+Evidence = Callable[[Vehicle, xr.Dataset], float]
+Run = Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
+
+
+def of_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> Iterator[Wiring]:
+    """Each pair of panels exchanged, each panel reversed."""
+    name = next((name for name in ("power_W", "current_A") if name in telemetry), None)
+    if name is None:
+        return
+    value = telemetry[name].values
+    panels = vehicle.panel_names
+    for a, b in combinations(range(len(panels)), 2):
+        other = value.copy()
+        other[:, [a, b]] = value[:, [b, a]]
+        data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
+        yield Wiring(f"the columns of panels {panels[a]} and {panels[b]} exchanged", vehicle, data)
+    for k, one in enumerate(vehicle.panels):
+        turned = tuple(replace(p, normal_B=-p.normal_B) if i == k else p for i, p in enumerate(vehicle.panels))
+        yield Wiring(f"panel {one.name} looking the other way", replace(vehicle, panels=turned), telemetry)
+
+
+def of_sensor(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> Iterator[Wiring]:
+    """The 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
+    value = telemetry[name].values
+    for what, other in _readings(value) if name == "attitude_B_from_N" else _axes(value):
+        data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
+        yield Wiring(f"the {SENSORS[name]} {what}", vehicle, data)
+
+
+def _axes(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    for order in permutations(range(3)):
+        for sign in product((1.0, -1.0), repeat=3):
+            axes = ", ".join(f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True))
+            yield f"read as ({axes}) of its columns", value[:, list(order)] * sign
+
+
+def _readings(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """`value`: scalar last, B_from_N, as the vehicle file states it."""
+    other_scalar = value[:, [3, 0, 1, 2]]  # what stands last is the first of its columns
+    away = np.array([-1.0, -1.0, -1.0, 1.0])
+    yield "read as stated", value
+    yield "read the other way round (B_to_N for N_to_B)", value * away
+    yield "with its scalar at the other end", other_scalar
+    yield "with its scalar at the other end and read the other way round", other_scalar * away
+
+
+def better(vehicle: Vehicle, telemetry: xr.Dataset, evidence: Evidence, run: Run, field_turn_rate: float) -> Better | None:
+    """The wiring that fits the telemetry of a pass, which does not fit as stated; None where there is none.
+
+    `evidence`: log evidence of a wiring of panels, by a quick search; `run`: the whole estimate, None where there is none;
+    `field_turn_rate`: rad/s at which a magnetometer's field turns in space.
+    """
+    for name in SENSORS:
+        if name in telemetry and np.isfinite(telemetry[name].values).any():
+            found = _of_second(vehicle, telemetry, name, run, field_turn_rate)
+            if found is not None:
+                return found
+    others = list(islice(of_panels(vehicle, telemetry), MOST))
+    if not others:
+        return None
+    stated = evidence(vehicle, telemetry)
+    if not np.isfinite(stated):
+        return None
+    gains = np.array([evidence(one.vehicle, one.telemetry) - stated for one in others])
+    best = int(np.argmax(gains))
+    if not gains[best] > CLEARLY or not _fits(run(others[best].vehicle, others[best].telemetry)):
+        return None
+    return Better(others[best], float(gains[best]))
+
+
+def _fits(result: xr.Dataset | None) -> bool:
+    return result is not None and bool(result["fits"].values.all())
+
+
+def _of_second(vehicle: Vehicle, telemetry: xr.Dataset, name: str, run: Run, field_turn_rate: float) -> Better | None:
+    """Another wiring of one sensor, judged by the motion that all others tell."""
+    motion = run(vehicle, telemetry.drop_vars(name))
+    if motion is None or not _fits(motion):
+        return None
+    others = list(of_sensor(vehicle, telemetry, name))
+    read = [one.telemetry[name].sel(time=motion["time"].values).values for one in others]
+    costs = np.array([_squares(motion, value, name, vehicle, field_turn_rate).clip(max=MOST_SQUARE).sum() / 2 for value in read])
+    best = int(np.argmin(costs))
+    gain = float(costs[0] - costs[best])  # the first is the stated one
+    if not gain > CLEARLY or not _fits(run(vehicle, others[best].telemetry)):
+        return None
+    return Better(others[best], gain)
+
+
+def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle, field_turn_rate: float) -> np.ndarray:
+    """Squared distances, in sigmas, of a sensor's readings (n, 3 or 4) from a motion, where both are known."""
+    sensors, inside = vehicle.sensors, motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
+    known = np.asarray(np.isfinite(value).all(axis=1))
+    pairs = inside & known[1:] & known[:-1]
+    if name == "gyro_B" and sensors.gyro is not None:
+        gyro, spread = sensors.gyro, np.einsum("nii->ni", motion["omega_cov_B"].values)
+        own = gyro.noise_rad_s**2 + (gyro.scale_rad_s * gyro.zero_sigma) ** 2 + (value * gyro.scale_sigma / gyro.scale_rad_s) ** 2
+        return ((value - motion["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
+    turned = Rotation.from_quat(motion["B_from_N"].values)
+    if name == "field_B" and sensors.magnetometer is not None and sensors.magnetometer.noise is not None:
+        fixed = turned.inv().apply(np.where(known[:, None], value, 0.0))
+        turning = field_turn_rate * np.diff(motion["time"].values) * np.linalg.norm(fixed[:-1], axis=1)
+        spread = 2 * sensors.magnetometer.noise**2 + turning**2
+        return ((np.diff(fixed, axis=0) ** 2).sum(axis=1) / spread)[pairs]
+    if name == "attitude_B_from_N" and sensors.attitude is not None:
+        given = Rotation.from_quat(np.where(known[:, None], value, [0.0, 0.0, 0.0, 1.0]))
+        off = ((given[1:] * given[:-1].inv()).inv() * (turned[1:] * turned[:-1].inv())).magnitude()
+        return (off / (np.sqrt(2) * sensors.attitude.sigma_rad))[pairs] ** 2
+    return np.zeros(0)

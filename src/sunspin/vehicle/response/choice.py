@@ -1,0 +1,52 @@
+"""Which law a vehicle's panels follow: the table ``[panel_response]`` of its file, and the response made of it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.vehicle.part import Part, part
+from sunspin.vehicle.response.cosine import Cosine
+from sunspin.vehicle.response.grazing import Grazing
+from sunspin.vehicle.response.protocol import PanelResponse
+from sunspin.vehicle.response.tabled import Law, Tabled
+from sunspin.vehicle.response.tilted import Tilted
+from sunspin.vehicle.response.wall import Wall
+
+
+@part
+class ResponseForm(Part):
+    """The law: at most one of these, and gain times cosine without."""
+
+    grazing: Grazing | None = None
+    wall: Wall | None = None
+    tilted: Tilted | None = None
+
+    def __post_init__(self) -> None:
+        if sum(law is not None for law in vars(self).values()) > 1:
+            given = ", ".join(name for name, law in vars(self).items() if law is not None)
+            raise VehicleError(sentence("panel_response must be one law", got=given, do="keep one of them"))
+
+    @property
+    def law(self) -> Grazing | Wall | Tilted | None:
+        """The law given."""
+        return self.grazing or self.wall or self.tilted
+
+    @property
+    def panels(self) -> tuple[str, ...]:
+        """Names of panels that the law speaks of."""
+        return () if self.law is None else self.law.panels
+
+
+Triples = tuple[tuple[float, ...], ...]
+
+
+@lru_cache(maxsize=64)
+def response_of(law: Law | None, names: tuple[str, ...], normals_B: Triples, gains: tuple[float, ...]) -> PanelResponse:
+    """The response of panels with these names, normals and gains."""
+    normals, strength = np.array(normals_B).reshape(-1, 3), np.array(gains)
+    normals.setflags(write=False)
+    strength.setflags(write=False)
+    return Cosine(normals, strength) if law is None else Tabled(normals, strength, law, names)

@@ -1,0 +1,52 @@
+"""The forward model of a vehicle's panels, and which of them can be lit together, by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from sunspin.vehicle import Vehicle
+
+Pattern = frozenset[str]  # of panel names: the lit ones
+
+
+def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
+    """Signal of each panel by the law that the vehicle's file names, else ``gain * max(0, normal . sun)`` (paper, eq. 1).
+
+    Parameters
+    ----------
+    sun_B : (..., 3)
+        Direction to the Sun, body axes.
+
+    Returns
+    -------
+    (..., n_panel) in the unit of the gains (`vehicle.gain_unit`), or relative.
+    """
+    vehicle.require_panels()
+    return vehicle.response_in().power(np.asarray(sun_B, dtype=np.float64))
+
+
+def lit_patterns(vehicle: Vehicle) -> tuple[Pattern, ...]:
+    """The sets of panels that the Sun can light together, for directions on no edge (16 for Philae)."""
+    vehicle.require_panels()
+    patterns = named(vehicle, vehicle.response_in().regions().lit)
+    return tuple(sorted(patterns, key=lambda pattern: (len(pattern), sorted(pattern))))
+
+
+def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
+    """The lit patterns that a measurement can show: those of `lit_patterns`, and those of directions on edges.
+
+    A panel that the Sun grazes may read as dark, so the patterns of arcs and vertices occur in real data.
+    """
+    vehicle.require_panels()
+    response = vehicle.response_in()
+    return named(vehicle, np.concatenate([response.regions().lit, response.edges()]))
+
+
+def named(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
+    """Sets of lit panels (m, n_panel) by name."""
+    names = np.array(vehicle.panel_names)
+    return frozenset(frozenset(names[row].tolist()) for row in lit)

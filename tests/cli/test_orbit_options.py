@@ -1,0 +1,51 @@
+"""Elements on the command line: what is wrong with them is one sentence, and what they are good for is said."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from sunspin.base.errors import SunspinError
+from sunspin.cli import cli
+
+TLE = """1 25544U 98067A   26001.50000000  .00010000  00000-0  10000-3 0  9999
+2 25544  51.6400 120.0000 0006000  30.0000  40.0000 15.49000000    03
+"""
+
+
+@pytest.fixture
+def satellite(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["init", "."]).exit_code == 0
+    (tmp_path / "my.tle").write_text(TLE, "utf-8")
+    return tmp_path
+
+
+def said(*words: str) -> str:
+    with pytest.raises(SunspinError) as error:
+        CliRunner().invoke(cli, ["check", *words], catch_exceptions=False)
+    return str(error.value)
+
+
+def test_wrong_elements_are_one_sentence(satellite):
+    (satellite / "bad.tle").write_text(TLE.replace("9999", "9990"), "utf-8")
+    text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle")
+    assert text.startswith("bad.tle, line 1: the checksum of the line is 9, but its last character says '0';")
+    assert said("vehicle.toml", "telemetry.csv", "--omm", "none.xml").startswith("none.xml: the file of elements cannot be read")
+    assert said("vehicle.toml", "--tle", "my.tle") == "elements are compared with telemetry; give TELEMETRY too"
+    assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith("a shift along the track needs elements")
+
+
+def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(satellite):
+    words = ["check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"]
+    done = CliRunner().invoke(cli, words, catch_exceptions=False)
+    assert "Orbit of satellite 25544: the telemetry cannot tell these elements from others" in done.output
+    text = (satellite / "vehicle.toml").read_text("utf-8")
+    for mark in ("[orbit]", "tle =", "shift_s =", "clock_s ="):
+        text = text.replace(f"# {mark}", mark)
+    (satellite / "vehicle.toml").write_text(text, "utf-8")
+    done = CliRunner().invoke(cli, [*words[:3], "--json"], catch_exceptions=False)
+    orbit = json.loads(done.output)["orbit"]
+    assert orbit["satellite"] == 25544 and orbit["verdict"] == "undecided" and orbit["copies"] == 50

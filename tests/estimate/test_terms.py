@@ -1,0 +1,127 @@
+"""Terms of the estimators and hypotheses about them: derivatives, a second magnetometer, a sensor left out. All synthetic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import clock_twins
+import sunspin as ss
+from coverage_twins import CUBE
+from sunspin.estimate.rates.common import places_of, with_common
+from sunspin.estimate.rates.hypotheses import AS_STATED, Fit, Hypothesis, odd_one, ranked, sensors_left_out
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.observe import observations
+from sunspin.estimate.rates.smooth import cost_limit
+from sunspin.estimate.rates.state import Motion, Track
+from sunspin.estimate.terms.term import Seen, facing, normal, student
+from sunspin.solve.rotations import turn
+from sunspin.vehicle.sensors import Sensors
+
+
+def craft():
+    return replace(CUBE, sensors=Sensors(gyro=clock_twins.GYRO, magnetometer=clock_twins.FIELD))
+
+
+def both(samples=9, seed=4):
+    """A pass seen by panels, a gyro and a magnetometer, and its truth."""
+    (data, run), (other, _) = (clock_twins.twin(kind, 0.0, np.random.default_rng(seed), samples) for kind in ("gyro", "field"))
+    o = observations(craft(), data.assign(field_B=other["field_B"]))[0]
+    attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
+    sun_N = attitude[0].T @ run["sun_B"].values[0]
+    return o, Track((attitude @ facing(sun_N))[None], run["omega_B"].values[None])  # z of N to the Sun
+
+
+@pytest.mark.evidence("rates", "verified", "differences of the cost of a gyro's readings")
+def test_the_gyros_gradient_is_that_of_its_cost():
+    o, truth = both()
+    (gyro,), rng = o.of_state, np.random.default_rng(1)
+    seen, error = Seen(truth.attitude, truth.omega + 1e-3 * rng.normal(size=truth.omega.shape)), rng.normal(size=(1, 4))
+    slope = normal(gyro, seen, error)[1]
+
+    def cost(omega, off):
+        return normal(gyro, Seen(seen.attitude, omega), off)[2].sum()
+
+    for k in range(3):
+        step = 1e-8 * np.eye(3)[k]
+        told = (cost(seen.omega + step, error) - cost(seen.omega - step, error)) / 2e-8
+        assert slope[..., 3 + k].sum() == pytest.approx(told, rel=1e-5)
+    for k in range(4):
+        step = 1e-6 * np.eye(4)[k]
+        told = (cost(seen.omega, error + step) - cost(seen.omega, error - step)) / 2e-6
+        assert slope[..., 6 + k].sum() == pytest.approx(told, rel=1e-5)
+
+
+def test_every_unknown_stands_once_in_one_list():
+    o = both()[0].freed()
+    places = places_of(o, Motion(Body.of(craft()), 1e-5, 0.1), None)
+    kinds = [one.kind for one in places.unknowns]
+    assert kinds[:4] == ["gyro_zero"] * 3 + ["gyro_scale"] and kinds.count("field_drift") == 6
+    assert len({one.name for one in places.unknowns}) == places.count
+    assert places.unknowns[0].sigma == pytest.approx(1e-3) and places.unknowns[3].sigma == pytest.approx(0.01, rel=1e-6)
+    assert all(one.scope == "pass" for one in places.unknowns)
+
+
+def test_a_second_magnetometer_is_one_more_term():
+    """Two of the same noise: the drift of each is an unknown, and rates are known better than with one."""
+    o, truth = both()
+    (first,) = o.of_pairs
+    rng, field_N = np.random.default_rng(7), np.array([0.6, 0.0, 0.8])
+    second = replace(first, field_B=truth.attitude[0] @ field_N + 0.02 * rng.normal(size=(len(o), 3)))
+    motion = Motion(Body.of(craft()), 1e-5, 0.1)
+    one, two = (with_common(x.freed(), truth, motion, None) for x in (o, replace(o, terms=(*o.terms, second))))
+    assert two.error.shape[1] == one.error.shape[1] + 6
+    assert cost_limit(replace(o, terms=(*o.terms, second))) == cost_limit(o) + 1.5 * (len(o) - 1)
+    known = [np.linalg.slogdet(x.track.covariance[0, :, 3:, 3:])[1].sum() for x in (one, two)]
+    assert known[1] < known[0] - 0.1  # rates are known better
+
+
+def test_readings_apart_cost_the_mean_of_their_likelihood():
+    """Of a gyro and a field, each against an average of the likelihood over what it may see."""
+    o, truth = both(samples=3)
+    rng, (gyro,), (field,) = np.random.default_rng(3), o.of_state, o.of_pairs
+    fine = replace(gyro, sigma=0.002)
+    size = max(np.sqrt((fine.rate_B**2).mean()), fine.sigma)
+    omega = size * rng.normal(size=(400_000, 3))
+    told = sum(np.log(np.exp(-student((omega - rate) / fine.sigma)[1]).mean()) for rate in fine.rate_B)
+    assert fine.unrelated(o.t_s) == pytest.approx(told, abs=0.1)
+    loose = replace(field, sigma=0.2)
+    start, end = loose.field_B[:-1], loose.field_B[1:]
+    axes = rng.normal(size=(400_000, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    lengths, sigmas = np.linalg.norm(start, axis=1), loose.sigmas(o.t_s)
+    each = [np.exp(-((r * axes - b) ** 2).sum(axis=1) / (2 * s**2)).mean() for r, b, s in zip(lengths, end, sigmas, strict=True)]
+    assert loose.unrelated(o.t_s) == pytest.approx(np.log(each).sum(), abs=0.03)
+
+
+def test_the_sensor_that_disagrees_is_left_out_by_evidence():
+    """A gyro turned by 60 degrees: of all alternatives the one without it fits and is best; with a sound gyro all are worse."""
+    o, truth = both(samples=20)
+    motion = Motion(Body.of(craft()), 1e-5, 0.1)
+    (gyro,) = o.of_state
+    turned = replace(gyro, rate_B=gyro.rate_B @ turn(np.eye(3), np.radians([60.0, 0.0, 0.0])).T)
+
+    def run(one):
+        fit = with_common(one.o.freed(), truth, one.motion, None)
+        return Fit(fit.track.log_weight, bool(fit.track.cost[0] < cost_limit(one.o)))
+
+    for pass_, named in ((o.swapped(gyro, turned), "without the gyro"), (o, None)):
+        stated = Hypothesis(AS_STATED, pass_, np.arange(len(o)), motion)
+        others = sensors_left_out(stated)
+        assert [one.what for one in others] == ["without the Sun", "without the gyro", "without the magnetometer"]
+        judged = ranked([stated, *others], run)
+        odd = odd_one(judged)
+        assert (None if odd is None else odd.hypothesis.what) == named
+        assert judged[0].hypothesis.what == (named or AS_STATED)
+
+
+@pytest.mark.slow
+def test_a_pass_with_a_gyro_in_other_axes_says_so():
+    (data, _), (other, _) = (clock_twins.twin(kind, 0.0, np.random.default_rng(4), 24) for kind in ("gyro", "field"))
+    turned = data["gyro_B"].values @ turn(np.eye(3), np.radians([60.0, 0.0, 0.0])).T
+    data = data.assign(field_B=other["field_B"], gyro_B=(data["gyro_B"].dims, turned))
+    found = ss.rates(craft(), data, max_rate_rad_s=0.15)
+    assert not found["fits"].values.any() and "without the gyro the other sensors agree" in found.attrs["verdict"]

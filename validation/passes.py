@@ -1,0 +1,160 @@
+"""Simulated passes whose motion is known, of every kind for which a verdict of `rates` may be wrong. All telemetry is synthetic.
+
+Nothing of the package's own dynamics makes them: Euler's equations with a torque by Runge and Kutta, light as gain times cosine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle.sensors import Gyro, Sensors
+
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
+MOMENTS = np.array([0.042, 0.05, 0.03])
+GYRO = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3, zero_sigma=np.full(3, 2e-3), scale_sigma=0.01)
+STEP_S = 0.25
+
+CHANGE = np.radians(1.0)
+"""rad/s by which a torque or a step changes the rate over a pass."""
+
+KINDS = {
+    "right model": 24, "steady torque": 8, "step of the rate": 8, "hardly informed": 12, "columns exchanged": 12, "stop and go": 8,
+}  # fmt: skip
+"""Kind of pass -> how many."""
+
+Push = Callable[[float, np.ndarray], np.ndarray]
+"""Angular acceleration (3) in body axes at a time and an attitude B_from_N."""
+
+
+class Made(NamedTuple):
+    """A vehicle, its telemetry, the true rates (n, 3), and the largest rate that is told."""
+
+    vehicle: Vehicle
+    telemetry: xr.Dataset
+    omega: np.ndarray
+    max_rate_rad_s: float
+
+
+def unit(rng: np.random.Generator) -> np.ndarray:
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def spin(omega: np.ndarray, t_s: np.ndarray, push: Push | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Rates (n, 3) and attitudes (n, 3, 3) of the body with `MOMENTS` at times (n)."""
+
+    def change(w: np.ndarray, t: float, attitude: np.ndarray) -> np.ndarray:
+        return np.cross(MOMENTS * w, w) / MOMENTS + (0.0 if push is None else push(t, attitude))
+
+    rates, attitudes, w, attitude, now = [], [], np.array(omega), np.eye(3), float(t_s[0])
+    for t in t_s:
+        steps = max(1, int(np.ceil((t - now) / STEP_S)))
+        h = (t - now) / steps
+        for _ in range(steps if h > 0 else 0):
+            a = change(w, now, attitude)
+            b = change(w + h / 2 * a, now + h / 2, attitude)
+            c = change(w + h / 2 * b, now + h / 2, attitude)
+            new = w + h / 6 * (a + 2 * b + 2 * c + change(w + h * c, now + h, attitude))
+            attitude = Rotation.from_rotvec(-h * (w + new) / 2).as_matrix() @ attitude
+            w, now = new, now + h
+        rates.append(w)
+        attitudes.append(attitude)
+    return np.array(rates), np.array(attitudes)
+
+
+def seen(normals: np.ndarray, omega: np.ndarray, attitude: np.ndarray, t_s: np.ndarray, noise: float, rng: np.random.Generator,
+         gyro: bool = False, max_rate_rad_s: float = 0.15) -> Made:  # fmt: skip
+    """What panels, and a gyro, see of a motion."""
+    names = NAMES if len(normals) == len(NAMES) else tuple(f"p{i}" for i in range(len(normals)))
+    panels = tuple(Panel(name, normal, 1.0) for name, normal in zip(names, normals, strict=True))
+    vehicle = Vehicle("simulated", inertia_kg_m2=np.diag(MOMENTS), gain_unit="W", panels=panels,
+                      telemetry=TelemetryForm(noise=noise), sensors=Sensors(gyro=GYRO) if gyro else Sensors())  # fmt: skip
+    light = np.maximum((attitude @ unit(rng)) @ normals.T, 0.0)
+    power = np.maximum(light + noise * rng.normal(size=light.shape), 0.0)
+    data = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t_s), dtype=np.uint8))}
+    if gyro:
+        read = omega * (1 + GYRO.scale_sigma * rng.normal()) + GYRO.zero_sigma * rng.normal(size=3)
+        data["gyro_B"] = (("time", "axis"), read + GYRO.noise_rad_s * rng.normal(size=omega.shape))
+    attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
+    return Made(vehicle, xr.Dataset(data, {"time": t_s, "panel": list(names)}, attrs), omega, max_rate_rad_s)
+
+
+def instants(rng: np.random.Generator, count: int, interval_s: float) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(interval_s * rng.uniform(0.8, 1.2, count - 1))])
+
+
+def tumbling(rng: np.random.Generator, push: Callable[[np.random.Generator, float], Push] | None = None) -> Made:
+    """Six faces, 25 to 40 samples 5 to 15 s apart, 0.5 to 4 deg/s, noise of 0.5 to 3 %; a gyro on one in four."""
+    t = instants(rng, int(rng.integers(25, 41)), rng.uniform(5.0, 15.0))
+    start = np.radians(rng.uniform(0.5, 4.0)) * unit(rng)
+    noise, gyro = 10 ** rng.uniform(-2.3, -1.5), bool(rng.random() < 0.25)
+    return seen(FACES, *spin(start, t, None if push is None else push(rng, t[-1])), t, noise, rng, gyro)
+
+
+def steady(rng: np.random.Generator, span_s: float) -> Push:
+    """A torque that changes the rate by `CHANGE`, fixed in the body or in space."""
+    size, in_body = CHANGE / span_s * unit(rng), rng.random() < 0.5
+    return lambda _, attitude: size if in_body else attitude @ size
+
+
+def stepped(rng: np.random.Generator, span_s: float) -> Push:
+    """A thruster that changes the rate by `CHANGE` within two seconds."""
+    size, at = CHANGE / 2 * unit(rng), rng.uniform(0.2, 0.8) * span_s
+    return lambda t, _: size if at <= t < at + 2 else np.zeros(3)
+
+
+def hardly_informed(rng: np.random.Generator) -> Made:
+    """Nine panels of much noise, samples 30 to 120 s apart, and wheels that turn the body hither and thither, which nobody says."""
+    normals = np.array([unit(rng) for _ in range(9)])
+    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(size=(int(t[-1]) + 2, 3))  # white, one a second
+    drag = 0.05  # 1/s, so that the rates stay as small as those of a body under control
+    rates = np.zeros_like(pushes)
+    for k in range(1, len(pushes)):
+        rates[k] = (1 - drag) * rates[k - 1] + pushes[k]
+    attitude = np.array(list(accumulate(rates, lambda one, rate: Rotation.from_rotvec(-rate).as_matrix() @ one, initial=np.eye(3))))
+    at = t.astype(int)
+    return seen(normals, rates[at], attitude[at], at.astype(float), rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
+
+
+def exchanged(made: Made, rng: np.random.Generator) -> Made:
+    """The same with the columns of two panels exchanged."""
+    a, b = rng.choice(len(FACES), 2, replace=False)
+    power = made.telemetry["power_W"].values.copy()
+    power[:, [a, b]] = power[:, [b, a]]
+    return made._replace(telemetry=made.telemetry.assign(power_W=(("time", "panel"), power)))
+
+
+def stop_and_go(rng: np.random.Generator) -> Made:
+    """Turned on the ground about axes of its body, 5 to 20 s at 2 to 6 deg/s, with rests in between; samples 1 s apart."""
+    t = np.arange(int(rng.integers(200, 320)), dtype=float)
+    omega, at = np.zeros((len(t), 3)), 0
+    while at < len(t):
+        axis = rng.choice([-1.0, 1.0]) * np.eye(3)[rng.integers(3)]
+        turning, resting = rng.integers(5, 21), rng.integers(5, 31)
+        omega[at : at + turning] = np.radians(rng.uniform(2.0, 6.0)) * axis
+        at += turning + resting
+    attitude = [np.eye(3)]
+    for rate in omega[:-1]:
+        attitude.append(Rotation.from_rotvec(-rate).as_matrix() @ attitude[-1])
+    return seen(FACES, omega, np.array(attitude), t, rng.uniform(0.02, 0.1), rng, bool(rng.random() < 0.5))
+
+
+def make(kind: str, seed: int, i: int) -> Made:
+    """Pass `i` of a kind; one whose columns are exchanged is that of the right model otherwise."""
+    base = "right model" if kind == "columns exchanged" else kind
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i)))
+    makers = {
+        "right model": tumbling, "steady torque": lambda r: tumbling(r, steady), "step of the rate": lambda r: tumbling(r, stepped),
+        "hardly informed": hardly_informed, "stop and go": stop_and_go,
+    }  # fmt: skip
+    made = makers[base](rng)
+    return exchanged(made, rng) if kind == "columns exchanged" else made
