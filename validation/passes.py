@@ -26,7 +26,8 @@ CHANGE = np.radians(1.0)
 """rad/s by which a torque or a step changes the rate over a pass."""
 
 KINDS = {
-    "right model": 24, "steady torque": 8, "step of the rate": 8, "hardly informed": 12, "columns exchanged": 12, "stop and go": 8,
+    "right model": 24, "steady torque": 8, "step of the rate": 8, "jitter": 12, "columns exchanged": 12, "stop and go": 8,
+    "prior given back": 12,
 }  # fmt: skip
 """Kind of pass -> how many."""
 
@@ -111,8 +112,15 @@ def stepped(rng: np.random.Generator, span_s: float) -> Push:
     return lambda t, _: size if at <= t < at + 2 else np.zeros(3)
 
 
-def hardly_informed(rng: np.random.Generator) -> Made:
-    """Nine panels of much noise, samples 30 to 120 s apart, and wheels that turn the body hither and thither, which nobody says."""
+def given_back(rng: np.random.Generator) -> Made:
+    """A few samples of much noise close together, and a largest rate that is told and below what they could show."""
+    t = instants(rng, int(rng.integers(4, 8)), rng.uniform(5.0, 12.0))
+    limit = np.radians(rng.uniform(0.2, 0.6))
+    return seen(FACES, *spin(rng.uniform(0.0, 0.9) * limit * unit(rng), t), t, rng.uniform(0.15, 0.4), rng, False, limit)
+
+
+def jitter(rng: np.random.Generator) -> Made:
+    """Nine panels of much noise, samples 30 to 120 s apart, and wheels that swing the body to and fro within 20 s."""
     normals = np.array([unit(rng) for _ in range(9)])
     t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
     pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(size=(int(t[-1]) + 2, 3))  # white, one a second
@@ -154,7 +162,7 @@ def make(kind: str, seed: int, i: int) -> Made:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i)))
     makers = {
         "right model": tumbling, "steady torque": lambda r: tumbling(r, steady), "step of the rate": lambda r: tumbling(r, stepped),
-        "hardly informed": hardly_informed, "stop and go": stop_and_go,
+        "jitter": jitter, "stop and go": stop_and_go, "prior given back": given_back,
     }  # fmt: skip
     made = makers[base](rng)
     return exchanged(made, rng) if kind == "columns exchanged" else made

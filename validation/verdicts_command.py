@@ -74,7 +74,8 @@ def table(rows: dict[str, list[dict[str, Any]]]) -> str:
     """Both error rates by kind, worst first: before / now."""
 
     def key(kind: str) -> tuple[float, ...]:
-        return tuple(-float(np.mean([row[what] and row["wrong"] for row in rows[kind]])) for what in ("decided", "before"))
+        return tuple(-float(np.mean([row[what] and any(row[why] for why in bad) for row in rows[kind]]))
+                     for bad in (("wrong",), ("wrong", "mirrored", "empty")) for what in ("decided", "before"))  # fmt: skip
 
     lines = [
         "| kind of pass | passes | decided | of these wrong | mirror images | not informed | decidable and not decided |",

@@ -75,6 +75,14 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     assert "1  flagged: time_not_increasing" in sunspin("check", vehicle, telemetry)[1]
 
 
+def test_a_pass_or_a_stretch_of_time_that_is_not_there_is_a_sentence(sunspin, tmp_path):
+    sunspin("init", tmp_path / "mine")
+    files = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
+    refused(sunspin("rates", *files, "--pass", "5"), "no such pass (found 5)", "passes 0 to 0")
+    refused(sunspin("rates", *files, "--from", "2030-01-01T00:00"), "no samples lie between", "2026-01-01T00:12:58Z")
+    refused(sunspin("rates", *files, "--to", "noon:"), "ISO-8601", "noon:")
+
+
 def test_check_says_when_the_samples_begin_and_what_times_are_counted_from(sunspin, tmp_path):
     sunspin("init", tmp_path / "mine")
     vehicle, telemetry = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"

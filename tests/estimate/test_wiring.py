@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.wiring import better, of_panels, of_sensor
+from sunspin.estimate.wiring import Culprit, better, of_panels, of_sensor
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 
@@ -95,8 +95,20 @@ def test_a_sensor_read_wrongly_is_named(name, wrong, words):
 
 
 @pytest.mark.parametrize("name", ["gyro_B", "field_B", "attitude_B_from_N"])
-def test_a_sensor_read_rightly_is_not_accused(name):
-    assert better(CUBE, seen(name, lambda read: read), lambda *_: 0.0, lambda *_: motion(), TURN_RATE) is None
+def test_no_other_wiring_of_a_sensor_read_rightly_is_named(name):
+    """What is in the way may still be that sensor: its zero, say."""
+    found = better(CUBE, seen(name, lambda read: read), never, lambda *_: motion(), TURN_RATE)
+    assert isinstance(found, Culprit) and "without the" in found.words and "--without" in found.words
+
+
+def test_a_gyro_whose_zero_is_off_is_the_culprit_and_where_it_is_not_panels_are_tried():
+    data = seen("gyro_B", lambda read: read + np.radians([0.3, -0.3, 0.3]))
+
+    def run(fits_without: bool):
+        return lambda _, other: motion(fits=fits_without and "gyro_B" not in other)
+
+    assert better(CUBE, data, never, run(True), TURN_RATE) == Culprit("gyro")
+    assert better(CUBE, data, lambda *_: 0.0, run(False), TURN_RATE) is None
 
 
 def test_another_wiring_of_panels_must_be_clearly_better_and_fit():

@@ -50,8 +50,8 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
-    modes.csv, the likeliest motion of each region, and with --predict predicted.csv and predicted.png; `sunspin report` makes
-    a page of them. Without TELEMETRY the case's own is used.
+    modes.csv, passes.csv, the likeliest motion of each region, and with --predict predicted.csv and predicted.png; `sunspin report`
+    makes a page of them. Without TELEMETRY the case's own is used.
 
     \b
     Examples:

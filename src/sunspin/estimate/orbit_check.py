@@ -209,7 +209,7 @@ def _seen(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
 
 def _predict(orbit: Orbit, seen: Seen, grid: _Grid, node_rad: float, phase_s: float) -> Predicted:
     when = orbit.instants(seen.t_s)
-    place, _ = replace(orbit, node_rad=node_rad).states(when, orbit.shift_s + phase_s + grid.shifts[:, None])
+    place, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(when, orbit.shift_s + phase_s + grid.shifts[:, None])
     sun, turn = sun_J2000_m(when), earth_from_J2000(when)
     field = orbit.map(when, place).at(turned(turn, place))
     to_sun = turned(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))

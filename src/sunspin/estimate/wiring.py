@@ -51,6 +51,20 @@ class Better(NamedTuple):
         return f"the data fit with {self.wiring.what} (log evidence better by {self.gain:.0f}): CHECK THE WIRING"
 
 
+class Culprit(NamedTuple):
+    """The sensor without which the others agree, where no other wiring of it does."""
+
+    sensor: str
+
+    @property
+    def words(self) -> str:
+        """For the verdict."""
+        return (
+            f"without the {self.sensor} the other readings fit: look at its zero, scale, columns and clock (`--without "
+            f"{'attitude' if self.sensor == 'quaternion' else self.sensor}` gives the rates of the others)"
+        )
+
+
 Evidence = Callable[[Vehicle, xr.Dataset], float]
 Run = Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
 
@@ -97,17 +111,26 @@ def _readings(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     yield "with its scalar at the other end and read the other way round", other_scalar * away
 
 
-def better(vehicle: Vehicle, telemetry: xr.Dataset, evidence: Evidence, run: Run, field_turn_rate: float) -> Better | None:
-    """The wiring that fits the telemetry of a pass, which does not fit as stated; None where there is none.
+def better(
+    vehicle: Vehicle, telemetry: xr.Dataset, evidence: Evidence, run: Run, field_turn_rate: float
+) -> Better | Culprit | None:
+    """The wiring that fits the telemetry of a pass, which does not fit as stated; else the sensor that is in the way; else None.
 
     `evidence`: log evidence of a wiring of panels, by a quick search; `run`: the whole estimate, None where there is none;
     `field_turn_rate`: rad/s at which a magnetometer's field turns in space.
     """
+    culprit = None
     for name in SENSORS:
         if name in telemetry and np.isfinite(telemetry[name].values).any():
-            found = _of_second(vehicle, telemetry, name, run, field_turn_rate)
+            motion = run(vehicle, telemetry.drop_vars(name))
+            if motion is None or not _fits(motion):
+                continue
+            found = _of_second(vehicle, telemetry, name, motion, run, field_turn_rate)
             if found is not None:
                 return found
+            culprit = culprit or Culprit(SENSORS[name])
+    if culprit is not None:
+        return culprit
     others = list(islice(of_panels(vehicle, telemetry), MOST))
     if not others:
         return None
@@ -125,11 +148,10 @@ def _fits(result: xr.Dataset | None) -> bool:
     return result is not None and bool(result["fits"].values.all())
 
 
-def _of_second(vehicle: Vehicle, telemetry: xr.Dataset, name: str, run: Run, field_turn_rate: float) -> Better | None:
+def _of_second(
+    vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
+) -> Better | None:
     """Another wiring of one sensor, judged by the motion that all others tell."""
-    motion = run(vehicle, telemetry.drop_vars(name))
-    if motion is None or not _fits(motion):
-        return None
     others = list(of_sensor(vehicle, telemetry, name))
     read = [one.telemetry[name].sel(time=motion["time"].values).values for one in others]
     costs = np.array([_squares(motion, value, name, vehicle, field_turn_rate).clip(max=MOST_SQUARE).sum() / 2 for value in read])

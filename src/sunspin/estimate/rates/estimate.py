@@ -41,7 +41,7 @@ from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import NARROWER, answers, misfit
-from sunspin.estimate.wiring import better
+from sunspin.estimate.wiring import Better, better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 
@@ -146,8 +146,10 @@ def rates(
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
-        mean, all modes counted. On `sample`: `why`:
-        what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`, `sensors_late_sigma_s`.
+        mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
+        `passes.csv` (:func:`sunspin.estimate.passes.table`); `misfit` (pass_id, sensor, figure) of the best mode. On `sample`:
+        `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
+        `sensors_late_sigma_s`; `wiring_doubt`, where another wiring or a sensor left out would make a pass fit.
 
     Raises
     ------
@@ -224,7 +226,7 @@ def _odd_sensor(
 
 
 def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
-    """The result with the wiring that fits the longest pass that does not fit as stated, if one does."""
+    """The result with the wiring that fits the longest pass that does not fit as stated, or the sensor that is in its way."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
     times, first = np.unique(telemetry["time"].values, return_index=True)
@@ -248,8 +250,9 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     found = better(vehicle, part, evidence, run, TURN_RATE)
     if found is None:
         return result
-    wiring = np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)
-    return result.assign(wiring=("pass_id", wiring)).assign_attrs(wiring_doubt=found.words)
+    if isinstance(found, Better):
+        result = result.assign(wiring=("pass_id", np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)))
+    return result.assign_attrs(wiring_doubt=found.words)
 
 
 def _asked_for(pass_id: int | None, count: int) -> list[int]:

@@ -93,7 +93,8 @@ class Cosine(Flat):
         normals = self.normals_B if tilt is None else self.turned(tilt)
         sun = sun_B[..., None, :]
         lit = (strength * (cosine >= 0))[..., None]
-        to_sun, to_tilt = lit * (normals - cosine[..., None] * sun), lit * np.cross(normals, sun)
+        to_sun = lit * (normals - cosine[..., None] * sun)
+        to_tilt = None if tilt is None else lit * np.cross(normals, sun)
         return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

@@ -17,11 +17,11 @@ Literals = tuple[tuple[int, bool], ...]
 
 class Slopes(NamedTuple):
     """`power` (..., n_panel), and its derivatives (..., n_panel, 3): `to_sun`, along the sphere; `to_tilt`, by a turn (rad, B) of
-    each panel. At an edge those of the lit side."""
+    each panel, None unless turns were given. At an edge those of the lit side."""
 
     power: np.ndarray
     to_sun: np.ndarray
-    to_tilt: np.ndarray
+    to_tilt: np.ndarray | None
 
 
 class Regions(NamedTuple):

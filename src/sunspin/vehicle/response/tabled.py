@@ -37,9 +37,15 @@ GRAZING = 1.5
 BASINS = 10
 """Local minima of Delta among the nodes, at most."""
 
-HOPELESS, NEARLY = 0.15, 0.03
-"""A node whose Delta exceeds the best by more than the first is in no better basin: neighbours differ by less. And what slopes have
-left at an edge is polished across it if it may become the best."""
+TIE = 1e-13
+"""Of the cosine between readings and powers, from one node to the next: no difference between others is as small."""
+
+HOPELESS, NEARLY, NEARLY_ON_EDGE = 0.15, 0.03, 1e-3
+"""A node whose Delta exceeds the best by more than the first is in no better basin: neighbours differ by less. What slopes have
+left at an edge may lose as much as the second when it is polished, what lies on one already the third."""
+
+THINNED = 4
+"""Of the directions on edges at which no power jumps one in so many is looked at: half a degree from the next."""
 
 STEPS, ROUNDING = 25, 1e-18
 """Trials of least squares from a local minimum, and the gain in Delta squared at which they end."""
@@ -54,6 +60,9 @@ HALVINGS = 40
 
 NUMBERS = 8_000_000
 """Samples times directions looked at together."""
+
+ARC_STEP = 0.05
+"""rad of a step along an arc, halved at its end."""
 
 EARTH_RAD = np.radians(66.0)
 """Radius of the Earth's disc seen from 550 km."""
@@ -127,8 +136,9 @@ class Tabled(Flat):
 
     def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
         power, to_sun = self._along_sphere(sun_B, gain, tilt)
-        zero = np.zeros((len(self.gains), 3)) if tilt is None else tilt
-        turned = [[self.power(sun_B, gain=gain, tilt=zero + sign * STEP * one) for sign in (1, -1)] for one in np.eye(3)]
+        if tilt is None:
+            return Slopes(power, to_sun, None)
+        turned = [[self.power(sun_B, gain=gain, tilt=tilt + sign * STEP * one) for sign in (1, -1)] for one in np.eye(3)]
         return Slopes(power, to_sun, np.stack([self._lit_side(power, *both) for both in turned], axis=-1))
 
     def _along_sphere(
@@ -234,8 +244,8 @@ class Tabled(Flat):
         return self._base._regions
 
     @cached_property
-    def _jumps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (m, 3) to both sides of edges at which a power jumps, and their shares (m, n_panel)."""
+    def _borders(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (m, 3) at edges, to both sides where a power jumps, and their shares (m, n_panel)."""
         code = _code(self._seen > 0)
         a, b = _neighbours()[code[_neighbours()[:, 0]] != code[_neighbours()[:, 1]]].T
         low, high = _even(LOOKS)[a], _even(LOOKS)[b]
@@ -244,9 +254,9 @@ class Tabled(Flat):
             middle /= np.linalg.norm(middle, axis=1, keepdims=True)
             near = (_code(self.power(middle) > 0) == code[a])[:, None]
             low, high = np.where(near, middle, low), np.where(near, high, middle)
-        power = self.power(low), self.power(high)
-        jump = (np.abs(power[0] - power[1]) > JUMP).any(axis=1)
-        return np.concatenate([low[jump], high[jump]]), np.concatenate([each[jump] for each in power])
+        jump = (np.abs(self.power(low) - self.power(high)) > JUMP).any(axis=1)
+        found = np.concatenate([low[jump], high[jump], low[~jump][::THINNED]])
+        return found, self.power(found)
 
     @cached_property
     def _edges(self) -> Regions:
@@ -275,23 +285,25 @@ class Tabled(Flat):
         return np.concatenate([self._candidates(target[part])[0] for part in _chunks(len(target))])
 
     def _candidates(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (n, BASINS or one more, 3), and which of them (n, ...) slopes have taken to a minimum."""
+        """Directions (n, BASINS or one more, 3), and how much of Delta (n, ...) a polish across edges may take from them: none
+        where slopes have come to a minimum."""
         found = self._basins(target)
         away = misfit(self.power(found), target[:, None])
         sample, which = np.nonzero(away < away.min(axis=1, keepdims=True) + HOPELESS)
-        settled = np.zeros(found.shape[:2], dtype=bool)
-        found[sample, which], settled[sample, which] = self._refined(found[sample, which], target[sample])
-        edge, shape = self._base._jumps
+        left = np.zeros(found.shape[:2])
+        found[sample, which], settled = self._refined(found[sample, which], target[sample])
+        left[sample, which] = np.where(settled, 0.0, NEARLY)
+        edge, shape = self._base._borders
         if len(edge):
             nearest = edge[np.argmax(target @ unit_readings(self.gains * shape).T, axis=1)]
             found = np.concatenate([found, nearest[:, None]], axis=1)
-            settled = np.concatenate([settled, np.zeros((len(target), 1), dtype=bool)], axis=1)
-        return found, settled
+            left = np.concatenate([left, np.full((len(target), 1), NEARLY_ON_EDGE)], axis=1)
+        return found, left
 
     def _basins(self, target: np.ndarray) -> np.ndarray:
         """Nodes (n, BASINS, 3) at which Delta is less than at their neighbours."""
         shares, neighbours = self._base._nodes
-        along = target @ unit_readings(self.gains * shares).T
+        along = target @ unit_readings(self.gains * shares).T + TIE * np.arange(NODES)  # a plateau has one highest node
         highest = np.full(along.shape, -np.inf)
         for column in neighbours.T:
             np.maximum(highest, along[:, column], out=highest)
@@ -334,9 +346,9 @@ class Tabled(Flat):
         target, direction = unit_readings(readings), np.zeros((len(readings), 3))
         for part in _chunks(len(target)):
             wanted = target[part]
-            found, settled = self._candidates(wanted)
+            found, left = self._candidates(wanted)
             away = misfit(self.power(found), wanted[:, None])
-            sample, which = np.nonzero(~settled & (away < away.min(axis=1, keepdims=True) + NEARLY))
+            sample, which = np.nonzero((left > 0) & (away < away.min(axis=1, keepdims=True) + left))
             found[sample, which] = self._polished(found[sample, which], wanted[sample])
             least = np.argmin(misfit(self.power(found), wanted[:, None]), axis=1)
             direction[part] = found[np.arange(len(found)), least]
@@ -381,25 +393,35 @@ class Tabled(Flat):
         if not len(shown):
             return np.full((2, 3), np.nan)
         away = misfit(self.power(shown) * lit, unit_readings(target))
-        middle = self._refined(shown[[np.argmin(away)]], unit_readings(target))[0][0]
-        return np.array([self._followed(middle, lit, sign) for sign in (1.0, -1.0)])
+        begin = shown[np.argmin(away)]
+        refined = self._refined(begin[None], unit_readings(target))[0][0]
+        begin = refined if np.array_equal(self.power(refined) > 0, lit) else begin
+        return np.array([self._followed(begin, lit, sign) for sign in (1.0, -1.0)])
 
-    def _followed(self, sun: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
-        """The end of the arc, where another panel is lit or one of them dark."""
-        free, step = None, 0.02
-        for _ in range(2000):
-            frame = np.stack(tangents(sun[None]), axis=-1)[0]
-            power, to_sun = (value[lit] for value in self._along_sphere(sun))
-            across = to_sun @ frame
-            across = across - np.outer(power, power @ across) / (power @ power)
-            along = frame @ np.linalg.svd(across)[2][1]
-            along = along * (sign if free is None else np.copysign(1.0, along @ free))
-            ahead = np.cos(step) * sun + np.sin(step) * along
-            if np.array_equal(self.power(ahead) > 0, lit):
-                sun, free = ahead, along
-            elif (step := step / 2) < 1e-9:
-                break
+    def _followed(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
+        """The end of the arc, where another panel is lit or one of them dark, or half a circle on."""
+        sun, along, step = begin, sign * self._unseen(begin, lit), ARC_STEP
+        while step > LAST_RAD:
+            halfway = np.cos(step / 2) * sun + np.sin(step / 2) * along
+            ahead = None
+            if np.array_equal(self.power(halfway) > 0, lit):
+                middle = self._unseen(halfway, lit)
+                middle = (middle - (middle @ sun) * sun) * np.copysign(1.0, middle @ along)
+                ahead = np.cos(step) * sun + np.sin(step) * middle / np.linalg.norm(middle)
+            if ahead is None or not np.array_equal(self.power(ahead) > 0, lit) or ahead @ begin < -1 + 1e-3:
+                step /= 2
+                continue
+            new = self._unseen(ahead, lit)
+            sun, along = ahead, new * np.copysign(1.0, new @ along)
         return sun
+
+    def _unseen(self, sun: np.ndarray, lit: np.ndarray) -> np.ndarray:
+        """The tangent (3) at a direction (3) along which the proportions of the lit panels' powers change least."""
+        frame = np.stack(tangents(sun[None]), axis=-1)[0]
+        power, to_sun = (value[lit] for value in self._along_sphere(sun))
+        across = to_sun @ frame
+        across = across - np.outer(power, power @ across) / (power @ power)
+        return frame @ np.linalg.svd(across)[2][1]
 
     # ------------------------------------------------------------------------------------------------------------------- tables
 
