@@ -6,6 +6,27 @@ from typing import Any
 
 import numpy as np
 
+SHOWN = 30
+"""Columns listed by name."""
+
+
+def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
+    from sunspin.telemetry.units import wrong_units
+    from sunspin.vehicle.file import line_of, vehicle_text
+
+    units = []
+    for wrong in wrong_units(craft, samples):
+        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0])
+        units.append(str(wrong) if stands is None else wrong.at(f", line {stands[0]} ({stands[1][:60]}),"))
+    unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
+    missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
+    lines = [f"  WRONG UNIT: {text}" for text in units]
+    lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
+    more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
+    lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
+    return {"wrong_units": units, "missing_sensors": missing, "unused_columns": unused}, lines
+
 
 def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate."""

@@ -82,7 +82,7 @@ def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> No
     elements_of(craft, elements, shift_sigma)  # what is wrong with them is said before the work
     summary, lines = _about_vehicle(craft)
     if telemetry is not None:
-        samples, about, more = _about_telemetry(craft, find_telemetry(telemetry, data))
+        samples, about, more = _about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
         summary, lines = summary | {"telemetry": about}, lines + more
         about, more = about_orbit(craft, samples, elements, shift_sigma)
         summary, lines = summary | about, lines + more
@@ -118,10 +118,10 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def _about_telemetry(craft: Any, path: Path) -> tuple[Any, dict[str, Any], list[str]]:
+def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[str, Any], list[str]]:
     import numpy as np
 
-    from sunspin.cli.check_words import intervals, worth
+    from sunspin.cli.check_words import doubts, intervals, worth
     from sunspin.telemetry.reader import FLAGS, read_telemetry
     from sunspin.vehicle.timeline import utc_after
 
@@ -149,6 +149,8 @@ def _about_telemetry(craft: Any, path: Path) -> tuple[Any, dict[str, Any], list[
             summary[key] = int(samples.attrs[key])
             lines.append(f"  {summary[key]:6d}  {text}")
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
+    about, more = doubts(craft, samples, vehicle)
+    summary, lines = summary | about, lines + more
     if "panel" in samples.coords:
         about, more = _about_panels(craft, samples)
         summary, lines = summary | about, lines + more

@@ -43,6 +43,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     Example:
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
+    from sunspin.cli.check_words import doubts
     from sunspin.estimate.rates.estimate import rates as run
     from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
@@ -56,7 +57,9 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
         acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings,
         progress=on_terminal(quiet),
     )  # fmt: skip
-    deliver(result, out, as_json, quiet, vehicle, samples)
+    about, lines = doubts(craft, used, vehicle)
+    doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}
+    deliver(result, out, as_json, quiet, vehicle, samples, also=doubted, lines=[line for line in lines if "WRONG UNIT" in line])
 
 
 def _between(samples: Any, begin: str | None, end: str | None) -> Any:

@@ -10,15 +10,25 @@ from sunspin.output.folder import plain
 
 
 def number_text(value: Any, digits: int = 5) -> str:
-    """A number with so many digits, lists in brackets, anything else as it is."""
+    """A number with so many digits, lists in parentheses, yes or no, anything else as it is."""
     value = plain(value)
     if isinstance(value, list):
-        return "[" + ", ".join(number_text(item, digits) for item in value) + "]"
+        mark = "; " if any(isinstance(item, list | dict) for item in value) else ", "
+        return "(" + mark.join(number_text(item, digits) for item in value) + ")"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, dict):
         return "; ".join(f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items())
     if isinstance(value, float):
         return f"{value:.{digits}g}" if np.isfinite(value) else "none"
     return "none" if value is None else str(value)
+
+
+def digits_of(sigmas: Any) -> int:
+    """Decimals that show the smallest of these errors with one figure, two to five."""
+    values = np.asarray(sigmas, dtype=np.float64)
+    known = values[np.isfinite(values) & (values > 0)]
+    return int(np.clip(-np.floor(np.log10(known.min())), 2, 5)) if len(known) else 2
 
 
 def with_sigma(value: float, sigma: float) -> str:

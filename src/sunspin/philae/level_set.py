@@ -31,7 +31,7 @@ class LevelSet:
     seed : of the random choices of the line fit
     scan : table, EMD of every motion, the rebound
     near : near-minimum set by the paper's factor, and the lines fitted to it
-    truth : "omega_B" (3) rad/s and "emd" where the telemetry is the case's own twin, else empty
+    truth : "omega_B" (3) rad/s, "emd" and its heights "z" where the telemetry is the case's own twin, else empty
     """
 
     case: Case
@@ -73,7 +73,8 @@ def truth_emd(case: Case, measured_z: np.ndarray) -> dict[str, Any]:
     truth = rb.twin_truth(case)
     if truth is None:
         return {}
-    return {"omega_B": truth, "emd": emd(rb.seen_z(case, truth), measured_z)}
+    z = rb.seen_z(case, truth)
+    return {"omega_B": truth, "emd": emd(z, measured_z), "z": z}
 
 
 def rows(result: LevelSet) -> list[Row]:

@@ -116,6 +116,8 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
     measured = "measured" + (" (synthetic telemetry)" if part.synthetic else "")
     pooled = result.parts["published_lines"].pooled
     shown = {f"L{k + 1} as published": z for k, z in enumerate(pooled)}
+    if part.truth:
+        shown["truth of the synthetic telemetry"] = part.truth["z"]
     yield Drawing(
         "distributions", lambda: fig.distributions_figure(part.measured_z, measured, shown, "What the EMD compares"),
         "Cumulative distributions of the z component",
@@ -144,7 +146,8 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
     )  # fmt: skip
     smallest = float(np.linalg.norm(part.on_lines_touchdown, axis=1).min())
     yield Drawing(
-        "fig12_lines", lambda: fig.backward_figure(part.near_touchdown, part.on_lines_touchdown, smallest),
+        "fig12_lines", lambda: fig.backward_figure(part.near_touchdown, part.on_lines_touchdown, smallest,
+            f"EMD < {clean.factor:g} EMD_min against the printed lines' distribution, run back"),
         "Body rates at the first touchdown of motions on the printed lines",
         "No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).",
     )  # fmt: skip

@@ -13,7 +13,8 @@ import xarray as xr
 
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
-from sunspin.telemetry.sun import LIT_SIGMAS, signals
+from sunspin.telemetry.panel_unit import panel_unit
+from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere
@@ -139,7 +140,9 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(np.int8)
     some = spike.any(axis=1) & (use == USED)
     use[some] = DOWNWEIGHTED
-    why = np.where(why != "", why, np.where(dark, "dropped: no panel lit", np.where(idle, IDLE, "used")))
+    wrong = panel_unit(vehicle, value[good], best_directions) if dark[good].any() else None
+    nothing_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
+    why = np.where(why != "", why, np.where(dark, nothing_lit, np.where(idle, IDLE, "used")))
     why = np.where(limited & (use != DROPPED), BELOW_FULL, why)
     why = np.where(aside & (use == USED), ASIDE, why)
     why = np.where(some & ~limited, BEYOND_FULL, why)

@@ -17,7 +17,9 @@ import xarray as xr
 from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
+from sunspin.telemetry.columns import column_of, missing_sensors, unused_columns
 from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.panel_unit import UNITS
 from sunspin.telemetry.sensors import ABSURD, read_sensors, unwrapped
 from sunspin.vehicle import TelemetryForm, Vehicle
 
@@ -36,9 +38,6 @@ COLDEST_C, HOTTEST_C = -200.0, 250.0
 LEAST_FACTOR = 0.2
 """A temperature correction below this is beyond any linear law and left out."""
 
-UNITS = {"power_W": "W", "current_A": "A"}
-
-
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, Parquet or NetCDF file.
 
@@ -53,9 +52,10 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     -------
     xarray.Dataset
         `power_W` (or `current_A`) over (time, panel), `flag (time)` (bits, 0 is good), coordinate `time` in s from
-        ``attrs["epoch_utc"]``, `phase (time)` where the file has such a column; attrs name the file, its hash and whether
-        it calls itself synthetic. With ``bad_rows = "flag"`` rows are sorted by time, and rows of one instant that say the same
-        become one, as where several ground stations heard a frame: attrs `rows_sorted` and `rows_merged` count them.
+        ``attrs["epoch_utc"]``, `phase (time)` where the file has such a column; attrs name the file, its hash, whether
+        it calls itself synthetic, its `unused_columns`, and `missing_sensors`: those of which it has no column. With
+        ``bad_rows = "flag"`` rows are sorted by time, and rows of one instant that say the same become one, as where several
+        ground stations heard a frame: attrs `rows_sorted` and `rows_merged` count them.
 
     Raises
     ------
@@ -72,33 +72,25 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     table = read_table(path)
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, path, optional=bool(sensors))
-    time_at = _column(table, form.time_column, "the time", path)
+    time_at = column_of(table, form.time_column, "the time", path)
     time, epoch = _times(form, [row[time_at] for row in table.rows], table, path)
     mended: dict[str, int] = {}
     if form.bad_rows == "flag":
         table, time, epoch, mended = _in_order(form, table, time, epoch, time_at)
         sensors = read_sensors(vehicle, table) if mended else sensors
-    values, flag = _values(form, table, columns, path)
+    volts = _volts(vehicle, table, path) if columns and form.has_voltages else None
+    values, flag = _values(form, table, columns, volts, path)
     values, warmth = _at_reference(vehicle, table, values, path)
     flag |= _order_flags(form, time, table, path)
-    return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth).assign_attrs(mended)
-
-
-def _column(table: Table, name: str, what: str, path: Path) -> int:
-    if name not in table.header:
-        raise TelemetryError(
-            sentence(
-                f"column {name!r} ({what}) is missing",
-                got="columns " + ", ".join(table.header),
-                do="add it, or name the right column under [telemetry] in the vehicle file",
-                where=str(path),
-            )
-        )
-    return table.header.index(name)
+    unused, missing = unused_columns(vehicle, table, columns), missing_sensors(vehicle, table, columns, path)
+    return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth).assign_attrs(
+        unused_columns=", ".join(unused), missing_sensors="; ".join(missing), **mended
+    )
 
 
 def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = False) -> list[int]:
-    letter, unit = ("P", "W") if vehicle.telemetry.quantity == "power_W" else ("I", "A")
+    powers = vehicle.telemetry.quantity == "power_W" and not vehicle.telemetry.has_voltages
+    letter, unit = ("P", "W") if powers else ("I", "A")
     known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.panel_names}
     if optional and not any(name in table.header for names in known.values() for name in names):
         return []
@@ -107,7 +99,7 @@ def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = 
         present = [name for name in names if name is not None and name in table.header]
         if vehicle.telemetry.columns.get(panel) is not None or not present:
             present = [names[0] or names[2]]
-        found.append(_column(table, present[0], f"panel {panel}", path))
+        found.append(column_of(table, present[0], f"panel {panel}", path))
     if twice := [at for at in found if found.count(at) > 1]:
         what = "two panels read one column"
         do = "name the column of each under [telemetry.columns] in the vehicle file"
@@ -122,11 +114,39 @@ def _number(text: str) -> float:
         return np.nan
 
 
-def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _volts(vehicle: Vehicle, table: Table, path: Path) -> np.ndarray:
+    """Voltage (n, n_panel) of each current."""
+    form = vehicle.telemetry
+    names = [form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.panel_names]
+    at = [column_of(table, name, f"voltage of panel {panel}", path) for name, panel in zip(names, vehicle.panel_names, strict=True)]
+    volts = form.voltage_scale * np.array([[_number(row[column]) for column in at] for row in table.rows]).reshape(-1, len(at))
+    volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
+    if form.bad_rows == "refuse" and not np.isfinite(volts).all():
+        i, k = np.argwhere(~np.isfinite(volts))[0]
+        raise _refused("a voltage is a number, zero or above", table, i, at[k], path)
+    return volts
+
+
+def _refused(what: str, table: Table, row: int, column: int, path: Path) -> TelemetryError:
+    """The error for a cell that cannot be used."""
+    return TelemetryError(
+        sentence(
+            what,
+            got=table.rows[row][column] or "an empty cell",
+            do='correct it, or set bad_rows = "flag" under [telemetry] in the vehicle file',
+            where=f"{path}, line {table.lines[row]}, column {table.header[column]!r}",
+        )
+    )
+
+
+def _values(
+    form: TelemetryForm, table: Table, columns: list[int], volts: np.ndarray | None, path: Path
+) -> tuple[np.ndarray, np.ndarray]:
     cells = [[_number(row[column]) for column in columns] for row in table.rows]
     values = np.array(cells).reshape(len(table.rows), -1)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
     values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
+    values = values if volts is None else values * volts
     floor = _floor(form, values)
     flag = np.zeros(len(values), dtype=np.uint8)
     problems = (
@@ -136,14 +156,7 @@ def _values(form: TelemetryForm, table: Table, columns: list[int], path: Path) -
     for bit, bad, what in problems:
         if form.bad_rows == "refuse" and bad.any():
             i, k = np.argwhere(bad)[0]
-            raise TelemetryError(
-                sentence(
-                    what,
-                    got=table.rows[i][columns[k]] or "an empty cell",
-                    do='correct it, or set bad_rows = "flag" under [telemetry] in the vehicle file',
-                    where=f"{path}, line {table.lines[i]}, column {table.header[columns[k]]!r}",
-                )
-            )
+            raise _refused(what, table, i, columns[k], path)
         flag |= np.where(bad.any(axis=1), np.uint8(bit), np.uint8(0))
     return values, flag
 
@@ -169,7 +182,7 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
         raise TelemetryError(sentence("telemetry.temperature_columns names a panel that the vehicle has not", got=strange[0]))
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
-        at = _column(table, name, f"temperature of panel {panel}", path)
+        at = column_of(table, name, f"temperature of panel {panel}", path)
         warm[:, vehicle.panel_names.index(panel)] = [_number(row[at]) for row in table.rows]
     warm *= form.temperature_scale
     warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)

@@ -16,6 +16,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import Pattern, lit_patterns, observable_patterns
 from sunspin.vehicle.response.protocol import PanelResponse
@@ -125,6 +126,8 @@ def sun_directions(
         threshold = LIT_SIGMAS * noise if noise is not None else untold
     lit = (clean > threshold) & finite[:, None]
     status, texts = _statuses(vehicle, lit, finite)
+    if np.any(status == SunStatus.DARK) and (wrong := panel_unit(vehicle, clean, best_directions)):
+        texts = np.where(status == SunStatus.DARK, str(wrong), texts)
     direction, delta = best_directions(vehicle, clean)
     told = is_reconstructed(status)
     noise_from = "given" if noise is not None else "estimated from the redundancy of samples with more than three lit panels"

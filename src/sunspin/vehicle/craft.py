@@ -53,6 +53,8 @@ class TelemetryForm(Part):
 
     A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
     `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
+    Columns of currents give powers where there are voltages: then a value is that times `voltage_scale` times the panel's entry in
+    `voltage_columns`, or where it has none `voltage_column`.
     """
 
     quantity: Literal["power_W", "current_A"] = "power_W"
@@ -67,6 +69,9 @@ class TelemetryForm(Part):
     time_scale_s: Positive = 1.0
     zero: Number = 0.0
     wraps_at: Positive | None = None
+    voltage_column: Name | None = None
+    voltage_columns: Text = field(default_factory=no_entries)
+    voltage_scale: Positive = 1.0
     temperature_columns: Text = field(default_factory=no_entries)
     temperature_scale: Positive = 1.0
     temperature_coefficient_per_K: Number = 0.0
@@ -77,9 +82,17 @@ class TelemetryForm(Part):
         if twice := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
             raise VehicleError(sentence(what, got=twice[0], do="give each panel its own"))
+        if self.has_voltages and self.quantity != "power_W":
+            what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
+            raise VehicleError(sentence(what, do='set quantity = "power_W", or leave the voltages out'))
         if self.time_format == "elapsed" and self.epoch_utc is None:
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
             raise VehicleError(sentence(what, do="add the UTC of time zero"))
+
+    @property
+    def has_voltages(self) -> bool:
+        """Whether the columns are currents and powers are made of them."""
+        return self.voltage_column is not None or bool(self.voltage_columns)
 
 
 def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
@@ -254,11 +267,17 @@ def _require_wheels_fit(vehicle: Vehicle) -> None:
 def _require_known_panels(vehicle: Vehicle) -> None:
     known = set(vehicle.panel_names)
     named = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
+    form = vehicle.telemetry
     named += [("panel_response", name) for name in vehicle.panel_response.panels]
-    named += [("telemetry.columns", name) for name in vehicle.telemetry.columns]
+    named += [("telemetry.columns", name) for name in form.columns]
+    named += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
     named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]
     for key, name in named:
         if name not in known:
             raise VehicleError(
                 sentence(f"{key} names a panel that the vehicle does not have", got=name, do=f"panels: {sorted(known)}")
             )
+    without = [name for name in vehicle.panel_names if name not in form.voltage_columns]
+    if form.voltage_columns and form.voltage_column is None and without:
+        what, do = "a panel has no voltage and others have", "add it, or voltage_column for all that have none of their own"
+        raise VehicleError(sentence(what, got=without[0], do=do, where="telemetry.voltage_columns"))

@@ -145,3 +145,15 @@ def _facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.
                 yield from _facts(each, f"{where}{key}.{each.get('name')}.")
         elif not isinstance(item, str) and not (isinstance(item, list) and isinstance(item[0], str)):
             yield f"{where}{key}", parts.Fact(numbers(item))
+
+
+def line_of(text: str, table: str, key: str) -> tuple[int, str] | None:
+    """Number and text of the line of a vehicle file where a key of a table stands, else where the table begins, else None."""
+    begins, within = None, False
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.lstrip().startswith("["):
+            within = line.split("#")[0].strip().strip("[] ") == table.strip("[]")
+            begins = begins or ((number, line.strip()) if within else None)
+        elif within and line.split("=")[0].strip() == key:
+            return number, line.strip()
+    return begins

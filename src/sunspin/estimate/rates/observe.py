@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import xarray as xr
 
@@ -51,9 +53,10 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
     """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
     use = usable(o, why)
     if len(use) < 3:
+        lost = Counter(text.removeprefix("dropped: ") for text in why if text != "used").most_common(1)
         raise InputError(
             sentence("fewer than three samples say where the Sun is", got=f"{len(use)} of {len(o)}",
-                     do="`sunspin check` says why samples are dropped")
+                     do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "") + "`sunspin check` says why samples are dropped")
         )  # fmt: skip
     times = o.t_s[use]
     gap = GAP_FACTOR * float(np.median(np.diff(times))) if gap_s is None else gap_s

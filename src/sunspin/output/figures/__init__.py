@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -39,14 +39,13 @@ def lay_out(figure: Figure) -> Figure:
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG."""
-    lay_out(figure)
-    paths = []
-    for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
-        draw = partial(figure.savefig, format=suffix, dpi=130, metadata=metadata)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
-            paths.append(write_whole(folder / f"{name}.{suffix}", draw))
-    return paths
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
+        lay_out(figure)
+        return [
+            write_whole(folder / f"{name}.{suffix}", partial(figure.savefig, format=suffix, dpi=130, metadata=metadata))
+            for suffix, metadata in (("png", {}), ("svg", {"Date": None}))
+        ]
 
 
 def named(name: Any) -> str:
@@ -60,24 +59,79 @@ def _title(text: str, synthetic: Any) -> str:
 
 def signals_figure(telemetry: xr.Dataset) -> Figure:
     """Signals of the panels against time."""
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    figure = Figure(figsize=(10, 3.8), layout="constrained")
     axes = figure.subplots()
-    _signals(axes, telemetry)
-    axes.set_xlabel(_since(telemetry))
-    axes.set_title(_title("Panel signals", telemetry.attrs.get("synthetic")))
+    place = _passes_together(telemetry["time"].values)
+    _signals(axes, telemetry, place)
+    _time_axis(axes, telemetry, place)
+    axes.set_title(_title("Panel signals", telemetry.attrs.get("synthetic")), loc="left")
     return figure
 
 
-def _signals(axes: Any, telemetry: xr.Dataset) -> None:
+def _signals(axes: Any, telemetry: xr.Dataset, place: Passes) -> None:
     name = "power_W" if "power_W" in telemetry else "current_A"
     values, hours = telemetry[name], telemetry["time"].values / 3600
-    gaps = _long_gaps(hours)
+    gaps, x = _long_gaps(hours), place.x(hours)
+    line = ".:" if hours.size <= MOST_JOINED else "."  # lines between many samples hide them
     for k, panel in enumerate(values["panel"].values):
         broken = np.insert(values.sel(panel=panel).values, gaps, np.nan)
-        axes.plot(np.insert(hours, gaps, np.nan), broken, ".:", ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {named(panel)}")
+        axes.plot(np.insert(x, gaps, np.nan), broken, line, ms=4, lw=0.7, color=COLOURS[k % 8], label=f"panel {named(panel)}")
     axes.set_ylabel("power (W)" if name == "power_W" else "current (A)")
-    axes.legend(ncols=8, fontsize=8, loc="upper right")
-    axes.set_ylim(top=1.18 * float(np.nanmax(values)))
+    axes.legend(ncols=8, fontsize=8, columnspacing=0.8, handletextpad=0.2, **ABOVE)
+
+
+MOST_JOINED = 80
+"""Samples up to which dotted lines connect them."""
+
+APART = 0.6
+"""Part of the whole time, in pauses, from which the pauses are drawn shorter."""
+
+PAUSE_WIDTH, MOST_TICKS = 0.04, 12
+"""A shortened pause is this part of all passes together; at most so many passes are named on the axis."""
+
+
+class Passes(NamedTuple):
+    """Where times stand on an axis: `hours` of passes' ends -> `places`; both empty where time runs evenly."""
+
+    hours: np.ndarray
+    places: np.ndarray
+
+    def x(self, hours: np.ndarray) -> np.ndarray:
+        """Places of times (h)."""
+        return np.interp(hours, self.hours, self.places) if self.hours.size else hours
+
+
+def _passes_together(time_s: np.ndarray) -> Passes:
+    """An axis on which passes that lie far apart stand side by side."""
+    hours = np.sort(np.asarray(time_s, dtype=np.float64)) / 3600
+    cuts = _long_gaps(hours)
+    pauses = hours[cuts] - hours[cuts - 1]
+    whole = float(np.ptp(hours)) if hours.size else 0.0
+    if not cuts.size or pauses.sum() < APART * whole:
+        return Passes(np.zeros(0), np.zeros(0))
+    ends = np.stack([np.insert(hours[cuts], 0, hours[0]), np.append(hours[cuts - 1], hours[-1])], axis=1)
+    lengths = np.maximum(ends[:, 1] - ends[:, 0], 1e-6)
+    begins = np.cumsum(lengths + PAUSE_WIDTH * lengths.sum()) - lengths
+    return Passes(ends.ravel() + np.tile([0.0, 1e-9], len(ends)), np.stack([begins, begins + lengths], axis=1).ravel())
+
+
+def _time_axis(axes: Any, data: xr.Dataset, place: Passes) -> None:
+    """Title of a time axis, and on one with shortened pauses the time at which each pass begins."""
+    if not place.hours.size:
+        axes.set_xlabel(_since(data))
+        return
+    begins, at = place.hours[::2], place.places[::2]
+    shown = [0]
+    for k in range(1, len(at)):
+        if at[k] - at[shown[-1]] > (at[-1] - at[0]) / MOST_TICKS:
+            shown.append(k)
+    epoch = np.datetime64(str(data.attrs.get("epoch_utc", "1970-01-01")).removesuffix("Z"), "s")
+    utc = [str(epoch + np.timedelta64(round(3600 * h), "s"))[5:16].replace("T", "\n") for h in begins[shown].tolist()]
+    axes.set_xticks(at[shown], utc, fontsize=8)
+    for end, begin in zip(place.places[1:-1:2], place.places[2::2], strict=True):
+        axes.axvspan(end, begin, color=COLOURS[7], alpha=0.12, lw=0, zorder=0)
+    longest = 60 * float(np.diff(place.hours.reshape(-1, 2), axis=1).max())
+    axes.set_xlabel(f"UTC at which each pass begins (the longest is {longest:.3g} min; grey: pauses, shortened)")
 
 
 def _since(data: xr.Dataset) -> str:
@@ -111,34 +165,36 @@ def sun_directions_figure(
     parts = figure.subplots(3 if telemetry is not None else 2, 1, sharex=True,
                             height_ratios=(3, 3, 1.6)[0 if telemetry is not None else 1 :])  # fmt: skip
     middle, low = parts[-2:]
-    if telemetry is not None:
-        _signals(parts[0], telemetry)
-    parts[0].set_title(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
+    place = _passes_together(3600 * hours)
+    x = place.x(hours)
     told = np.isfinite(sun["sun_B"].values[:, 0])
     error = sun["sigma_rad"].values
+    if telemetry is not None:
+        _signals(parts[0], telemetry, place)
+    figure.suptitle(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
     for k, axis in enumerate("xyz"):
         middle.errorbar(
-            hours[told], sun["sun_B"].values[told, k], yerr=error[told], fmt=".", ms=5, lw=0.8, color=COLOURS[k],
+            x[told], sun["sun_B"].values[told, k], yerr=error[told], fmt=".", ms=5, lw=0.8, color=COLOURS[k],
             label=f"$n_{axis}$",
         )  # fmt: skip
     for piece in _connected(hours, sun):
         for k in range(3):
-            middle.plot(hours[piece], sun["sun_B"].values[piece, k], "-", lw=0.6, alpha=0.6, color=COLOURS[k], zorder=1)
-    _mark_reasons(middle, hours, sun)
-    middle.set_ylim(-1.5, 1.75)
-    middle.set_ylabel("Sun direction, body axes (1)")
-    middle.legend(ncols=3, fontsize=8, loc="upper right")
+            middle.plot(x[piece], sun["sun_B"].values[piece, k], "-", lw=0.6, alpha=0.6, color=COLOURS[k], zorder=1)
+    _mark_reasons(middle, x, sun)
+    middle.set_ylim(-1.5, 1.15)
+    middle.set_ylabel("Sun direction, body axes")
+    middle.legend(ncols=4, fontsize=7, columnspacing=0.8, handletextpad=0.2, **ABOVE)
     checked, unchecked = (sun["status"].values == status for status in (SunStatus.OK, SunStatus.UNCHECKED))
-    low.semilogy(hours[checked], np.maximum(sun["delta"].values[checked], 1e-4), ".", color=COLOURS[6], ms=4)
+    low.semilogy(x[checked], np.maximum(sun["delta"].values[checked], 1e-4), ".", color=COLOURS[6], ms=4)
     low.plot(
-        hours[unchecked], np.full(unchecked.sum(), 1e-4), "x", color=COLOURS[7], ms=4,
+        x[unchecked], np.full(unchecked.sum(), 1e-4), "x", color=COLOURS[7], ms=4,
         label="exactly three panels lit: 0 whatever the powers",
     )  # fmt: skip
     low.set_ylim(5e-5, 60 if events else 1)  # room for the names of events
     if unchecked.any():
-        low.legend(fontsize=8, loc="lower right")
-    low.set_ylabel(r"$\Delta$ (1)")
-    low.set_xlabel(_since(sun))
+        low.legend(fontsize=8, **ABOVE)
+    low.set_ylabel(r"$\Delta$")
+    _time_axis(low, sun, place)
     for k, (event, second) in enumerate((events or {}).items()):
         for axes in parts:
             axes.axvline(second / 3600, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
@@ -202,7 +258,7 @@ def _sphere(axes: Any) -> None:
     axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc")
     axes.set_box_aspect((1, 1, 1), zoom=1.15)
     for name in "xyz":
-        getattr(axes, f"set_{name}label")(f"{name} (1)", labelpad=-6, fontsize=8)
+        getattr(axes, f"set_{name}label")(f"{name}", labelpad=-6, fontsize=8)
         getattr(axes, f"set_{name}ticks")([-1, 0, 1])
         axes.tick_params(axis=name, labelsize=6, pad=-3)
 
@@ -236,7 +292,7 @@ def examples_figure(runs: list[xr.Dataset]) -> Figure:
         axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
         for i, name in enumerate("xyz"):
             lower[i, k].plot(minutes, r[:, i], lw=0.5, color=COLOURS[i])
-            lower[i, 0].set_ylabel(f"$r_{name}$ (1)")
+            lower[i, 0].set_ylabel(f"$r_{name}$")
         lower[2, k].set_xlabel("time (min)")
     return figure
 
@@ -246,10 +302,10 @@ def histograms_figure(runs: list[xr.Dataset]) -> Figure:
     figure = Figure(figsize=(10, 3.2), layout="constrained")
     for axes, run in zip(figure.subplots(1, len(runs)), runs, strict=True):
         axes.hist(run["sun_B"].values[:, 2], bins=60, range=(-1, 1), density=True, color=COLOURS[0])
-        axes.set_xlabel("$r_z$ (1)")
+        axes.set_xlabel("$r_z$")
         omega = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
         axes.set_title(rf"$\omega(0)$ = [{omega}] rad/s", fontsize=9)
-        axes.set_ylabel("density (1)")
+        axes.set_ylabel("density")
     return figure
 
 
@@ -264,14 +320,15 @@ def level_set_figure(
         axes = figure.add_subplot(1, 2, k + 1, projection="3d")
         axes.view_init(elevation, azimuth)
         axes.scatter(*points.T, s=8, c=[COLOURS[m % 8] for m in member], depthshade=False)
-        for point, direction in published:
-            axes.plot(*_clipped(point, direction).T, "--", lw=1, color="#555555")
+        for i, (point, direction) in enumerate(published):
+            label = "the paper's lines" if i == 0 else None
+            axes.plot(*_clipped(point, direction).T, "--", lw=1, color="#555555", label=label)
         if lines is not None:
             for i, (point, direction) in enumerate(zip(lines["point"].values, lines["direction"].values, strict=True)):
-                axes.plot(*_clipped(point, direction).T, "-", lw=1.3, color=COLOURS[i % 8])
+                count = f"fitted line {i + 1} ({int((member == i).sum())} motions)"
+                axes.plot(*_clipped(point, direction).T, "-", lw=1.6, color=COLOURS[i % 8], label=count)
         if truth is not None:
-            axes.scatter(*truth, marker="*", s=130, color="#000000", label="truth of the twin")
-            axes.legend(fontsize=8, loc="upper left")
+            axes.scatter(*truth, marker="*", s=130, color="#000000", label="truth of the synthetic telemetry")
         axes.set_xlabel(r"$\omega_x$ (rad/s)")
         axes.set_ylabel(r"$\omega_y$ (rad/s)")
         axes.set_zlabel(r"$\omega_z$ (rad/s)" if k == 0 else "")
@@ -279,7 +336,8 @@ def level_set_figure(
             axes.zaxis.set_ticks([])
         axes.set(xlim=(-0.5, 1), ylim=(-0.5, 1), zlim=(-0.3, 0.3))
         axes.set_title(name, fontsize=9)
-    figure.suptitle(f"{title}; dashed: the paper's lines", fontsize=10)
+    figure.suptitle(title, fontsize=11)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), fontsize=9, ncols=3, loc="outside lower center", frameon=False)
     return figure
 
 
@@ -299,7 +357,7 @@ def thresholds_figure(table: list[dict[str, Any]], chosen: float) -> Figure:
     left, right = figure.subplots(1, 2)
     factors = [row["factor"] for row in table]
     left.semilogy(factors, [max(row["points"], 1) for row in table], "o-", color=COLOURS[0])
-    left.set_ylabel("points in the set (1)")
+    left.set_ylabel("points in the set")
     for k in range(4):
         fitted = [(row["factor"], row["mean_distance"][k]) for row in table if row["mean_distance"]]
         right.plot(*zip(*fitted, strict=True), "o-", ms=4, color=COLOURS[k], label=f"L{k + 1}")
@@ -308,7 +366,7 @@ def thresholds_figure(table: list[dict[str, Any]], chosen: float) -> Figure:
     right.legend(fontsize=8)
     for axes in (left, right):
         axes.axvline(chosen, lw=0.8, ls="--", color=COLOURS[7])
-        axes.set_xlabel("factor on the smallest EMD (1)")
+        axes.set_xlabel("factor on the smallest EMD")
     return figure
 
 
@@ -317,26 +375,28 @@ def distributions_figure(z: np.ndarray, weights_label: str, others: dict[str, np
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.subplots()
     axes.step(np.sort(z), np.arange(1, len(z) + 1) / len(z), where="post", color=COLOURS[6], label=weights_label)
-    for k, (label, values) in enumerate(others.items()):
-        axes.plot(np.sort(values), np.linspace(0, 1, len(values)), lw=1, color=COLOURS[k], label=label)
-    axes.set_xlabel("$z$ component of the Sun's direction (1)")
-    axes.set_ylabel("cumulative distribution (1)")
+    for k, (label, values) in enumerate(others.items()):  # nearly one curve: wide below narrow, so that each is seen
+        style = {"lw": 7 - 1.6 * k, "alpha": 0.45} if k < 2 else {"lw": 2.2, "ls": (0, (2, 2) if k == 2 else (1, 3))}
+        style = {"lw": 2.0} if label.startswith("truth") else style
+        axes.plot(np.sort(values), np.linspace(0, 1, len(values)), color=COLOURS[k], label=label, **style)
+    axes.set_xlabel("$z$ component of the Sun's direction")
+    axes.set_ylabel("cumulative distribution")
     axes.set_xlim(-0.05, 1.02)
-    axes.legend(fontsize=8)
-    axes.set_title(title, fontsize=10)
+    axes.legend(fontsize=9)
+    axes.set_title(title, fontsize=11)
     return figure
 
 
-def backward_figure(rates: np.ndarray, published: np.ndarray, smallest: float) -> Figure:
-    """Body rates at the first touchdown (paper, Fig. 12)."""
+def backward_figure(rates: np.ndarray, published: np.ndarray, smallest: float, label: str) -> Figure:
+    """Body rates at the first touchdown (paper, Fig. 12); `label` says which set of motions `rates` (n, 3) are."""
     figure = Figure(figsize=(6.5, 5.4), layout="constrained")
     axes = figure.add_subplot(projection="3d")
-    axes.scatter(*rates.T, s=8, color=COLOURS[0], depthshade=False, label="near-minimum set, run back")
-    axes.scatter(*published.T, s=3, color=COLOURS[1], depthshade=False, label="the paper's lines, run back")
+    axes.scatter(*rates.T, s=6, color=COLOURS[0], alpha=0.35, lw=0, depthshade=False, label=f"{label} ({len(rates)} motions)")
+    axes.scatter(*published.T, s=9, color=COLOURS[1], depthshade=False, label="the paper's lines, run back")
     axes.scatter(0, 0, 0, marker="+", s=80, color="#000000", label="no rotation")
     axes.set_xlabel(r"$\omega_x$ (rad/s)")
     axes.set_ylabel(r"$\omega_y$ (rad/s)")
     axes.set_zlabel(r"$\omega_z$ (rad/s)")
-    axes.set_title(rf"Rates at the first touchdown; smallest $|\omega|$ on the paper's lines {smallest:.4f} rad/s", fontsize=10)
-    axes.legend(fontsize=8)
+    figure.suptitle(rf"Rates at the first touchdown; smallest $|\omega|$ on the paper's lines {smallest:.4f} rad/s", fontsize=10)
+    figure.legend(*axes.get_legend_handles_labels(), fontsize=9, loc="outside lower center", frameon=False)
     return figure

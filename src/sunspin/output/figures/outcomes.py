@@ -14,7 +14,7 @@ from sunspin.output.figures import COLOURS, named
 DOTS = (
     (
         "antenna's cone holds the orbiter",
-        "probability (1)",
+        "probability",
         (("antenna_share", "in flight"), ("antenna_at_contact", "at contact"), ("antenna_at_rest", "at rest")),
     ),
     (
@@ -24,7 +24,7 @@ DOTS = (
     ),
     (
         "Sun below the body's equator",
-        "share of the time (1)",
+        "share of the time",
         (("rz_time_below_0", "$r_z$ < 0"), ("rz_time_below_-0.5", "$r_z$ < -0.5")),
     ),
     ("angular speed", "mean (rad/s)", (("rate_before", "before the collision"), ("rate_after", "after it"))),
@@ -51,8 +51,8 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure
         axes.errorbar(curve["rz"].values, curve["density"].values, curve["error"].values, fmt="none", ecolor=colour, elinewidth=1.0)
     axes.set_xlim(-1, 1)
     axes.set_ylim(bottom=0)
-    axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis (1)")
-    axes.set_ylabel("probability density (1)")
+    axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis")
+    axes.set_ylabel("probability density")
     axes.legend(title="wheel", loc="upper left", frameon=False)
     axes.set_title(title or "Height of the Sun between collision and second touchdown")
     return figure
@@ -72,7 +72,8 @@ def strategies_figure(table: xr.Dataset) -> Figure:
         for k, (quantity, text) in enumerate(q for q in quantities if q[0] in known):
             at = table.sel(quantity=quantity)
             place = np.arange(len(names)) + 0.12 * (k - 0.5)
-            axes.errorbar(place, at["value"], yerr=at["error"], fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
+            error = _within(at["value"].values, at["error"].values) if label in SHARES else at["error"].values
+            axes.errorbar(place, at["value"], yerr=error, fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
         axes.set_title(title, fontsize=10)
         axes.set_ylabel(label)
         axes.set_ylim(0, 1.3 * max([axes.dataLim.y1, 1e-3]))
@@ -91,6 +92,15 @@ def _short(name: str) -> str:
     return {"off": "off at\ntouchdown", "held": "held", "brake": "braked", "after_rest": "off after\nrest"}.get(name, named(name))
 
 
+SHARES = ("probability", "share of the time")
+"""Axes whose values lie between zero and one."""
+
+
+def _within(value: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Errors (2, n) below and above that lead to no probability below zero or above one."""
+    return np.clip(np.stack([np.minimum(error, value), np.minimum(error, 1 - value)]), 0.0, None)
+
+
 def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[str]) -> None:
     bottom = np.zeros(len(names))
     for k, kind in enumerate(("leg", "panel", "body")):
@@ -102,8 +112,9 @@ def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[st
             range(len(names)), at["value"], 0.65, bottom, color=COLOURS[k], hatch=HATCHES[k], alpha=0.85, label=label, ec="white"
         )
         bottom = bottom + at["value"].values
-        axes.errorbar(range(len(names)), bottom, yerr=at["error"], fmt="none", ecolor="black", elinewidth=1, capsize=2)
-    axes.set_ylabel("probability (1)")
+        error = _within(bottom, at["error"].values)
+        axes.errorbar(range(len(names)), bottom, yerr=error, fmt="none", ecolor="black", elinewidth=1, capsize=2)
+    axes.set_ylabel("probability")
     axes.set_ylim(0, 1.22)
     if np.any(bottom):
         axes.legend(ncols=3, fontsize=8, frameon=False, loc="upper center")
@@ -119,9 +130,9 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
     figure = Figure(figsize=(11.5, 3.9), layout="constrained")
     parts = figure.subplots(1, 3)
     panels = (
-        ("up_z", np.linspace(-1, 1, 41), "cosine of z axis to the ground's normal at contact (1)", "probability density (1)"),
+        ("up_z", np.linspace(-1, 1, 41), "cosine of z axis to the ground's normal at contact", "probability density"),
         ("leg_tip_speed", np.linspace(0, 2, 51), "fastest leg tip at first contact (m/s)", "probability density (s/m)"),
-        ("antenna_share", np.linspace(0, 1, 26), "share of time, orbiter in the antenna's cone (1)", "probability density (1)"),
+        ("antenna_share", np.linspace(0, 1, 26), "share of time, orbiter in the antenna's cone", "probability density"),
     )
     for axes, (name, edges, x, y) in zip(parts, panels, strict=True):
         for k, (strategy, found) in enumerate(runs.items()):
@@ -155,10 +166,10 @@ def delay_figure(search: xr.Dataset) -> Figure:
     top.plot(minutes[good], value[good], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.6, label="not behind the best by 2 errors")
     low_s, high_s = search.attrs["spread_s"]
     top.axvspan(low_s / 60, high_s / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings")
-    top.set_ylabel({"touch_leg": "probability that a leg touches first (1)"}.get(metric, metric.replace("_", " ")))
+    top.set_ylabel({"touch_leg": "probability that a leg touches first"}.get(metric, metric.replace("_", " ")))
     top.legend(fontsize=8, frameon=False)
     top.set_title("When to switch the wheel off")
-    quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5 (1)"), ("rest_leg", "rests on its legs (1)"),
+    quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"), ("rest_leg", "rests on its legs"),
                   ("leg_tip_speed", "fastest leg tip at contact (m/s)"))  # fmt: skip
     for k, (name, text) in enumerate(quantities):
         if name in search["quantity"].values:
@@ -187,7 +198,7 @@ def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
             color=COLOURS[k % 8], hatch=HATCHES[k % 4], ec="white", label=_short(name).replace("\n", " "), capsize=2,
         )  # fmt: skip
     axes.set_xticks(range(len(labels)), labels, fontsize=9)
-    axes.set_ylabel("probability of touching first (1)")
+    axes.set_ylabel("probability of touching first")
     axes.legend(title="wheel", frameon=False)
     axes.set_title("What touches the ground first at the second touchdown (a shared corner counts for each panel)", fontsize=10)
     return figure

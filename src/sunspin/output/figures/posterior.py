@@ -70,7 +70,7 @@ def search_figure(tree: Any) -> Figure:
     left.legend(fontsize=8)
     right.plot(sampling["log_evidence"].values, "o-", color=COLOURS[0])
     right.set_xlabel("round of sampling")
-    right.set_ylabel("log evidence (1)")
+    right.set_ylabel("log evidence")
     for i, (share, k) in enumerate(zip(sampling["effective_share"].values, sampling["pareto_k"].values, strict=True)):
         right.annotate(f"{share:.0%}, k {k:.2f}", (i, sampling["log_evidence"].values[i]), fontsize=7, rotation=30)
     figure.suptitle(_title("Search and sampling", tree.attrs.get("synthetic")), fontsize=10)

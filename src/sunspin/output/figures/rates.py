@@ -16,9 +16,9 @@ SHOWN = 8
 
 def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Figure:
     """Rate components (deg/s) of the best motion of each pass with one sigma, and the gyro where the telemetry has one."""
-    passes = _chosen(result)
+    passes = chosen_passes(result)
     figure = Figure(figsize=(max(7.5, 2.1 * len(passes)), 6.4), layout="constrained")
-    grid = figure.subplots(3, len(passes), sharey="row", squeeze=False)
+    grid = figure.subplots(3, len(passes), sharey="row", sharex="col", squeeze=False)
     gyro = None if telemetry is None or "gyro_B" not in telemetry else telemetry["gyro_B"]
     for column, number in enumerate(passes):
         at = np.flatnonzero(result["pass_of"].values == number)
@@ -27,22 +27,30 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Fig
             mean = np.degrees(result["omega_B"].values[at, k])
             sigma = np.degrees(np.sqrt(result["omega_cov_B"].values[at, k, k]))
             axes.fill_between((t - t[0]) / 60, mean - sigma, mean + sigma, color=COLOURS[k], alpha=0.25, lw=0)
-            axes.plot((t - t[0]) / 60, mean, ".-", color=COLOURS[k], ms=4, lw=1, label="from the Sun, one sigma")
+            axes.plot((t - t[0]) / 60, mean, ".-", color=COLOURS[k], ms=4, lw=1, label="motion found, one sigma")
             if gyro is not None:
                 _gyro(axes, gyro["time"].values, gyro.values[:, k], t)
             axes.axhline(0, color=COLOURS[7], lw=0.5)
-        grid[0, column].set_title(f"{_clock(result, t[0])}\nweight {result['weight'].values[number, 0]:.2f}", fontsize=8)
+        grid[0, column].set_title(f"{clock_text(result, t[0])}\nweight {result['weight'].values[number, 0]:.2f}", fontsize=8)
         grid[2, column].set_xlabel("time (min)")
     for k, axes in enumerate(grid[:, 0]):
         axes.set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
-        axes.legend(fontsize=7, loc="best")
-    seen = {"panels": "panel signals", "sun_sensor": "Sun sensors", "directions": "Sun directions"}[result.attrs["source"]]
-    figure.suptitle(_title(f"Body rates of {named(result.attrs['vehicle'])} from {seen}, best motion of each pass",
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=2, frameon=False)
+    figure.suptitle(_title(f"Body rates of {named(result.attrs['vehicle'])} from {sources(result)}, best motion of each pass",
                            result.attrs.get("synthetic")), fontsize=10, wrap=True)  # fmt: skip
     return figure
 
 
-def _chosen(result: xr.Dataset) -> np.ndarray:
+def sources(result: xr.Dataset) -> str:
+    """The sensors that a motion was found from, in words."""
+    seen = {"panels": "panel signals", "sun_sensor": "Sun sensors", "directions": "Sun directions"}[result.attrs["source"]]
+    words = {"gyro_used": "gyro", "field_used": "magnetometer", "attitude_used": "attitude"}
+    used = [seen, *(word for key, word in words.items() if result.attrs.get(key))]
+    return used[0] if len(used) == 1 else f"{', '.join(used[:-1])} and {used[-1]}"
+
+
+def chosen_passes(result: xr.Dataset) -> np.ndarray:
     """The passes with the most samples, in the order of time."""
     count = np.bincount(result["pass_of"].values, minlength=result.sizes["pass_id"])
     return np.sort(np.argsort(-count, kind="stable")[:SHOWN])
@@ -54,7 +62,7 @@ def _gyro(axes: Any, time: np.ndarray, value: np.ndarray, t: np.ndarray) -> None
         axes.plot((time[near] - t[0]) / 60, np.degrees(value[near]), "x", color=COLOURS[6], ms=4, label="gyro")
 
 
-def _clock(result: xr.Dataset, t: float) -> str:
+def clock_text(result: xr.Dataset, t: float) -> str:
     start = np.datetime64(str(result.attrs.get("epoch_utc", "1970-01-01")).removesuffix("Z"), "ms")
     return str((start + np.timedelta64(int(round(t * 1000)), "ms")).astype("datetime64[s]")).replace("T", " ")
 
@@ -68,7 +76,7 @@ def sun_and_rates_figure(currents: xr.Dataset, sensors: xr.Dataset, beacons: xr.
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25), squeeze=False)[0]
     _sun_against_sensors(left, currents, beacons, shift_s)
-    known = [n for n in _chosen(sensors) if np.isfinite(_gyro_at(sensors, beacons, n)).all()][-3:]
+    known = [n for n in chosen_passes(sensors) if np.isfinite(_gyro_at(sensors, beacons, n)).all()][-3:]
     grid = right.subplots(3, len(known), sharey="row", squeeze=False)
     for column, number in enumerate(known):
         at = np.flatnonzero(sensors["pass_of"].values == number)
@@ -80,7 +88,7 @@ def sun_and_rates_figure(currents: xr.Dataset, sensors: xr.Dataset, beacons: xr.
             axes.plot((t - t[0]) / 60, mean, ".-", color=COLOURS[k], ms=4, lw=1, label="Sun sensors, one sigma")
             gyro = np.degrees(_gyro_at(sensors, beacons, number)[:, k])
             axes.plot((t - t[0]) / 60, gyro, "x", color=COLOURS[6], ms=5, label="gyro")
-        grid[0, column].set_title(_clock(sensors, t[0]), fontsize=8)
+        grid[0, column].set_title(clock_text(sensors, t[0]), fontsize=8)
         grid[2, column].set_xlabel("time (min)")
     for k, axes in enumerate(grid[:, 0]):
         axes.set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
@@ -109,9 +117,9 @@ def _sun_against_sensors(figure: Any, currents: xr.Dataset, beacons: xr.Dataset,
             axes.errorbar(minutes, beacons["sun_sensor_B"].values[near, k], yerr=error, fmt="s", ms=4, lw=0.6,
                           color=COLOURS[6], mfc="none", label="Sun sensors")  # fmt: skip
             axes.set_ylim(-1.3, 1.3)
-        grid[0, number].set_title(_clock(currents, currents["time"].values[at][0]), fontsize=8)
+        grid[0, number].set_title(clock_text(currents, currents["time"].values[at][0]), fontsize=8)
         grid[2, number].set_xlabel("time (min)")
     for k, axes in enumerate(grid[:, 0]):
-        axes.set_ylabel(rf"Sun direction $n_{'xyz'[k]}$ (1)")
+        axes.set_ylabel(rf"Sun direction $n_{'xyz'[k]}$")
         axes.legend(fontsize=7, loc="best")
     figure.suptitle("The Sun: smoothed from currents, read by sensors", fontsize=10)

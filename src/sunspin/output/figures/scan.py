@@ -29,7 +29,7 @@ def map_figure(field: xr.DataArray) -> Figure:
         field[x].values * titles[0][1], field[y].values * titles[1][1], field.values.T, shading="nearest", cmap="cividis_r",
         rasterized=True,
     )  # fmt: skip
-    figure.colorbar(image, ax=axes, label="E (1)")
+    figure.colorbar(image, ax=axes, label="E")
     axes.set_xlabel(titles[0][0])
     axes.set_ylabel(titles[1][0])
     return figure
@@ -45,7 +45,7 @@ def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Figure:
         volume["omega_x"].values, volume["omega_y"].values, least, shading="nearest", cmap="cividis_r", rasterized=True,
         norm=LogNorm(low, max(high, 1.001 * low)),
     )  # fmt: skip
-    figure.colorbar(image, ax=axes, label=f"smallest {'EMD' if volume.name == 'emd' else 'E'} over $\\omega_z$ (1)")
+    figure.colorbar(image, ax=axes, label=f"smallest {'EMD' if volume.name == 'emd' else 'E'} over $\\omega_z$")
     axes.plot(*points[:, :2].T, "o", ms=5, mfc="none", mec=COLOURS[1], mew=1.2, label="motions that fit nearly as well as the best")
     axes.set_xlabel(r"$\omega_x$ (rad/s)")
     axes.set_ylabel(r"$\omega_y$ (rad/s)")

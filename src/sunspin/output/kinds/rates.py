@@ -11,7 +11,12 @@ import numpy as np
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
+from sunspin.output.kinds.rate_words import clock_of, rate_at
+from sunspin.output.text import digits_of
 from sunspin.vehicle.timeline import utc_after
+
+READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
+"""Variables of telemetry of which residuals are drawn."""
 
 
 def rates_summary(result: Any) -> Summary:
@@ -36,8 +41,8 @@ def _mirrored(passes: list[dict[str, Any]], source: str) -> list[str]:
     if not sure or source != "panels":
         return []
     x, y, z = (sure[0]["modes"][0][f"omega_{axis}_deg_s"] for axis in "xyz")
-    digits = _digits(np.array([sure[0]["modes"][0][f"sigma_{axis}_deg_s"] for axis in "xyz"]))
-    stated, mirrored = (_row(np.array(rate), digits) for rate in ((x, y, z), (x, -y, -z)))
+    digits = digits_of([sure[0]["modes"][0][f"sigma_{axis}_deg_s"] for axis in "xyz"])
+    stated, mirrored = (", ".join(f"{part:.{digits}f}" for part in rate) for rate in ((x, y, z), (x, -y, -z)))
     return [
         "  wiring unchecked: panels alone cannot tell whether the columns of two opposite panels are exchanged; were it so "
         f"along x, the motion at {sure[0]['utc_at']} would be ({mirrored}) and not ({stated}) deg/s"
@@ -57,19 +62,11 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
         "modes": [{"omega_deg_s": m.tolist()} | motion_numbers(result, k, i) for i, m in enumerate(mean)],
     }
     others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
-    digits, said = _digits(sigma), numbers["why_not_decided"] or "decided"
-    best = f"omega ({_row(mean[0], digits)}) +- ({_row(sigma, digits)}) deg/s  weight {weight[0]:.2f}{others}  {said}"
+    rate = rate_at(result, k)
+    numbers |= {"speed_deg_s": [rate.low, rate.mean, rate.high], "at_s": rate.at_s, "omega_at_deg_s": rate.omega.tolist()}
+    best = f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
+    best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
     return numbers, f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}"
-
-
-def _digits(sigma: np.ndarray) -> int:
-    """Decimals that show the smallest error with one figure, two to five."""
-    known = sigma[np.isfinite(sigma) & (sigma > 0)]
-    return int(np.clip(-np.floor(np.log10(known.min())), 2, 5)) if len(known) else 2
-
-
-def _row(values: np.ndarray, digits: int) -> str:
-    return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
 def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
@@ -81,6 +78,20 @@ def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
         f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
         + synthetic_note(result),
     )  # fmt: skip
+    if beside.telemetry is not None and beside.vehicle is not None and set(beside.telemetry.data_vars) & READ:
+        from sunspin.output.figures.residuals import residuals_figure
+        from sunspin.vehicle import Vehicle, load_vehicle
+
+        samples, craft = beside.telemetry, beside.vehicle
+        vehicle = craft if isinstance(craft, Vehicle) else load_vehicle(craft)
+        yield Drawing(
+            "residuals", lambda: residuals_figure(result, samples, vehicle),
+            "Residuals of each sensor in sigmas against time in each pass, and their distribution beside that of the stated noise.",
+            "Readings less what the likeliest motion predicts, in sigmas of their noise (grey: one sigma; farther out than six: at "
+            "the edge). Right, a predictive check: bars are the residuals, the line is how they scatter if the motion is right and "
+            "the noise as stated. A wave, or more readings beyond three sigma than noise makes, speaks against the motion. "
+            "A sensor marked as not used was kept out of the fit." + synthetic_note(result),
+        )  # fmt: skip
 
 
 def _decided(result: Any) -> str:

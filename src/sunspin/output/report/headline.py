@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report.read import Results
 from sunspin.output.report.rows import between
 from sunspin.output.text import capital, counted, number_text
@@ -39,6 +40,8 @@ def sentences(results: Results) -> list[str]:
         return [str(sentence) for sentence in own][:3]
     make = {"rates": _rates, "sun": _sun, "simulate": _simulate, "scan": _scan, "outcomes": _outcomes, "posterior": _posterior}
     told = make.get(results.command, _verdict)(results)
+    if isinstance(wrong := results.summary.get("wrong_units"), list):
+        told = [*(_sentence(f"Wrong unit: {text}") for text in wrong), *told]
     return told or [f"This folder holds results of `sunspin {results.command}`; below is what is in it."]
 
 
@@ -65,12 +68,13 @@ def _rates(results: Results) -> list[str]:
     if not sound:
         return [*told, "No pass is decided: of each, only the components that are said to be informed may be used."]
     best = max(sound, key=lambda p: (p["modes"][0]["weight"], -max(p["sigma_deg_s"])))
-    inside = found["pass_of"].values == passes.index(best)
-    speed = float(np.degrees(np.linalg.norm(found["omega_B"].values[inside], axis=1)).mean())
+    rate = rate_at(found, passes.index(best))
+    speed = rate.mean
     return [
         *told,
         f"In the pass told best ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) it turned "
-        f"at {speed:.3g} deg/s, one turn in {360 / speed if speed else np.inf:.3g} s; each component's mean over the pass is known "
+        f"at {speed:.3g} deg/s ({rate.low:.3g} to {rate.high:.3g} over the pass), one turn in "
+        f"{360 / speed if speed else np.inf:.3g} s; each component's mean over the pass is known "
         f"to {number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit), and the best motion there has "
         f"a weight of {best['modes'][0]['weight']:.2f}.",
     ]

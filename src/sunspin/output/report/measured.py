@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.spatial.transform import Rotation, Slerp
 
+from sunspin.base.errors import SunspinError
 from sunspin.output.report.passes import dense
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import (
@@ -21,13 +23,21 @@ from sunspin.output.report.section import (
     time_axis,
 )
 from sunspin.output.text import capital
+from sunspin.telemetry.quality import USED, panel_quality
+from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
 MOST_SAMPLES = 4000
 """Samples drawn in one plot; more are thinned evenly, and the caption says so."""
 
-MODEL_STEP = 3
-"""Every so many-th instant of a motion drawn to its end."""
+TURN = 0.2
+"""rad between instants that are drawn: panels' curves bend."""
+
+FINEST = 10
+"""Instants drawn between two of a motion, at most."""
+
+LATER_STEP = 3
+"""After the first minutes every so many-th instant of a motion is drawn: nobody can read more."""
 
 WINDOW_S = 900.0
 """A tumbling body turns some sixty times in it: as much as can be read at once."""
@@ -63,13 +73,15 @@ def powers(results: Results) -> Section | None:
     t, measured = samples["time"].values[keep], values.values[keep]
     data: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
+    lost, counts = _left_out(results, samples, names)
     for title, model in _models(results, names):
-        views += _modelled(data, title, model, samples, values, epoch)
+        views += _modelled(data, title, model, samples, values, epoch, ~lost, counts)
     dots = list(range(len(data), len(data) + len(names)))
     data += [
         {"type": "scatter", "mode": "markers", "x": clock(t, epoch), "y": packed(measured[:, k]), "yaxis": _axis(k), "xaxis": "x",
-         "marker": {"size": 8, "color": "@ink", "line": {"color": "@paper", "width": 1}},
-         "name": "measured" + (" (synthetic)" if results.synthetic else ""), "showlegend": k == 0, "legendgroup": "measured"}
+         "marker": {"size": 8, "color": "@muted" if lost[k] else "@ink", "symbol": "x-thin-open" if lost[k] else "circle",
+                    "line": {"color": "@paper", "width": 1}},
+         "name": "telemetry (synthetic)" if results.synthetic else "measured", "showlegend": k == 0, "legendgroup": "measured"}
         for k in range(len(names))
     ]  # fmt: skip
     for view in views:
@@ -77,7 +89,8 @@ def powers(results: Results) -> Section | None:
     if views:
         views.append({"label": "Samples only, the whole file", "show": dots, "range": instants([t[0], t[-1]], epoch), "text": ""})
     top = 1.1 * float(np.nanmax(measured)) if np.isfinite(measured).any() else 1.0
-    layout = _rows_layout(names, unit, time_axis(epoch, t), top)
+    titles = [f"{name} ({unit})" + ("<br>left out" if lost[k] else "") for k, name in enumerate(names)]
+    layout = _rows_layout(titles, time_axis(epoch, t), top)
     if views:
         layout["xaxis"]["range"] = views[0]["range"]
     caption = (
@@ -91,8 +104,12 @@ def powers(results: Results) -> Section | None:
     )
     if views:
         caption += (
-            "Line: what the chosen motion makes of the panels' normals, with one common factor fitted to the samples."
+            "Line: what the chosen motion makes of the panels' normals, with one common factor fitted to the samples and panels "
+            "that count."
         )
+    if lost.any():
+        left = ", ".join(name for name, is_lost in zip(names, lost, strict=True) if is_lost)
+        caption += f" Left out, as it never reads anything: {left} (crosses; grey line: what it would read if it worked)."
     if results.command == "reproduce" and views:
         caption += (
             " Different motions share how often the Sun stands how high, not when: only one motion can meet the dots one by one."
@@ -104,27 +121,42 @@ def powers(results: Results) -> Section | None:
         caption, 90 * len(names) + 110, views, "Modelled motion", numbers=_power_numbers(names, values, unit),
         narrow={"margin": {"l": 48, "r": 12, "t": 30, "b": 50}, "font.size": 11},
     )  # fmt: skip
-    return Section(
-        "powers", f"Panel {'powers' if unit == 'W' else 'signals'}, measured" + (" and modelled" if views else ""), [], [plot]
-    )
+    seen = "synthetic" if results.synthetic else "measured"
+    what = f"Panel {'powers' if unit == 'W' else 'signals'}, {seen}"
+    return Section("powers", what + (" and modelled" if views else ""), [], [plot])
+
+
+def _left_out(results: Results, samples: xr.Dataset, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Which panels (n_panel) never read anything, and which samples (n) count in full: not those that the battery limits."""
+    none, every = np.zeros(len(names), dtype=bool), np.ones(samples.sizes["time"], dtype=bool)
+    if results.vehicle is None or list(results.vehicle.panel_names) != names:
+        return none, every
+    try:
+        quality = panel_quality(results.vehicle, samples)
+    except SunspinError:  # samples of any origin: they are shown as they are
+        return none, every
+    full = quality["use"].values == USED
+    return quality["dead"].values.astype(bool), full if full.any() else every
 
 
 def _modelled(
-    data: list[dict[str, Any]], title: str, model: xr.Dataset, samples: xr.Dataset, values: xr.DataArray, epoch: str | None
+    data: list[dict[str, Any]], title: str, model: xr.Dataset, samples: xr.Dataset, values: xr.DataArray, epoch: str | None,
+    works: np.ndarray, counts: np.ndarray,
 ) -> list[dict[str, Any]]:
     """Append a model's lines to the traces; the views that show them: a few minutes, and all of it where that can be read."""
-    t = model["time"].values
-    factor = scale_of(samples["time"].values, values.values, t, model["panel_signal"].values)
+    t, signal = model["time"].values, model["panel_signal"].values
+    factor = scale_of(samples["time"].values[counts], values.values[counts][:, works], t, signal[:, works])
     long = title in WHOLE or "region" in model.attrs  # a region of a posterior fits all samples
-    keep = np.arange(0, t.size, MODEL_STEP if t.size > 2000 else 1) if long else np.flatnonzero(t <= t[0] + WINDOW_S)
+    early = t <= t[0] + WINDOW_S
+    keep = np.flatnonzero(early | (np.arange(t.size) % LATER_STEP == 0)) if long else np.flatnonzero(early)
     first = len(data)
     for k in range(values.sizes["panel"]):
         data.append({
-            "type": "scatter", "mode": "lines", "x": clock(t[keep], epoch), "y": packed(factor * model["panel_signal"].values[keep,
-            k]),
-            "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled", "line": {"width": 1.4, "color": "@orange"},
+            "type": "scatter", "mode": "lines", "x": clock(t[keep], epoch), "y": packed(factor * signal[keep, k]),
+            "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled",
+            "line": {"width": 1.4, "color": "@orange"} if works[k] else {"width": 1, "color": "@grey", "dash": "dot"},
             "name": "modelled",
-            "showlegend": k == 0, "visible": first == 0,
+            "showlegend": k == int(np.argmax(works)), "visible": first == 0,
         })  # fmt: skip
     show, about = list(range(first, len(data))), capital(str(model.attrs.get("about", "")))
     spans = [(f"{title}, the first {WINDOW_S / 60:g} min", min(t[0] + WINDOW_S, t[-1]))] if t[-1] > t[0] + 3 * WINDOW_S else []
@@ -146,14 +178,14 @@ def _axis(k: int) -> str:
     return "y" if k == 0 else f"y{k + 1}"
 
 
-def _rows_layout(names: list[str], unit: str, axis: dict[str, Any], top: float) -> dict[str, Any]:
-    n = len(names)
+def _rows_layout(titles: list[str], axis: dict[str, Any], top: float) -> dict[str, Any]:
+    n = len(titles)
     layout: dict[str, Any] = {"xaxis": {**axis, "anchor": "y" if n == 1 else f"y{n}"}}
-    for k, name in enumerate(names):
+    for k, title in enumerate(titles):
         height = 1.0 / n
         layout["yaxis" if k == 0 else f"yaxis{k + 1}"] = {
             "domain": [1 - (k + 1) * height + 0.012, 1 - k * height], "range": [-0.04 * top, top], "nticks": 3,
-            "title": {"text": f"{name} ({unit})", "font": {"size": 12}, "standoff": 4}, "zeroline": False,
+            "title": {"text": title, "font": {"size": 12}, "standoff": 4}, "zeroline": False,
         }  # fmt: skip
     layout["legend"] = {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0}
     layout["margin"] = {"l": 64, "r": 20, "t": 46, "b": 54}
@@ -165,7 +197,28 @@ def _models(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
         (str(data.attrs.get("title", name)), data)
         for name, data in results.having("panel_signal", "B_from_N") if data["panel_signal"].shape[1] == len(names)
     ]  # fmt: skip
+    found = [(title, _finer(data, results.vehicle, names)) for title, data in found]
     return sorted(found, key=lambda item: motion_order(item[0])) + _of_passes(results, names)
+
+
+def _finer(model: xr.Dataset, vehicle: Vehicle | None, names: list[str]) -> xr.Dataset:
+    """A motion with instants between its own in its first minutes, where it turns far from one to the next."""
+    t = model["time"].values
+    if vehicle is None or list(vehicle.panel_names) != names or t.size < 2 or not np.all(np.diff(t) > 0) or "sun_B" not in model:
+        return model
+    fastest = float(np.nanmax(np.linalg.norm(model["omega_B"].values, axis=1))) if "omega_B" in model else 0.0
+    parts = int(min(np.ceil(fastest * float(np.median(np.diff(t))) / TURN), FINEST))
+    early = t[t <= t[0] + WINDOW_S]
+    if parts < 2 or early.size < 2:
+        return model
+    fine = np.unique(np.concatenate([early[:-1, None] + np.arange(parts) / parts * np.diff(early)[:, None]]))
+    attitude = Rotation.from_quat(model["B_from_N"].values)
+    sun = Slerp(t, attitude)(fine).apply(attitude[0].inv().apply(model["sun_B"].values[0]))
+    late = t >= early[-1]
+    signal = np.concatenate([panel_power(vehicle, sun), model["panel_signal"].values[late]])
+    return xr.Dataset(
+        {"panel_signal": (("time", "panel"), signal)}, coords={"time": np.concatenate([fine, t[late]])}, attrs=model.attrs
+    )
 
 
 def _of_passes(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:

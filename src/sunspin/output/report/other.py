@@ -36,7 +36,12 @@ STATED = (("chain", "candidate motions from"), ("noise", "readings"), ("calibrat
 """Entries of a study's summary that belong to where its results come from, and their names."""
 
 SEEN_OF = {
-    "posterior": {"verdict", "verdict_word", "rate_rad_s", "modes", "passes", "p_value", "effective_draws", "pareto_k", "predicted"}
+    "rates": {"verdict", "source", "passes", "acceleration_noise", "max_rate_deg_s", "samples", "wrong_units"},
+    "sun": {"samples", "reconstructed", "status", "median_sigma_deg", "noise_from"},
+    "scan": {"metric", "rows", "minimum", "best_omega_B", "near_minimum_points", "lines"},
+    "posterior": {
+        "verdict", "verdict_word", "rate_rad_s", "modes", "passes", "p_value", "effective_draws", "pareto_k", "predicted",
+    },
 }
 """The same, for one command's summary."""
 
@@ -84,7 +89,8 @@ def _line(data: xr.Dataset, name: object) -> list[str]:
         values = array.values.astype(float)
         known = values[np.isfinite(values)]
         told = "nothing known" if not known.size else f"{known.min():.4g} to {known.max():.4g}, mean {known.mean():.4g}"
-    return [str(name), over, str(array.attrs.get("units", "")), told]
+    unit = str(array.attrs.get("units", ""))
+    return [str(name), over, "" if unit == "1" else unit, told]
 
 
 def provenance(results: Results) -> Section:

@@ -22,7 +22,7 @@ NAMES = {
 }  # fmt: skip
 """Events in plain words."""
 
-TURNS = ((600, "10 min"), (120, "2 min"), (60, "1 min"), (30, "30 s"), (13, "13 s"), (5, "5 s"))
+TURNS = ((600, "10 min"), (60, "1 min"), (30, "30 s"), (13, "13 s"), (5, "5 s"))
 """Marks on the axis of angular speed: time of one turn in s."""
 
 
@@ -49,14 +49,14 @@ def _speed(results: Results, speed: xr.Dataset) -> Plot:
         "range": _range(speed),
     }  # fmt: skip
     zero = epoch_ms(epoch) or 0.0
-    day = {"type": "date", "tickformat": "%H:%M", "hoverformat": "%H:%M:%S", "showgrid": False}
+    day = {"type": "date", "tickformat": "%H:%M", "hoverformat": "%H:%M:%S", "showgrid": False, "tickangle": 0}
     down, rest = at["first_touchdown"], at["rest"]
     split = (0.0, 0.27), (0.3, 1.0)
     layout = {
-        "xaxis": {**day, "domain": split[0], "range": [zero + 1e3 * at["separation"], zero + 1e3 * down], "nticks": 4},
+        "xaxis": {**day, "domain": split[0], "range": [zero + 1e3 * at["separation"], zero + 1e3 * down], "nticks": 3},
         "xaxis2": {
             **day, "domain": split[1], "range": [zero + 1e3 * (down - 120), zero + 1e3 * (rest + 420)],
-            "title": {"text": f"UTC, {epoch[:10]} (left: the descent, time compressed)", "standoff": 8},
+            "title": {"text": f"UTC, {epoch[:10]} (left: time compressed)", "standoff": 8},
         },
         "yaxis": {**ticks, "title": {"text": "one turn takes"}},
         "yaxis2": {

@@ -212,7 +212,7 @@
       const marks = [1e-6, 1e-5, 1e-4, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1];
       const here = v.best[2] === k;
       const traces = [
-        { type: "heatmap", x: v.x, y: v.y, z: z, zmin: v.low, zmax: v.high, colorscale: "Cividis", reversescale: true, colorbar: { title: { text: `${v.metric} (1)` }, thickness: 14, tickvals: marks.map(Math.log10), ticktext: marks.map(String) },
+        { type: "heatmap", x: v.x, y: v.y, z: z, zmin: v.low, zmax: v.high, colorscale: "Cividis", reversescale: true, colorbar: { title: { text: v.metric }, thickness: 14, tickvals: marks.map(Math.log10), ticktext: marks.map(String) },
           customdata: real, hovertemplate: `ωx %{x:.3f}<br>ωy %{y:.3f}<br>${v.metric} %{customdata:.4f}<extra></extra>` },
         { type: "scatter", mode: "markers", x: [v.x[v.best[0]]], y: [v.y[v.best[1]]], marker: { symbol: "x", size: 11, color: colour("@orange"), opacity: here ? 1 : 0.35 }, hoverinfo: "skip", showlegend: false },
       ];

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 MOST_PASSES = 12
 """The longest passes are shown."""
 
-TURN = 0.3
+TURN = 0.1
 """rad between instants at the fastest rate."""
 
 MOST_INSTANTS = 6000

@@ -77,7 +77,7 @@ def _regions(draws: Draws, results: Results) -> Table:
         if modes is not None and k < modes.sizes["mode"]:
             more = [f"{float(modes[name].values[k]):.4g}" for name in ("chi_square", "lit_readings", "starts")]
         rows.append(row + more)
-    head = ["region", "weight (1)", *(f"ω{axis} (deg/s)" for axis in "xyz"), "chi-square", "lit readings", "starts that led to it"]
+    head = ["region", "weight", *(f"ω{axis} (deg/s)" for axis in "xyz"), "chi-square", "lit readings", "starts that led to it"]
     return Table(head, rows, "Regions of motions, heaviest first: rates at the first sample, body axes, and one sigma")
 
 
@@ -106,7 +106,7 @@ def _judged(results: Results) -> Table | None:
         "pareto_k": ("Pareto's k of the weights", "above 0.55 widths and weights are rough"),
     }
     rows = [[what, f"{s[key]:.3g}", limit] for key, (what, limit) in said.items() if isinstance(s.get(key), int | float)]
-    return Table(["what", "value (1)", "limit"], rows, "What the verdict rests on", closed=True) if rows else None
+    return Table(["what", "value", "limit"], rows, "What the verdict rests on", closed=True) if rows else None
 
 
 def _predicted(results: Results) -> Table | None:

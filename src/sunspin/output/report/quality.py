@@ -50,7 +50,7 @@ def _list(results: Results, sun: xr.Dataset) -> Table:
         ])  # fmt: skip
     left = "" if n <= MOST_LINES else f", the first {MOST_LINES} of {n}"
     return Table(
-        ["sample", "UTC" if results.epoch_utc else "time", "phase", "lit panels", "Delta (1)", "error (deg)", "verdict"], rows,
+        ["sample", "UTC" if results.epoch_utc else "time", "phase", "lit panels", "Delta", "error (deg)", "verdict"], rows,
         f"All samples{left}", closed=True,
     )  # fmt: skip
 

@@ -208,7 +208,7 @@ def _line_table(scan: xr.Dataset, about: str) -> list[Table]:
         [str(k + 1), number_text(np.round(p, 4).tolist()), number_text(np.round(d, 4).tolist()), str(int(c))]
         for k, (p, d, c) in enumerate(zip(scan["point"].values, scan["direction"].values, scan["count"].values, strict=True))
     ]
-    return [Table(["family", "point (rad/s)", "direction (1)", "motions"], rows, f"Fitted lines. {about}", closed=True)]
+    return [Table(["family", "point (rad/s)", "direction", "motions"], rows, f"Fitted lines. {about}", closed=True)]
 
 
 def maps(results: Results) -> Section | None:

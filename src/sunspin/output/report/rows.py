@@ -153,7 +153,7 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
         "interval": between(row.get("low"), row.get("high")),
         "before": between(row.get("prior_low"), row.get("prior_high")),
         "chain": CHAINS.get(chain, f"from the motions of {chain}" if chain else ""),
-        "unit": str(row.get("unit", "")),
+        "unit": "" if row.get("unit") == "1" else str(row.get("unit", "")),
         "verdict": verdict,
         "verdict_text": VERDICTS[verdict],
         "more": more,

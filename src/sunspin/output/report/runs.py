@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import xarray as xr
 
+from sunspin.output.figures.rates import sources
+from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table, utc_text
@@ -20,19 +23,38 @@ def rates(results: Results) -> Section | None:
         said = [str(why) or "decided" for why in found["why_not_decided"].values]
     for k in range(found.sizes["pass_id"]):
         at = np.flatnonzero(found["pass_of"].values == k)
-        weight = found["weight"].values[k]
+        weight, rate = found["weight"].values[k], rate_at(found, k)
         for mode in np.flatnonzero(np.isfinite(weight)):
             mean, sigma = (np.degrees(found[name].values[k, mode]) for name in ("omega_mean_B", "omega_sigma_B"))
+            speed, at_s = ("", "") if mode else (rate.speed, utc_text(rate.at_s, results.epoch_utc))
+            if not mode:  # of the others only the mean over the pass is kept
+                mean, sigma = rate.omega, rate.sigma
             rows.append([
                 str(k + 1), utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True), str(at.size), str(mode + 1),
-                f"{weight[mode]:.3f}", *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), said[k],
+                f"{weight[mode]:.3f}", speed, at_s or "mean of the pass",
+                *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), said[k],
             ])  # fmt: skip
     table = Table(
-        ["pass", "begins", "samples", "motion", "weight (1)", "ωx (deg/s)", "ωy (deg/s)", "ωz (deg/s)", "may be believed"], rows,
+        ["pass", "begins", "samples", "motion", "weight", "speed and its range (deg/s)", "components at",
+         *(f"ω{axis} (deg/s)" for axis in "xyz"), "may be believed"], rows,
         "Every motion that fits, by pass", closed=len(rows) > 30,
     )  # fmt: skip
     lead = ["Each pass may allow several motions, mostly whole turns more or less between samples; their weights add to one."]
-    return Section("rates", "Body rates", lead, [*drawn(results, "rates"), table])
+    return Section("rates", "Body rates", lead, [*drawn(results, "rates"), table, _rests_on(results, found)])
+
+
+def _rests_on(results: Results, found: xr.Dataset) -> Table:
+    """What the rates were found from, and what became of the samples."""
+    s = results.summary
+    rows = [["found from", sources(found)]]
+    if isinstance(noise := s.get("acceleration_noise"), int | float):
+        rows.append(["acceleration noise (rad/s^1.5)", f"{noise:.3g}, {found.attrs.get('acceleration_noise_from', 'given')}"])
+    if isinstance(fastest := s.get("max_rate_deg_s"), int | float):
+        rows.append(["no rate is faster than (deg/s)", f"{fastest:.4g}"])
+    samples = s.get("samples")
+    for text, count in samples.items() if isinstance(samples, dict) else ():
+        rows.append(["samples", f"{count} {text}"])
+    return Table(["what", "value"], rows, "What the rates rest on")
 
 
 def trajectory(results: Results) -> Section | None:

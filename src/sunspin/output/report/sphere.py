@@ -49,9 +49,8 @@ def sun_path(results: Results) -> Section | None:
     limits = {"range": [-1.25, 1.25], "showspikes": False, "nticks": 5}
     layout = {
         "scene": {
-            "xaxis": {**limits, "title": {"text": "x (1)"}}, "yaxis": {**limits, "title": {"text": "y (1)"}},
-            "zaxis": {**limits, "title": {"text": "z (1)"}}, "aspectmode": "cube", "camera": {"eye": {"x": 0.95, "y": -1.0,
-            "z": 0.6}},
+            **{f"{axis}axis": {**limits, "title": {"text": f"{axis} component, body"}} for axis in "xyz"},
+            "aspectmode": "cube", "camera": {"eye": {"x": 1.1, "y": -1.15, "z": 0.75}},
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip

@@ -18,7 +18,7 @@ def collision_figure(found: Conditioned) -> Figure:
     image = left.hexbin(
         runs["velocity_change"].values[fine], runs["speed_after"].values[fine], gridsize=45, cmap="cividis", mincnt=1, lw=0
     )
-    figure.colorbar(image, ax=left, label="simulated collisions (1)")
+    figure.colorbar(image, ax=left, label="simulated collisions")
     turn = np.linspace(0, 2 * np.pi, 100)
     for k in (1, 2):
         left.plot(

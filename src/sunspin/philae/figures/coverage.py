@@ -22,7 +22,7 @@ def draw(worth: Worth, published: dict[str, float], confidence: float = CONFIDEN
 
     `published`: "emd_min" (1) and "rate_at_touchdown_min" (rad/s).
     """
-    figure = Figure(figsize=(11.5, 8.4), layout="constrained")
+    figure = Figure(figsize=(9.5, 9.0), layout="constrained")
     (scatter, cover), (turned, bound) = figure.subplots(2, 2)
     _scatter(scatter, worth, published["emd_min"])
     _coverage(cover, worth, confidence)
@@ -43,13 +43,13 @@ def _scatter(axes: Any, worth: Worth, published: float) -> None:
     axes.loglog(x, x, lw=0.8, color=COLOURS[7])
     axes.loglog(x, worth.factor * x, "--", lw=1, color=COLOURS[6], label=f"{worth.factor:g} times the smallest")
     axes.axvline(published, ls=":", lw=1.2, color=COLOURS[2], label="published smallest EMD")
-    axes.set(xlim=(low, high), xlabel="smallest EMD of the scan (1)", ylabel="EMD of the true motion (1)")
+    axes.set(xlim=(low, high), xlabel="smallest EMD of the scan", ylabel="EMD of the true motion")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
-    axes.legend(fontsize=8, loc="lower right")
-    axes.set_title("the truth is rarely the best", fontsize=9)
+    axes.legend(fontsize=9, loc="lower right")
+    axes.set_title("the truth is rarely the best", fontsize=10)
 
 
 def _coverage(axes: Any, worth: Worth, confidence: float) -> None:
@@ -63,9 +63,9 @@ def _coverage(axes: Any, worth: Worth, confidence: float) -> None:
     axes.axhline(confidence, ls=":", lw=1, color=COLOURS[7])
     axes.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
     axes.minorticks_off()
-    axes.set(xlabel="factor on the smallest EMD (1)", ylabel="share of twins whose truth lies in the set (1)", ylim=(0, 1.02))
-    axes.legend(fontsize=8, loc="lower right")
-    axes.set_title("how often the level set holds the truth (band: 95 % sampling error)", fontsize=9)
+    axes.set(xlabel="factor on the smallest EMD", ylabel="share of twins whose truth lies in the set", ylim=(0, 1.02))
+    axes.legend(fontsize=9, loc="lower right")
+    axes.set_title("how often the level set holds the truth\n(band: 95 % sampling error)", fontsize=10)
 
 
 def _turned(axes: Any, worth: Worth) -> None:
@@ -77,9 +77,9 @@ def _turned(axes: Any, worth: Worth) -> None:
         median = f", median {np.median(angle):.0f} deg" if angle.size else ""
         axes.hist(angle, bins, histtype="step", lw=1.3, color=COLOURS[k], label=f"L{k + 1}{median}")
     fitted = Share(int(np.isfinite(lines.twin["line_angle"][:, 0]).sum()), lines.n)
-    axes.set(xlabel="angle between fitted and published line (deg)", ylabel="twins per 3 deg (1)")
-    axes.legend(fontsize=8)
-    axes.set_title(f"lines fitted to EMD < {worth.factor:g} EMD_min; possible in {fitted.value:.0%} of the twins", fontsize=9)
+    axes.set(xlabel="angle between fitted and published line (deg)", ylabel="twins per 3 deg")
+    axes.legend(fontsize=9)
+    axes.set_title(f"lines fitted to EMD < {worth.factor:g} EMD_min;\npossible in {fitted.value:.0%} of the twins", fontsize=10)
 
 
 def _bound(axes: Any, worth: Worth, published: float, confidence: float) -> None:
@@ -94,10 +94,10 @@ def _bound(axes: Any, worth: Worth, published: float, confidence: float) -> None
     axes.axvspan(low, high, color=COLOURS[4], alpha=0.35, lw=0)
     axes.axvline(value, lw=1, color=COLOURS[4], label=f"holds the truth with {confidence:.0%}")
     axes.axhline(published, ls="--", lw=1, color=COLOURS[6], label="published bound")
-    axes.set(xlabel="threshold on EMD (1)", ylabel=r"smallest $|\omega|$ at the touchdown (rad/s)", xlim=(table["at"][0], 0.12))
+    axes.set(xlabel="threshold on EMD", ylabel=r"smallest $|\omega|$ at the touchdown (rad/s)", xlim=(table["at"][0], 0.12))
     axes.set_ylim(0, BOUND_TOP)
     right = axes.twinx()
     right.plot(table["at"], table["holds"] / lines.n, color=COLOURS[3], lw=1)
-    right.set(ylim=(0, 1.02), ylabel="share of twins (1)")
-    axes.legend(fontsize=8, loc=(0.4, 0.6))
-    axes.set_title("lower bound on the angular speed, truth on the published lines", fontsize=9)
+    right.set(ylim=(0, 1.02), ylabel="share of twins")
+    axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False, columnspacing=0.8)
+    axes.set_title("lower bound on the angular speed,\ntruth on the published lines", fontsize=10)

@@ -45,7 +45,7 @@ def _directions(axes: Any, r: Descent) -> None:
     odd = ~told & r.predicted
     if odd.any():
         axes.plot(*_polar(r.simulated_B[odd]), "x", ms=6, color=COLOURS[3], label=f"fitted in view, not measured ({odd.sum()})")
-    axes.set(xlim=(-185, 185), ylim=(0.4, 0.8), xlabel="azimuth of the Sun about z (deg)", ylabel="$z$ component (1)")
+    axes.set(xlim=(-185, 185), ylim=(0.4, 0.8), xlabel="azimuth of the Sun about z (deg)", ylabel="$z$ component")
     axes.set_xticks(range(-180, 181, 90))
     axes.legend(fontsize=8, loc="upper left", ncols=2)
     axes.set_title(f"directions to the Sun, body axes; E = {r.fit.E:.2g}", fontsize=9)
@@ -75,7 +75,7 @@ def _aliases(axes: Any, r: Descent) -> None:
     axes.plot(others[:, 0] / RATE_UNIT, others[:, 1], "v", ms=6, color=COLOURS[1], label="next minima, refined")
     axes.plot(best[0] / RATE_UNIT, best[1], "o", ms=6, color=COLOURS[0], label="smallest E")
     axes.axhline(r.case.published["descent_E"].value, ls=":", lw=1, color=COLOURS[6], label="published E (flown data)")
-    axes.set(xlabel="mean rate about z (mrad/s)", ylabel="E (1)")
+    axes.set(xlabel="mean rate about z (mrad/s)", ylabel="E")
     axes.legend(fontsize=8, loc="lower left")
     axes.set_title("E over the aliases of the sampling", fontsize=9)
 
@@ -86,6 +86,6 @@ def _minimum(axes: Any, r: Descent) -> None:
     inside = np.abs(r.omega_0 - centre) < 2e-3
     axes.plot(r.omega_0[inside] / RATE_UNIT, r.slice_E[inside], lw=1, color=COLOURS[0])
     axes.axvline(r.case.published["descent_rate_cubic"].value[0] / RATE_UNIT, ls="--", lw=1, color=COLOURS[1], label="published")
-    axes.set(xlabel=r"$\omega_0$ (mrad/s), other coefficients as fitted", ylabel="E (1)", ylim=(0, None))
+    axes.set(xlabel=r"$\omega_0$ (mrad/s), other coefficients as fitted", ylabel="E", ylim=(0, None))
     axes.legend(fontsize=8, loc="lower left")
     axes.set_title(r"E against $\omega_0$", fontsize=9)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title
+from sunspin.output.figures import ABOVE, COLOURS, _title
 from sunspin.philae.phases import Phases
 from sunspin.telemetry.sun import SunStatus
 
@@ -17,7 +17,7 @@ FLOOR = -20.0
 
 def draw(result: Phases) -> Figure:
     """Lit panels sample by sample; Delta by phase; probability of the forbidden samples under noise."""
-    figure = Figure(figsize=(11, 7.4), layout="constrained")
+    figure = Figure(figsize=(9, 7.4), layout="constrained")
     top, low = figure.subplots(2, 1, height_ratios=(1, 1.15), sharex=True)
     _lit(top, result)
     _probability(low, result)
@@ -37,9 +37,10 @@ def _lit(axes: Any, r: Phases) -> None:
     axes.set_ylabel("panel lit")
     axes.set_ylim(-0.6, lit.shape[1] + 0.6)
     handles = [axes.plot([], [], "s", color=c, label=x)[0] for c, x in ((COLOURS[0], "allowed"), (COLOURS[1], "forbidden"))]
-    axes.legend(handles=handles, title="lit pattern", fontsize=8, title_fontsize=8, loc="upper right")
+    axes.legend(handles=handles, ncols=2, fontsize=9, **ABOVE)
     explained = " or ".join("-".join(panels) for panels in r.health["explanations"]) or "none"
-    axes.set_title(f"smallest set of panels in shadow or dead that explains every forbidden pattern: {explained}", fontsize=9)
+    what = "smallest set of panels in shadow or dead that explains every forbidden pattern"
+    axes.set_title(f"{what}: {explained}", fontsize=10, pad=20)
     _phases(axes, r)
 
 
@@ -60,10 +61,10 @@ def _probability(axes: Any, r: Phases) -> None:
             axes.plot(number[at], shown, "os^Dv"[k % 5], ms=5, mfc="none", color=COLOURS[k % 8], label=f"({'-'.join(pattern)})")
     finite = r.log10_probability[np.isfinite(r.log10_probability)]
     bottom = max(FLOOR, float(finite.min(initial=-1.0)))
-    axes.set(xlabel="number of the sample", ylabel="log10 of the probability, at most (1)", ylim=(bottom - 1, 2.5))
-    axes.set_title("probability that noise alone made the readings of a forbidden sample", fontsize=9)
+    axes.set(xlabel="number of the sample", ylabel="log10 of the probability, at most", ylim=(bottom - 1, 2.5))
+    axes.set_title("probability that noise alone made the readings of a forbidden sample, by lit panels", fontsize=10, pad=20)
     if r.health["noise"]:
-        axes.legend(fontsize=8, loc="center left", title="lit panels", title_fontsize=8)
+        axes.legend(fontsize=9, ncols=5, columnspacing=0.8, handletextpad=0.2, **ABOVE)
     _phases(axes, r)
     edge = 0.5
     for k, phase in enumerate(r.phases):

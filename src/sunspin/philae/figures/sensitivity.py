@@ -27,24 +27,24 @@ def draw_maps(result: Sensitivity) -> Figure:
     omega_z = float(result.rates["omega_z"])
     _map(left, result.rates, ("omega_x", "omega_y"), (1.0, 1.0))
     left.set(xlabel=r"$\omega_x$ (rad/s)", ylabel=r"$\omega_y$ (rad/s)")
-    left.set_title(rf"A: initial rates, $\omega_z$ = {omega_z:g} rad/s", fontsize=9)
+    left.set_title(rf"A: initial rates, $\omega_z$ = {omega_z:g} rad/s", fontsize=10)
     _map(right, result.parameters, ("mu_0", "theta_xx"), (1e3, 1.0))
     omega = ", ".join(f"{x:g}" for x in result.case.published["E_study_omega"].value)
     right.set(xlabel=r"$\mu_0$ ($10^{-3}$ N m)", ylabel=r"$\theta_{xx}$ (kg m$^2$)")
-    right.set_title(rf"B: parameters, $\omega(0)$ = [{omega}] rad/s", fontsize=9)
+    right.set_title(rf"B: parameters, $\omega(0)$ = [{omega}] rad/s", fontsize=10)
     figure.suptitle(_title(f"E against {result.n_samples} measured directions, {length}", result.synthetic), fontsize=10)
     return figure
 
 
 def _map(axes: Any, error: xr.DataArray, dims: tuple[str, str], scale: tuple[float, float]) -> None:
     x, y = (error[dim].values * factor for dim, factor in zip(dims, scale, strict=True))
-    image = axes.pcolormesh(x, y, error.transpose(*reversed(dims)).values, shading="nearest", cmap="cividis", rasterized=True)
-    axes.figure.colorbar(image, ax=axes, label="E (1)")
+    image = axes.pcolormesh(x, y, error.transpose(*reversed(dims)).values, shading="nearest", cmap="cividis_r", rasterized=True)
+    axes.figure.colorbar(image, ax=axes, label="E")
 
 
 def draw_growth(result: Sensitivity) -> Figure:
     """Why the direct fit fails: errors grow with the window, the valley of E narrows, and EMD does not follow."""
-    figure = Figure(figsize=(11.5, 7.6), layout="constrained")
+    figure = Figure(figsize=(9.5, 9.0), layout="constrained")
     (grow, valley), (changes, width) = figure.subplots(2, 2)
     _growth(grow, result)
     _valleys(valley, result)
@@ -63,11 +63,11 @@ def _growth(axes: Any, r: Sensitivity) -> None:
         label = f"{SYMBOLS[name]}, power {float(table['power'].sel(input=name)):.1f}"
         axes.loglog(minutes[1:], error[1:], style, lw=1.3, color=COLOURS[k % 8] if k < 8 else "#555555", label=label)
     axes.axhline(1.0, lw=0.8, color=COLOURS[7])
-    axes.text(0.13, 1.1, "one radian", fontsize=8, color="#555555")
+    axes.text(0.13, 1.1, "one radian", fontsize=9, color="#555555")
     axes.set(xlabel="length of the window (min)", ylabel="direction error of 1 %, to first order (rad)")
     axes.set(xlim=(0.1, None), ylim=(1e-4, 60))
-    axes.legend(fontsize=7, ncols=2, loc="lower right")
-    axes.set_title(f"growth of errors, rates of {r.names[0]}", fontsize=9)
+    axes.legend(fontsize=9, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
+    axes.set_title(f"growth of errors, rates of {r.names[0]}", fontsize=10)
 
 
 def _valleys(axes: Any, r: Sensitivity) -> None:
@@ -75,9 +75,9 @@ def _valleys(axes: Any, r: Sensitivity) -> None:
     for k, window in enumerate(r.valley["window"].values):
         error = r.valley.sel(window=window).values
         axes.plot(change, error, lw=1.6 - 0.45 * k, color=COLOURS[(5, 1, 6)[k % 3]], label=f"{window / 60:g} min", zorder=3 - k)
-    axes.set(xlabel=r"change of $\omega_x$ (mrad/s)", ylabel="E (1)", ylim=(0, None))
-    axes.legend(fontsize=8, title="window", title_fontsize=8, loc="upper left", framealpha=0.9)
-    axes.set_title("E against the motion's own directions, every 2 min", fontsize=9)
+    axes.set(xlabel=r"change of $\omega_x$ (mrad/s)", ylabel="E", ylim=(0, 1.25 * float(r.valley.max())))
+    axes.legend(fontsize=9, title="window", title_fontsize=9, ncols=3, loc="upper center", frameon=False)
+    axes.set_title("E against the motion's own\ndirections, every 2 min", fontsize=10)
 
 
 def _changes(axes: Any, r: Sensitivity) -> None:
@@ -89,10 +89,10 @@ def _changes(axes: Any, r: Sensitivity) -> None:
         axes.semilogy(place + shift, table["emd"].values, "^", ms=5, mfc="none", color=COLOURS[k])
     axes.set_xticks(place, [SYMBOLS[name] for name in names])
     axes.axhline(r.case.published["emd_min"].value, ls="--", lw=1, color=COLOURS[7])
-    axes.text(len(names) - 0.5, 1.1 * r.case.published["emd_min"].value, "smallest EMD of the paper's scan", ha="right", fontsize=8)
-    axes.set(xlabel="input changed by 1 %", ylabel="E (filled), EMD (open) (1)", ylim=(5e-4, 2.5))
-    axes.legend(fontsize=8, ncols=len(r.names), loc="upper center")
-    axes.set_title("E and EMD between a motion and the changed one, 45 min", fontsize=9)
+    axes.text(len(names) - 0.5, 1.1 * r.case.published["emd_min"].value, "smallest EMD of the paper's scan", ha="right", fontsize=9)
+    axes.set(xlabel="input changed by 1 %", ylabel="E (filled), EMD (open)", ylim=(5e-4, 2.5))
+    axes.legend(fontsize=9, ncols=len(r.names), loc="upper center")
+    axes.set_title("E and EMD between a motion\nand the changed one, 45 min", fontsize=10)
 
 
 def _widths(axes: Any, r: Sensitivity) -> None:
@@ -103,7 +103,7 @@ def _widths(axes: Any, r: Sensitivity) -> None:
         axes.loglog(minutes, 2 / steepest, lw=1.2, color=COLOURS[k], label=label)
     step = r.case.published["scan_step"].value
     axes.axhline(step, ls="--", lw=1, color=COLOURS[7])
-    axes.text(0.55, 1.12 * step, "step of the paper's scan", fontsize=8)
+    axes.text(0.55, 1.12 * step, "step of the paper's scan", fontsize=9)
     axes.set(xlabel="length of the window (min)", ylabel="width of one radian in a rate (rad/s)", xlim=(0.5, 50), ylim=(5e-4, 1))
-    axes.legend(fontsize=8)
-    axes.set_title("how near a rate must be to fit the whole window", fontsize=9)
+    axes.legend(fontsize=9)
+    axes.set_title("how near a rate must be\nto fit the whole window", fontsize=10)

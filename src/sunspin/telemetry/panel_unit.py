@@ -1,0 +1,117 @@
+"""Whether panel readings and the vehicle file are in one unit: mA read as A, or a noise in mW beside powers in W."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import panel_power
+
+UNITS = {"power_W": "W", "current_A": "A"}
+
+BEYOND = 30.0
+"""Full Sun as read over as stated, or its inverse: nothing but a wrong unit or a wrong gain makes it more. At Jupiter it is 27."""
+
+THOUSANDS = 4.0
+"""A ratio within this factor of a power of 1000 is that power."""
+
+BRIGHTEST = 200
+"""Samples that are looked at."""
+
+BRIGHT_QUANTILE = 0.9
+"""Of the samples' largest readings: what the panels give in full Sun, spikes apart."""
+
+FITS = 0.15
+"""Median misfit (Delta) of the brightest samples up to which the Sun made them, and not noise in the dark."""
+
+DISTINCT, LIT_SHARE = 10, 0.2
+"""Sunlight has at least so many different readings, and usually two panels above this share of the largest: counts of noise have
+not."""
+
+LEAST_SAMPLES = 5
+
+
+class WrongUnit(NamedTuple):
+    """What the readings show, and the key of the vehicle file to change: its table, its name, the value it should have (None: not
+    known)."""
+
+    what: str
+    table: str
+    key: str
+    value: float | None = None
+
+    def __str__(self) -> str:
+        return self.at("")
+
+    def at(self, line: str) -> str:
+        """The sentence, with a line of the file named in it."""
+        do = f"set {self.key} = {self.value:.6g}" if self.value is not None else f"check {self.key}"
+        return f"{self.what}; {do} under [{self.table}]{line} of the vehicle file"
+
+
+Solver = Callable[[Vehicle, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def panel_unit(vehicle: Vehicle, value: np.ndarray, directions: Solver) -> WrongUnit | None:
+    """The wrong unit of panel readings (n, n_panel), or None; `directions` finds the Sun and its misfit, as `best_directions`."""
+    known = np.where(np.isfinite(value), value, 0.0)
+    largest = known.max(axis=1, initial=0.0)
+    if np.count_nonzero(largest > 0) < LEAST_SAMPLES:
+        return None
+    full = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
+    return _against_gains(vehicle, known, largest, directions) or _against_noise(vehicle, known, largest, full, directions)
+
+
+def _brightest(known: np.ndarray, largest: np.ndarray) -> np.ndarray:
+    """The brightest samples, the very brightest, which may be spikes, apart."""
+    order = np.argsort(-largest, kind="stable")
+    return known[order[: min(BRIGHTEST, max(LEAST_SAMPLES, len(order) // 2))]]
+
+
+def _sunlit(vehicle: Vehicle, bright: np.ndarray, misfit: np.ndarray) -> bool:
+    """Whether the Sun made these readings: panels agree on a direction, which noise in the dark does not let them."""
+    two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
+    return len(vehicle.panels) > 3 and bool(two) and len(np.unique(bright)) >= DISTINCT and float(np.median(misfit)) < FITS
+
+
+def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> WrongUnit | None:
+    form = vehicle.telemetry
+    unit = UNITS[form.quantity]
+    if vehicle.gain_unit != unit:
+        return None
+    share = float(np.quantile((known / vehicle.panel_gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
+    if 1 / BEYOND < share < BEYOND:
+        return None
+    bright = _brightest(known, largest)
+    sun, misfit = directions(vehicle, bright)
+    model = panel_power(vehicle, sun)
+    ratio = float(np.median((bright * model).sum(axis=1) / np.maximum((model**2).sum(axis=1), 1e-300)))
+    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, bright, misfit)):
+        return None
+    step = round(np.log10(ratio) / 3)
+    exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
+    times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
+    more = "more" if ratio > 1 else "less"
+    stated = f"{float(vehicle.panel_gains.max()):.3g} {unit}"
+    what = f"the brightest samples read about {times} times {more} than the stated full signal of a panel ({stated}): a wrong unit"
+    factor = 1000.0**-step if exact else 1 / ratio
+    return WrongUnit(what, "telemetry", "scale", float(f"{form.scale * factor:.6g}") if exact else None)
+
+
+def _against_noise(
+    vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, full: float, directions: Solver
+) -> WrongUnit | None:
+    form = vehicle.telemetry
+    unit = UNITS[form.quantity]
+    above = {"noise": form.noise, "lit_threshold": form.lit_threshold}
+    low = [key for key, limit in above.items() if limit is not None and full < limit]
+    if not low:
+        return None
+    bright = _brightest(known, largest)
+    if not _sunlit(vehicle, bright, directions(vehicle, bright)[1]):
+        return None
+    what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {low[0]} ({above[low[0]]:g} {unit})"
+    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"scale or {low[0]}")

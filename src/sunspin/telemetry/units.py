@@ -1,0 +1,181 @@
+"""Units that a vehicle file gets wrong, as the samples themselves show, each with the key to change.
+
+Panels are compared with their stated full signal and noise; the gyro with how the Sun and the field turn in the body; magnetometer,
+wheel and temperature with what the file says of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from sunspin.telemetry.panel_unit import BRIGHT_QUANTILE, WrongUnit, panel_unit
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sun import best_directions, is_reconstructed, signals, sun_directions
+from sunspin.vehicle import Vehicle
+
+GYRO_FACTORS = {
+    "degrees read as radians": np.pi / 180,
+    "radians read as degrees": 180 / np.pi,
+    "a factor of 1000": 1e-3,
+    "a factor of 1000 too little": 1e3,
+    "thousandths of a degree read as radians": np.pi / 180e3,
+}
+"""What the readings may be, and what makes rad/s of them then."""
+
+TURNS_WRONG, TURNS_RIGHT = np.radians(20.0), np.radians(15.0)
+"""Median angle between a direction as the gyro carries it on and as it is seen: at least, for a wrong gyro; at most, for a right
+one."""
+
+BETTER = 0.35
+"""A factor carries directions on better than none, and than a body at rest, if its median angle is this part of theirs."""
+
+PAIRS, LAGS = 10, (1, 2, 4, 8)
+"""Pairs of samples needed, and how many samples apart: a slow body must turn far enough to tell."""
+
+TOO_FAST = 3.0
+"""Median rate of the gyro over the largest rate of the vehicle file."""
+
+FINEST, OFFSET = 1e5, 30.0
+"""Readings over their noise, which words of 16 bits hold, and a zero over its readings: more is another unit."""
+
+ABSURD_ACCELERATION = 0.1
+"""rad/s2: no dipole in a planet's field turns a spacecraft so."""
+
+RPM = 60 / (2 * np.pi)
+
+RPM_WITHIN = 0.15
+"""Wheel speed over the nominal one, relative to `RPM`."""
+
+
+def wrong_units(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
+    """Every unit that the samples of `read_telemetry` contradict; an empty list where none is seen to be wrong."""
+    found = [_panels(vehicle, telemetry), _gyro(vehicle, telemetry), *_magnetometer(vehicle, telemetry)]
+    found += [*_wheels(vehicle, telemetry), _temperature(telemetry)]
+    return [wrong for wrong in found if wrong is not None]
+
+
+def _panels(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
+    if "panel" not in telemetry.coords:
+        return None
+    value, noise = signals(telemetry), vehicle.telemetry.noise
+    largest = float(np.nanquantile(value, BRIGHT_QUANTILE)) if np.isfinite(value).any() else 0.0
+    if wrong := panel_unit(vehicle, value, best_directions):
+        return wrong
+    if noise is None or largest < FINEST * noise:
+        return None
+    what = f"readings of {largest:.3g} are more than {FINEST:g} times the stated noise ({noise:g}), which no telemetry resolves"
+    return WrongUnit(what + ": one of them is in another unit", "telemetry", "scale or noise")
+
+
+def _gyro(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
+    gyro = vehicle.sensors.gyro
+    if gyro is None or "gyro_B" not in telemetry:
+        return None
+    rate = telemetry["gyro_B"].values
+    seen = _directions(vehicle, telemetry)
+    for lag in LAGS:
+        stated, still, *others = _carried(telemetry["time"].values, seen, rate, lag, [1.0, 0.0, *GYRO_FACTORS.values()])
+        best = int(np.argmin(others))
+        if stated > TURNS_WRONG and others[best] < min(TURNS_RIGHT, BETTER * stated, BETTER * still):
+            name, factor = list(GYRO_FACTORS.items())[best]
+            what = f"with its rates times {factor:.4g} the gyro turns the Sun as it is seen, and as they stand it does not: {name}"
+            return WrongUnit(what, "gyro", "scale_rad_s", gyro.scale_rad_s * factor)
+    limit = vehicle.sensors.disturbance.max_rate_rad_s
+    size = np.linalg.norm(rate[np.isfinite(rate).all(axis=1)], axis=1)
+    if limit is None or len(size) < PAIRS or np.median(size) < TOO_FAST * limit:
+        return None
+    what = f"the gyro reads {np.degrees(np.median(size)):.3g} deg/s, and max_rate_rad_s says at most {np.degrees(limit):.3g} deg/s"
+    return WrongUnit(what, "gyro", "scale_rad_s")
+
+
+def _carried(time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: int, factors: list[float]) -> list[float]:
+    """Median angle (rad), for each factor on the rates, between directions carried on by them over `lag` samples and seen there.
+
+    Zero where too few are seen."""
+    turns = (rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None]
+    n = len(time) - lag
+    begin = np.arange(max(n, 0))
+    good = np.isfinite(turns).all(axis=1) & (np.diff(time) > 0)
+    good = np.all([good[begin + k] for k in range(lag)], axis=0)
+    pairs = [(k, begin[good & np.isfinite(each[begin] + each[begin + lag]).all(axis=1)]) for k, each in enumerate(seen)]
+    if sum(len(at) for _, at in pairs) < PAIRS:
+        return [0.0] * len(factors)
+    at = np.concatenate([at for _, at in pairs])
+    first, then = (np.concatenate([seen[k][at + ahead] for k, at in pairs]) for ahead in (0, lag))
+    return [_median_angle(_turned(first, factor * turns, at, lag), then) for factor in factors]
+
+
+def _turned(direction: np.ndarray, turns: np.ndarray, at: np.ndarray, lag: int) -> np.ndarray:
+    """Directions that stand still in space, in a body that makes the turns after `at`, one after the other."""
+    for k in range(lag):
+        direction = Rotation.from_rotvec(-turns[at + k]).apply(direction)
+    return direction
+
+
+def _median_angle(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.median(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))))
+
+
+def _directions(vehicle: Vehicle, telemetry: xr.Dataset) -> list[np.ndarray]:
+    """Unit directions (n, 3) that keep still in space for minutes: the Sun, and the field where it may be used as one."""
+    found = []
+    if "sun_sensor_B" in telemetry:
+        found.append(telemetry["sun_sensor_B"].values)
+    if "panel" in telemetry.coords:
+        sun = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
+        found.append(np.where(is_reconstructed(sun["status"])[:, None], sun["sun_B"].values, np.nan))
+    magnetometer = vehicle.sensors.magnetometer
+    if "field_B" in telemetry and magnetometer is not None and magnetometer.noise is not None:
+        field = telemetry["field_B"].values
+        size = np.linalg.norm(field, axis=1, keepdims=True)
+        found.append(np.where(size > 0, field / np.where(size > 0, size, 1.0), np.nan))
+    return found
+
+
+def _magnetometer(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
+    magnetometer = vehicle.sensors.magnetometer
+    if magnetometer is None or "field_B" not in telemetry:
+        return []
+    field = telemetry["field_B"].values
+    field = field[np.isfinite(field).all(axis=1)]
+    size = float(np.median(np.linalg.norm(field, axis=1))) if len(field) >= PAIRS else 0.0
+    if size == 0:
+        return []
+    zero = np.linalg.norm(magnetometer.zero)
+    reading = float(np.median(np.linalg.norm(field + magnetometer.zero, axis=1)))
+    if zero > OFFSET * reading:  # then neither noise nor dipole can be judged
+        what = f"the magnetometer reads {reading:.3g} and its stated zero is {zero:.3g}: the zero is in another unit"
+        return [WrongUnit(what, "magnetometer", "zero")]
+    found = []
+    noise, dipole = magnetometer.noise, vehicle.sensors.disturbance.dipole
+    if noise is not None and not 0.5 * noise < size < FINEST * noise:
+        what = f"the field reads {size:.3g} and its stated noise is {noise:g}: the noise is in another unit than the columns"
+        found.append(WrongUnit(what, "magnetometer", "noise"))
+    if dipole is not None and np.linalg.norm(dipole) * size > ABSURD_ACCELERATION:
+        turn = np.linalg.norm(dipole) * size
+        what = f"dipole times field is {turn:.2g} rad/s2, more than any dipole's: it is per another unit than the columns"
+        found.append(WrongUnit(what, "disturbance", "dipole"))
+    return found
+
+
+def _wheels(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
+    if "wheel_speed_rad_s" not in telemetry:
+        return []
+    found = []
+    for wheel, speed in zip(vehicle.wheels, telemetry["wheel_speed_rad_s"].values.T, strict=True):
+        speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]  # it may coast down afterwards
+        ratio = float(np.median(speed)) / abs(wheel.speed_rad_s) if len(speed) and wheel.speed_rad_s else 0.0
+        for factor in (RPM, 1 / RPM):
+            if abs(ratio / factor - 1) < RPM_WITHIN:
+                what = f"wheel {wheel.name} reads {ratio:.3g} times its nominal speed: revolutions a minute taken for rad/s or back"
+                found.append(WrongUnit(what, "[wheel]", "speed_scale_rad_s", wheel.speed_scale_rad_s / factor))
+    return found
+
+
+def _temperature(telemetry: xr.Dataset) -> WrongUnit | None:
+    if "panel_temperature_C" not in telemetry or np.isfinite(telemetry["panel_temperature_C"].values).any():
+        return None
+    what = "no reading of the temperature columns is a panel's temperature in degrees Celsius, and none is used"
+    return WrongUnit(what, "telemetry", "temperature_scale")

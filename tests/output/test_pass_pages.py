@@ -1,0 +1,139 @@
+"""The rate of a pass in words; its page: residuals, left-out panels, no raw entries, passes far apart."""
+
+from __future__ import annotations
+
+import random
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.output.figures import _passes_together, save, sun_directions_figure
+from sunspin.output.figures.rates import sources
+from sunspin.output.figures.residuals import residuals, residuals_figure
+from sunspin.output.kinds.rate_words import rate_at
+from sunspin.output.report import measured
+from sunspin.output.text import number_text
+from sunspin.telemetry.synthetic import telemetry_dataset
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+
+FACES = {"+X": [1, 0, 0], "-X": [-1, 0, 0], "+Y": [0, 1, 0], "-Y": [0, -1, 0], "+Z": [0, 0, 1], "-Z": [0, 0, -1]}
+CUBE = Vehicle(
+    "cube", np.diag([0.02, 0.021, 0.01]), panels=tuple(Panel(name, n, 5.0) for name, n in FACES.items()), gain_unit="W",
+    telemetry=TelemetryForm(noise=0.05),
+)  # fmt: skip
+PIECES = ["$", "\\", "_", "^", "{", "}", "%", "&", "#", "~",
+          "\\frac", "$x$", "$$", "a", "\u00e9", "\u4e2d", "_{", "<b>", "'", '"', "-"]
+OMEGA = np.radians([1.5, 0.5, 3.0])
+
+
+def tumble(n: int = 60, step: float = 10.0, noise: float = 0.05, seed: int = 0) -> tuple[xr.Dataset, xr.Dataset]:
+    """A result of `rates` that is the truth, and its samples."""
+    t = step * np.arange(n)
+    run = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, t)
+    power = ss.panel_power(CUBE, run["sun_B"].values)
+    power = power + noise * np.random.default_rng(seed).normal(size=power.shape)
+    samples = telemetry_dataset(CUBE, t, power, run["sun_B"].values, "2026-01-01T00:00:00Z", {})
+    result = xr.Dataset(
+        {
+            "omega_B": run["omega_B"], "sun_B": run["sun_B"], "pass_of": ("time", np.zeros(n, dtype=int)),
+            "omega_cov_B": (("time", "axis", "axis2"), np.tile(np.diag([1e-8, 4e-8, 9e-8]), (n, 1, 1))),
+            "omega_sigma_all_B": (("pass_id", "axis"), [[3e-4, 1e-4, 1e-4]]), "weight": (("pass_id", "mode"), [[1.0]]),
+            "omega_sigma_B": (("pass_id", "mode", "axis"), [[[1e-4, 1e-4, 1e-4]]]),
+        },
+        coords={"time": t, "pass_id": [0]}, attrs={"epoch_utc": "2026-01-01T00:00:00Z", "source": "panels", "vehicle": "cube"},
+    )  # fmt: skip
+    return result, samples
+
+
+def test_the_speed_is_no_size_of_a_mean():
+    result, _ = tumble()
+    rate = rate_at(result, 0)
+    speed = np.degrees(np.linalg.norm(result["omega_B"].values, axis=1))
+    assert (rate.low, rate.high) == pytest.approx((speed.min(), speed.max()))
+    size_of_mean = np.degrees(np.linalg.norm(result["omega_B"].values.mean(axis=0)))
+    assert rate.mean == pytest.approx(speed.mean()) and rate.mean > 1.05 * size_of_mean
+    at = int(np.argmin(np.abs(result["time"].values - 295)))
+    np.testing.assert_allclose(rate.omega, np.degrees(result["omega_B"].values[at]))
+    other = np.sqrt([1e-8 + 8e-8, 4e-8, 9e-8])  # own error and what the other modes add
+    np.testing.assert_allclose(rate.sigma, np.degrees(other), rtol=1e-6)
+
+
+def test_residuals_scatter_as_their_noise_and_show_a_wrong_motion():
+    result, samples = tumble()
+    right = residuals(result, samples, CUBE)["panels"][1]
+    assert 0.1 < np.nanstd(right) < 1.3 and np.nanmax(np.abs(right)) < 5
+    wrong = result.assign(sun_B=-result["sun_B"])
+    assert np.mean(np.abs(residuals(wrong, samples, CUBE)["panels"][1]) > 3) > 0.3
+    texts = [axes.get_title() for axes in residuals_figure(result, samples, CUBE).axes]
+    assert any("beyond 3 sigma" in text and "of noise alone: 0.3%" in text for text in texts)
+
+
+@pytest.mark.parametrize(("used", "said"), [((), "panel signals"), (("gyro", "field"), "panel signals, gyro and magnetometer")])
+def test_the_sensors_used_are_named(used, said):
+    result, _ = tumble()
+    assert sources(result.assign_attrs({f"{name}_used": 1 for name in used})) == said
+
+
+def test_the_factor_is_fitted_to_panels_that_count():
+    _, samples = tumble()
+    t, value = samples["time"].values, samples["power_W"].values.copy()
+    model = ss.panel_power(CUBE, samples["true_sun_B"].values) / 5.0
+    value[:, 0] = 0.0
+    works = np.arange(6) > 0
+    assert measured.scale_of(t, value[:, works], t, model[:, works]) == pytest.approx(5.0, rel=0.01)
+    assert measured.scale_of(t, value, t, model) < 4.7  # what it was with the dead one
+
+
+def test_curves_bend_between_the_instants_of_a_motion():
+    coarse = ss.propagate(CUBE, 20 * OMEGA, [0.6, 0.0, 0.8], None, np.arange(0.0, 60.0, 1.0))
+    coarse = coarse.assign(panel_signal=(("time", "panel"), ss.panel_power(CUBE, coarse["sun_B"].values)))
+    fine = measured._finer(coarse, CUBE, list(FACES))
+    assert fine.sizes["time"] > 4 * coarse.sizes["time"]
+    exact = ss.propagate(CUBE, 20 * OMEGA, [0.6, 0.0, 0.8], None, fine["time"].values)
+    power, t = ss.panel_power(CUBE, exact["sun_B"].values), fine["time"].values
+    chords = np.stack([np.interp(t, coarse["time"].values, column) for column in coarse["panel_signal"].values.T], axis=1)
+    assert np.abs(fine["panel_signal"].values - power).max() < np.abs(chords - power).max() / 3
+
+
+@pytest.mark.parametrize("passes", [2, 5, 30])
+def test_passes_far_apart_stand_side_by_side(passes):
+    one = np.arange(0.0, 600.0, 30.0)
+    time = np.concatenate([one + 5700 * k for k in range(passes)])
+    place = _passes_together(time)
+    x = place.x(time / 3600)
+    assert np.all(np.diff(x) > 0)
+    pauses = np.diff(x)[one.size - 1 :: one.size]
+    assert pauses.sum() < 0.5 * np.ptp(x) + 1e-9 or passes == 30
+    within = np.diff(x)[: one.size - 1]
+    np.testing.assert_allclose(within, np.diff(one) / 3600, rtol=1e-6)
+    assert _passes_together(one).hours.size == 0
+    sun = xr.concat([tumble(20, 30.0)[1].assign_coords(time=one + 5700 * k) for k in range(passes)], "time")
+    figure = sun_directions_figure(ss.sun_directions(CUBE, sun), sun)
+    assert "pauses, shortened" in figure.axes[-1].get_xlabel() and len(figure.axes[-1].get_xticks()) <= 13
+
+
+def test_values_are_told_in_words():
+    assert number_text([[2], [2, 3]]) == "((2); (2, 3))"
+    assert number_text(True) == "yes" and number_text([None, False]) == "(none, no)"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_names_that_look_like_formulas_are_drawn_as_they_are(seed, tmp_path):
+    rng = random.Random(seed)
+    names = []
+    while len(names) < 6:
+        name = "".join(rng.choice(PIECES) for _ in range(rng.randint(1, 4))).strip()
+        if name and name not in names:
+            names.append(name)
+    odd = replace(CUBE, name=names[0], panels=tuple(replace(p, name=n) for p, n in zip(CUBE.panels, names, strict=True)))
+    result, samples = tumble(12)
+    samples = samples.assign_coords(panel=names)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        save(sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun")
+        save(residuals_figure(result, samples, odd), tmp_path, "residuals")
+    assert (tmp_path / "sun.png").stat().st_size and (tmp_path / "residuals.svg").stat().st_size

@@ -1,0 +1,136 @@
+"""A wrong unit in the vehicle file is named with the key to change; right files are accused of nothing."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import satellites
+import sunspin as ss
+from sunspin.telemetry.quality import panel_quality
+from sunspin.telemetry.sun import sun_directions
+from sunspin.telemetry.units import wrong_units
+from sunspin.vehicle.file import line_of, parse_vehicle
+
+MAKERS = (satellites.six_faces, satellites.four_faces, satellites.wheeled)
+
+
+def changed(text: str, table: str, key: str, factor: float) -> str:
+    """The vehicle file with one number times a factor."""
+    stands = line_of(text, table, key)
+    assert stands is not None and stands[1].startswith(key)
+    lines = text.splitlines()
+    lines[stands[0] - 1] = re.sub(r"\d[\d.e+-]*", lambda m: repr(float(m[0]) * factor), lines[stands[0] - 1], count=1)
+    return "\n".join(lines)
+
+
+def judged(text: str, telemetry) -> list:
+    vehicle = parse_vehicle(text, "v.toml")
+    return wrong_units(vehicle, ss.read_telemetry(telemetry, vehicle))
+
+
+@pytest.fixture(params=[(make, seed) for make in MAKERS for seed in (1, 2)], ids=lambda p: f"{p[0].__name__}-{p[1]}")
+def satellite(request, tmp_path):
+    make, seed = request.param
+    return make(tmp_path, np.random.default_rng(seed))
+
+
+def with_scale(text: str) -> str:
+    has = line_of(text, "telemetry", "scale")[1].startswith("scale")
+    return text if has else text.replace("[telemetry]", "[telemetry]\nscale = 1.0")
+
+
+def test_right_files_are_not_accused(satellite):
+    assert judged(satellite.vehicle.read_text(), satellite.telemetry) == []
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_thousandths_read_as_wholes(satellite, factor):
+    text = with_scale(satellite.vehicle.read_text())
+    right = parse_vehicle(text, "v.toml").telemetry.scale
+    (found,) = judged(changed(text, "telemetry", "scale", factor), satellite.telemetry)
+    assert (found.table, found.key) == ("telemetry", "scale") and found.value == pytest.approx(right)
+    assert "1000 times" in str(found) and "scale" in str(found)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_the_wrong_unit_stands_where_reading_would_say_that_no_panel_is_lit(satellite, factor):
+    vehicle = parse_vehicle(changed(with_scale(satellite.vehicle.read_text()), "telemetry", "scale", factor), "v.toml")
+    samples = ss.read_telemetry(satellite.telemetry, vehicle)
+    texts = {str(text) for text in panel_quality(vehicle, samples)["why"].values}
+    assert any("1000 times" in text for text in texts) and "dropped: no panel lit" not in texts
+    assert "no panel lit" not in sun_directions(vehicle, samples)["status_text"].values
+
+
+def test_rates_name_it_too(tmp_path):
+    made = satellites.six_faces(tmp_path, np.random.default_rng(1))
+    vehicle = parse_vehicle(changed(with_scale(made.vehicle.read_text()), "telemetry", "scale", 1e-3), "v.toml")
+    with pytest.raises(ss.InputError, match="1000 times less.*set scale = 1 under"):
+        ss.rates(vehicle, ss.read_telemetry(made.telemetry, vehicle))
+
+
+@pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180])
+@pytest.mark.parametrize("seed", range(4))
+def test_degrees_and_radians_of_a_gyro(tmp_path, factor, seed):
+    made = satellites.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
+    text = made.vehicle.read_text()
+    right = parse_vehicle(text, "v.toml").sensors.gyro.scale_rad_s
+    (found,) = judged(changed(text, "gyro", "scale_rad_s", factor), made.telemetry)
+    assert (found.table, found.key) == ("gyro", "scale_rad_s") and found.value == pytest.approx(right, rel=1e-3)
+
+
+@pytest.mark.parametrize("factor", [60 / (2 * np.pi), 2 * np.pi / 60])
+def test_revolutions_of_a_wheel(tmp_path, factor):
+    made = satellites.wheeled(tmp_path, np.random.default_rng(3), form="csv")
+    text = changed(made.vehicle.read_text(), "wheel", "speed_scale_rad_s", factor)
+    (found,) = judged(text, made.telemetry)
+    assert found.key == "speed_scale_rad_s" and found.value == pytest.approx(0.104719755, rel=1e-6)
+
+
+MAGNETOMETER = """
+name = "v"
+[magnetometer]
+columns = ["bx", "by", "bz"]
+zero = {zero}
+noise = {noise}
+[disturbance]
+dipole = {dipole}
+[[sun_sensor]]
+name = "s"
+normal_B = [1, 0, 0]
+x_axis_B = [0, 1, 0]
+x_column = "sx"
+x_scale = 1.0
+x_sigma_rad = 0.02
+y_sigma_rad = 0.5
+"""
+IN_TESLA = {"zero": np.array([2e-6, -1e-6, 3e-6]), "noise": 3e-7, "dipole": np.array([0.3, 0.1, -0.2])}
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize(("key", "at_fault"), [("zero", 1e3), ("noise", 1e6), ("noise", 1e-9), ("zero", 1e9), ("dipole", 1e6)])
+def test_units_of_a_magnetometer(tmp_path, unit, key, at_fault):
+    """The columns may be in any unit, but zero, noise and dipole are in the same one (the dipole per unit)."""
+    rng = np.random.default_rng(5)
+    field = rng.normal(size=(60, 3))
+    field = 4e-5 * field / np.linalg.norm(field, axis=1, keepdims=True) + IN_TESLA["zero"]
+    rows = [f"2026-01-01T00:00:{i:02d}Z,0.1," + ",".join(repr(float(b)) for b in unit * field[i]) for i in range(60)]
+    path = tmp_path / "field.csv"
+    path.write_text("time,sx,bx,by,bz\n" + "\n".join(rows))
+    right = {"zero": unit * IN_TESLA["zero"], "noise": unit * IN_TESLA["noise"], "dipole": IN_TESLA["dipole"] / unit}
+
+    def judge(values):
+        told = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+        return judged(MAGNETOMETER.format(**told), path)
+
+    assert judge(right) == []
+    assert [found.key for found in judge(right | {key: right[key] * at_fault})] == [key]
+
+
+def test_the_line_of_a_key():
+    text = 'name = "v"\n[telemetry]\n# scale = 3\nscale = 2 # x\n[telemetry.columns]\nscale = "b"\n[[wheel]]\nname = "w"\n'
+    assert line_of(text, "telemetry", "scale") == (4, "scale = 2 # x")
+    assert line_of(text, "telemetry", "noise") == (2, "[telemetry]")
+    assert line_of(text, "[wheel]", "name") == (8, 'name = "w"') and line_of(text, "gyro", "zero") is None
