@@ -2,6 +2,7 @@
 
 import re
 from importlib import resources
+from itertools import takewhile
 
 import numpy as np
 import pytest
@@ -41,6 +42,15 @@ def test_the_spin_down_example_is_valid():
     body = re.sub(r"\[wheel\.friction\]\n.*\n.*\n", lambda _: spin_down, TEXT)
     friction = parse_vehicle(body, "template").wheels[0].friction
     assert friction.coulomb_N_m == pytest.approx(4.643e-4 * 388.9 * 3.0e-5)
+
+
+@pytest.mark.parametrize("law", ["wall", "tilted"])
+def test_other_laws_of_the_panels_are_valid(law):
+    lines = TEXT[TEXT.index(f"#   [panel_response.{law}]") :].splitlines()
+    taken = [lines[0], *(line for line in takewhile(lambda line: line.startswith("#   ") and "[" not in line[:5], lines[1:]))]
+    opened = TEXT + "\n" + "\n".join(line.removeprefix("#   ") for line in taken)
+    given = parse_vehicle(opened, "template")
+    assert given.response_in() != parse_vehicle(TEXT, "template").response_in()
 
 
 def test_the_example_shows_a_birth_certificate():
