@@ -376,7 +376,9 @@ def distributions_figure(z: np.ndarray, weights_label: str, others: dict[str, np
     axes = figure.subplots()
     axes.step(np.sort(z), np.arange(1, len(z) + 1) / len(z), where="post", color=COLOURS[6], label=weights_label)
     for k, (label, values) in enumerate(others.items()):  # nearly one curve: wide below narrow, so that each is seen
-        style: dict[str, Any] = {"lw": 7 - 1.6 * k, "alpha": 0.45} if k < 2 else {"lw": 2.2, "ls": (0, (2, 2) if k == 2 else (1, 3))}
+        style: dict[str, Any] = {"lw": 7 - 1.6 * k, "alpha": 0.45}
+        if k >= 2:
+            style = {"lw": 2.2, "ls": (0, (2, 2) if k == 2 else (1, 3))}
         style = {"lw": 2.0} if label.startswith("truth") else style
         axes.plot(np.sort(values), np.linspace(0, 1, len(values)), color=COLOURS[k], label=label, **style)
     axes.set_xlabel("$z$ component of the Sun's direction")
