@@ -157,7 +157,7 @@ def test_body_and_sun_turned_together_change_nothing():
 # ---------------------------------------------------------------------------------- the table's way, where the closed form knows
 
 
-@pytest.mark.parametrize("vehicle", [PHILAE, CUBE], ids=["philae", "cube"])
+@pytest.mark.parametrize("vehicle", [pytest.param(PHILAE, marks=pytest.mark.long, id="philae"), pytest.param(CUBE, id="cube")])
 def test_what_is_looked_up_agrees_with_the_closed_form(vehicle, monkeypatch):
     """No loss at all is the cosine's law, and everything that is found by looking must be what the planes give."""
     sigma = 0.008 * vehicle.panel_gains.max()
@@ -278,7 +278,7 @@ def test_an_unknown_tilt_follows_from_the_readings_by_the_slopes():
 # -------------------------------------------------------------------------------------------------- quality, gains, health, mask
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [pytest.param("grazing", marks=pytest.mark.long), "wall", "tilted"])
 def test_quality_finds_nothing_wrong_with_readings_of_the_law_itself(law):
     """Full Sun is full Sun by the law that holds, and gains come out as they are; by the cosine's law it is not."""
     vehicle = under(law)
@@ -290,7 +290,7 @@ def test_quality_finds_nothing_wrong_with_readings_of_the_law_itself(law):
         assert ours < 0.03 and cosine > 1.5 * ours
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["grazing", *(pytest.param(law, marks=pytest.mark.long) for law in ("wall", "tilted"))])
 def test_health_knows_what_the_law_lights(law):
     vehicle = under(law, PHILAE)
     shown, clean = set(lit_names(vehicle, directions(100_000, 15))), ss.panel_power(vehicle, directions(60, 16))
@@ -346,6 +346,7 @@ def test_the_scan_counts_what_the_law_allows(reached):
 # ------------------------------------------------------------------------------------------------------- one place, and its file
 
 
+@pytest.mark.long
 def test_replacing_the_response_moves_every_public_result(monkeypatch):
     """Whatever asks how panels see light asks `vehicle.response_in`, rates and posterior apart."""
     power, _ = readings(PHILAE, 60)
@@ -407,6 +408,7 @@ def test_a_wrong_law_is_refused_in_one_sentence(table, words):
     assert all(word in str(error.value) for word in ["my.toml", *words])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["grazing", "tilted"])
 def test_rates_follow(law, reached):
     """A cube that turns at 1.5 deg/s, 30 readings in five minutes: by the law that holds, and by the cosine's."""

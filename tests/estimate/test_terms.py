@@ -153,6 +153,7 @@ def test_the_sensor_that_disagrees_is_left_out_by_evidence():
         assert judged[0].hypothesis.what == (named or AS_STATED)
 
 
+@pytest.mark.long
 def test_panels_that_do_not_see_what_gyro_and_magnetometer_see_are_left_out(monkeypatch):
     """Panels of another time: without the Sun the others fit, the attitude's free turns held weakly. No wiring is tried."""
     monkeypatch.setattr(estimate, "better", lambda *given: None)

@@ -123,7 +123,7 @@ def test_a_row_shows_its_interval_what_was_possible_and_what_made_it(tmp_path):
     assert "interval: 0.0912 to 1.44 possible before: 0.00712 to 1.45" in text and "from the scan's 90 % set" in text
     assert "interval: 1 to 2; 3 to 4" in text and "from the motions of mine.csv" in text and "✓ agrees within 0.5" in text
     assert text.count("interval:") == 2 and "no telemetry" in text and "○ uninformative" in text
-    assert between([1, 2], 3) == "[1, 2] to 3" and between("x", None) == ""
+    assert between([1, 2], 3) == "(1, 2) to 3" and between("x", None) == ""
 
 
 def test_texts_of_rows_and_of_the_first_screen_stay_text(tmp_path):
