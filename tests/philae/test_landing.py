@@ -127,7 +127,7 @@ def test_rows_say_what_is_reproduced_and_what_is_not(landing):
     assert len(rows) == len(la.rows(landing))
 
 
-PURE = ("probability", "simulated collisions")
+PURE = ("probability", "share", "simulated collisions")
 """Beginnings of labels of pure numbers and of counts, which have no unit."""
 
 
