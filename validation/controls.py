@@ -38,10 +38,11 @@ def with_motion(case: Case, omega_B: Any, wheel_mode: str = "coast", seed: int =
     run = propagate(
         case.vehicle, omega_B, rb.first_sun(case), rb.nominal_speed(case.vehicle), t - t[0], wheel_mode=wheel_mode, rtol=1e-9
     )
-    exact = CELL_W * panel_power(case.vehicle, run["sun_B"].values)
+    sun = run["sun_B"].values
+    exact = CELL_W * panel_power(case.vehicle, sun)
     sigma = case.vehicle.require_noise() if noise is None else noise
     power = noisy_power(case.vehicle, exact, sigma, generator(seed, 20))
-    power[0] = keep_direction(case.vehicle, exact[0], power[0])
+    power[0] = keep_direction(case.vehicle, sun[0], exact[0], power[0])
     data["power_W"].values[inside] = power
     data.attrs.pop("sha256", None)  # no longer the file whose truth ships with the case
     return data
