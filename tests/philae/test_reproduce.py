@@ -93,9 +93,10 @@ def test_only_informative_tests_agree_or_differ(own):
 
 
 @pytest.mark.long
-def test_what_needs_no_telemetry_does_not_change_with_it(quick, own):
+def test_what_needs_no_telemetry_does_not_change_with_it(quick):
     """A lander that never tumbled: the section on the printed lines stays to the digit, what follows from the telemetry moves."""
-    still = quick(rb.with_telemetry(CASE, controls.CONTROLS["never tumbled"](CASE)))
+    own = quick(CASE, coarser=5)  # every tenth point of the grid misses the motion that stands still
+    still = quick(rb.with_telemetry(CASE, controls.CONTROLS["never tumbled"](CASE)), coarser=5)
     for name, section in rp.sections().items():
         if section == "no_telemetry" and name in own.rows_by_part:
             assert [row.ours for row in own.rows_by_part[name]] == [row.ours for row in still.rows_by_part[name]], name
