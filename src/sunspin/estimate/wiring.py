@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.vehicle import Vehicle
 
 CLEARLY = 10.0
-"""Log evidence by which another wiring must be better."""
+"""Log evidence by which another wiring, or a pass without one of its sensors, must be better before that is named."""
 
 MOST = 60
 """Wirings of panels that are tried; ten panels have as many."""

@@ -17,12 +17,10 @@ from sunspin.estimate.rates.common import Clock
 from sunspin.estimate.rates.smooth import TURN_PRIOR
 from sunspin.estimate.rates.state import Motion, Observations
 from sunspin.estimate.terms.term import MotionTerm, Term
+from sunspin.estimate.wiring import CLEARLY
 
 AS_STATED = "as stated"
 """What the hypothesis changes that believes everything."""
-
-CLEARLY = 10.0
-"""Log evidence by which a pass must be better without a sensor, before that is named."""
 
 ANY_TURN = np.log(4 * np.pi) - 2 * np.log(np.sqrt(2 * np.pi) * TURN_PRIOR)
 """What the weak prior of an attitude without a Sun adds too much to the log evidence: two turns more than one about the Sun."""
