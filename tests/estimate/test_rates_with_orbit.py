@@ -101,7 +101,7 @@ def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
     vehicle, data, given, truth, about = twin
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
     found = field_calibration(orbit, vehicle, data)
-    assert isinstance(found, FieldCalibration) and 4e-7 < found.noise_T < 1.2e-6
+    assert isinstance(found, FieldCalibration) and 2e-7 < found.noise_T < 1.2e-6
     true = Rotation.from_quat(truth["B_from_N"].values).apply(orbit.at(data["time"].values).field_N)
     off, spread = found.field(data["field_B"].values) - true, np.sqrt((found.columns(data["field_B"].values) ** 2).sum(axis=1))
     assert np.sqrt(np.mean((off / np.hypot(spread, found.noise_T)) ** 2)) < 1.5
@@ -129,7 +129,7 @@ def test_surroundings_without_a_field_change_no_magnetometer():
 def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(twin):
     vehicle, data, given, truth, about = twin
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
-    t = data["time"].values - about["begin_s"]
+    t = data["time"].values - about["begin_s"][0]
     calibration = field_calibration(orbit, vehicle, data)
     result = ss.rates(vehicle, data.isel(time=(t > -1) & (t < 700)), environment=orbit, calibration=calibration)
     found = judged(result, truth, 0)
