@@ -24,6 +24,9 @@ FEW_SCATTER = 0.02
 
 FEW = 24
 
+OF_GAUSSIAN = 0.83
+"""The scale of Student's law of four degrees of freedom that fits Gaussian noise of one sigma."""
+
 
 @dataclass(frozen=True)
 class FieldCalibration:
@@ -67,7 +70,8 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     for _ in range(check.ROUNDS):
         state = least_squares(model.linearise, check._stepped, dense, state, steps=3 * check.STEPS).state
         state = state._replace(scatter=model.scatter(state))
-    scatter = np.maximum(state.scatter[0], [FEW_SCATTER if len(size) < FEW else 0.0, 0.0])
+    fitted = np.sqrt(len(size) / max(len(size) - 12, len(size) / 4))  # twelve unknowns follow the noise
+    scatter = np.maximum(fitted * state.scatter[0], [FEW_SCATTER if len(size) < FEW else 0.0, 0.0])
     state = state._replace(scatter=scatter[None])
     by_strength, by_sun = model.residuals(state)[2:]
     moved = [(part[2] - part[0]) / 2 / strength for part in (every.strength, every.to_sun)]
@@ -81,4 +85,4 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     units = np.concatenate([np.full(9, scale), np.full(3, strength), [1.0]])
     matrix = scale * (np.eye(3) + state.unknown[0, :9].reshape(3, 3))
     errors = np.linalg.cholesky(np.linalg.inv(normal)).T * units
-    return FieldCalibration(matrix, strength * state.unknown[0, 9:], errors, scatter[0] * strength, scale)
+    return FieldCalibration(matrix, strength * state.unknown[0, 9:], errors, scatter[0] / OF_GAUSSIAN * strength, scale)

@@ -1,23 +1,17 @@
-"""Directions of the Sun: read by Sun sensors, or given with their covariance.
-
-A Sun sensor's error is partly its own (its zero, its scale, stray light) and stays while the Sun is on that face. Where an orbit
-makes the other readings sharp, that decides: half of the stated variance is then common to the samples of a face in a pass, two
-unknowns a face, and half is the sample's. The sum is what the vehicle file states.
-"""
+"""Directions of the Sun: read by Sun sensors, or given with their covariance."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
 
-from sunspin.environment import Surroundings
 from sunspin.estimate.terms.reading import Reading
-from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown
-from sunspin.solve.rotations import cross_matrix, tangents
+from sunspin.estimate.terms.term import Residual, Seen, SunTerm
+from sunspin.solve.rotations import cross_matrix
 from sunspin.vehicle import Vehicle
 
 RADIAL_SIGMA = 0.02
@@ -29,16 +23,12 @@ SHARP_RAD = 0.15
 COLUMNS = {"sun_sensor": ("sun_sensor_B", "sun_sensor_cov_B"), "directions": ("sun_B", "sun_cov_B")}
 """Where telemetry has the directions of each source, and their covariances."""
 
-COMMON = 0.5
-"""Part of a Sun sensor's variance that stays while the Sun is on its face: an assumption."""
-
 UNREAD = "no direction of the Sun: only the motion and other sensors bridge it"
 
 
 @dataclass(frozen=True)
 class SunDirection(SunTerm):
-    """Directions (n, 3) with covariance (n, 3, 3) of full rank; NaN: none. `faces_B` (F, 3): normals of the Sun sensors, if their
-    errors in common are to be estimated (`stated_B`: of the vehicle), and `common_B` (n, 2 F, 3) one sigma of each."""
+    """Directions (n, 3) with covariance (n, 3, 3) of full rank; NaN: none."""
 
     name: ClassVar[str] = "sun"
     called: ClassVar[str] = "Sun"
@@ -46,42 +36,13 @@ class SunDirection(SunTerm):
 
     direction_B: np.ndarray
     covariance: np.ndarray
-    stated_B: np.ndarray | None = None
-    faces_B: np.ndarray | None = None
-    common_B: np.ndarray | None = None
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset, source: str) -> tuple[Self, np.ndarray]:
         """Those of telemetry, and a sentence for each sample (n)."""
         direction, covariance = (telemetry[name].values for name in COLUMNS[source])
-        sensors = vehicle.sensors.sun_sensors if source == "sun_sensor" else ()
-        normals = np.array([sensor.normal_B for sensor in sensors]) if sensors else None
-        made = cls(direction, _full_rank(direction, covariance), normals)
+        made = cls(direction, _full_rank(direction, covariance))
         return made, np.where(made.informs(), "used", UNREAD).astype(object)
-
-    def placed(self, here: Surroundings) -> Self:
-        return self if here.field_N is None else replace(self, faces_B=self.stated_B)
-
-    def take(self, index: np.ndarray | slice) -> Self:
-        return replace(super().take(index), common_B=None if self.common_B is None else self.common_B[index])
-
-    def freed(self, t_s: np.ndarray) -> Self:
-        if self.faces_B is None:
-            return self
-        first, second = tangents(self.faces_B)
-        on = np.nan_to_num(self.direction_B @ self.faces_B.T, nan=-1.0).argmax(axis=1)
-        common = np.zeros((len(on), 2 * len(self.faces_B), 3))
-        for axis, vectors in enumerate((first, second)):
-            along = vectors[on]
-            sigma = np.sqrt(COMMON * np.nan_to_num(np.einsum("ni,nij,nj->n", along, self.covariance, along)))
-            common[np.arange(len(on)), 2 * on + axis] = sigma[:, None] * along
-        return replace(self, covariance=(1 - COMMON) * self.covariance, faces_B=None, common_B=common)
-
-    def unknowns(self) -> tuple[Unknown, ...]:
-        if self.common_B is None:
-            return ()
-        sizes = np.linalg.norm(self.common_B, axis=2).max(axis=0)
-        return tuple(Unknown(f"sun_sensor_{i}", "sun_sensor", "rad", 0.0, float(s), i) for i, s in enumerate(sizes))
 
     def present(self) -> np.ndarray:
         return np.isfinite(self.covariance[:, 0, 0])
@@ -106,7 +67,7 @@ class SunDirection(SunTerm):
         return self.direction_B[index : index + 1] if sharp else None
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        return replace(self, covariance=self.covariance + (drift_rad**2)[:, None, None] * np.eye(3))
+        return type(self)(self.direction_B, self.covariance + (drift_rad**2)[:, None, None] * np.eye(3))
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
         sun, read = seen.sun_B, self.present()
@@ -114,12 +75,7 @@ class SunDirection(SunTerm):
             white = np.zeros((len(read), 3, 3))
             white[read] = np.swapaxes(np.linalg.cholesky(np.linalg.inv(self.covariance[read])), -1, -2)
             off = sun - np.where(read[:, None], self.direction_B, 0.0)
-            slope = white @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
-            if error is not None and self.common_B is not None:
-                off = off - np.einsum("nei,ke->kni", self.common_B, error)
-                own = -white @ np.swapaxes(self.common_B, 1, 2)
-                slope = np.concatenate([slope, np.broadcast_to(own, (len(sun), *own.shape))], axis=-1)
-            yield np.einsum("nij,knj->kni", white, off), slope
+            yield np.einsum("nij,knj->kni", white, off), white @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
 
 
 @dataclass(frozen=True)
