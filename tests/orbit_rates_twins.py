@@ -105,7 +105,8 @@ def make(seed: int, i: int, patches: int = 20_000) -> tuple[Vehicle, xr.Dataset,
     for start in starts:
         t = np.arange(0, rng.uniform(350, LONGEST_S - 50), interval)
         way = Way.of(given, start, ahead, t[-1])
-        quaternion, rate = motion(body, Moving(way, [0.0]), speed * unit(rng), t, rng)
+        moving: Any = Moving(way, [0.0])
+        quaternion, rate = motion(body, moving, speed * unit(rng), t, rng)
         body_from_N, place, field = Rotation.from_quat(quaternion), way.place(t), way.field(t)
         power = np.zeros((len(t), 6))
         for k, at in enumerate(place):
@@ -121,7 +122,7 @@ def make(seed: int, i: int, patches: int = 20_000) -> tuple[Vehicle, xr.Dataset,
                 sigma=tuple(map(tuple, (0.03 * np.diag(inertia).mean() * np.ones((3, 3))).tolist())))  # fmt: skip
     known = bool(rng.random() < 0.7)
     vehicle = Vehicle("in orbit", inertia_kg_m2=inertia if known else None, facts={"body.inertia_kg_m2": fact} if known else {},
-                      gain_unit="W", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)],
+                      gain_unit="W", panels=tuple(Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)),
                       telemetry=TelemetryForm(noise=0.01), sensors=FIELD)  # fmt: skip
     variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(time_s), dtype=np.uint8)),
                  "field_B": (("time", "axis"), reading)}  # fmt: skip

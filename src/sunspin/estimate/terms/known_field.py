@@ -38,7 +38,7 @@ class KnownField(StateTerm):
     along_N: np.ndarray
 
     def present(self) -> np.ndarray:
-        return np.isfinite(self.read_B).all(axis=1)
+        return np.all(np.isfinite(self.read_B), axis=1)
 
     def readings(self) -> int:
         return int(self.present().sum())
