@@ -143,7 +143,7 @@ def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
 
 
 def test_what_a_calibration_depends_on_is_in_its_key():
-    """A change of the body, the wheel, the panels, the mask or the weights asks for another calibration; one of the blow does not."""
+    """A change of body, wheel, panels, mask or weights asks for another calibration; one of the blow does not."""
     shipped = th.from_json((CASE.folder / th.SHIPPED).read_text("utf-8"), "here", "shipped").key
 
     def key(*changes):
