@@ -170,7 +170,7 @@ def compute(
     store : path, optional
         Folder in which finished twins are kept, as in :func:`sunspin.compute.rows.ensemble`; a part of it per prior.
     """
-    found = {}
+    found, points = {}, 0
     for prior in PRIORS:
         rows = TwinRows(case.name, prior, n, seed, coarser, factor)
         points = len(rows.ground(workers, progress).points)

@@ -46,7 +46,7 @@ def unused_columns(vehicle: Vehicle, table: Table, columns: list[int]) -> list[s
     """Columns of the file that nothing reads."""
     form = vehicle.telemetry
     used = {form.time_column, "phase", *(table.header[at] for at in columns), *sensor_columns(vehicle)}
-    used |= {*form.temperature_columns.values(), *form.voltage_columns.values(), form.voltage_column}
+    used |= {*form.temperature_columns.values(), *form.voltage_columns.values(), form.voltage_column or ""}
     return [name for name in table.header if name not in used]
 
 
