@@ -196,7 +196,7 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
     return values / factor, {"panel_temperature_C": (("time", "panel"), warm, about)}
 
 
-def _parse_utc(text: str) -> datetime | None:
+def parse_utc(text: str) -> datetime | None:
     text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
     day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text)  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
     try:
@@ -211,7 +211,7 @@ def _parse_utc(text: str) -> datetime | None:
 
 def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> tuple[np.ndarray, datetime]:
     """Seconds from the epoch, and the epoch: the vehicle's, else the first sample."""
-    fixed = None if form.epoch_utc is None else _parse_utc(form.epoch_utc)
+    fixed = None if form.epoch_utc is None else parse_utc(form.epoch_utc)
     if form.epoch_utc is not None and fixed is None:
         raise TelemetryError(sentence("telemetry.epoch_utc of the vehicle is not an ISO-8601 time", got=form.epoch_utc))
     kind = {"utc": "an ISO-8601 UTC time", "unix": "Unix seconds", "elapsed": "seconds"}[form.time_format]
@@ -227,7 +227,7 @@ def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> t
         )
 
     if form.time_format == "utc":
-        parsed = [_parse_utc(cell) for cell in cells]
+        parsed = [parse_utc(cell) for cell in cells]
         moments = [moment for moment in parsed if moment is not None]
         if len(moments) < len(parsed):
             raise bad(parsed.index(None))
