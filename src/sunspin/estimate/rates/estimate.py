@@ -203,7 +203,7 @@ def rates(
         clock, late = _clock(sensors.clock, ready, motion)
         each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent)
     found, walk = link(o, each, motion)
-    cut = np.logical_or(cut, fewer) | judged.cut | spent.close()
+    cut = np.logical_or(cut, fewer) | judged.cut
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
@@ -244,6 +244,7 @@ def _all_finished(
         spent.doing(f"fit of pass {k + 1} of {len(parts)}")
         fewer.append(len(track.omega) > FEW_MODES and not may_go_on())
         found.append(finished(o, whole, part, track.take(slice(FEW_MODES)) if fewer[-1] else track, motion, clock, rate_max, begin))
+    spent.close()
     return found, fewer
 
 
