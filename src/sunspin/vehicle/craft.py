@@ -16,6 +16,7 @@ from sunspin.vehicle.part import (
     FloatArray,
     Name,
     Number,
+    Numbers,
     Part,
     Positive,
     Text,
@@ -54,7 +55,8 @@ class TelemetryForm(Part):
     A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
     `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
     Columns of currents give powers where there are voltages: then a value is that times `voltage_scale` times the panel's entry in
-    `voltage_columns`, or where it has none `voltage_column`.
+    `voltage_columns`, or where it has none `voltage_column`. A panel is read its entry of `offset_s` later than its row's time,
+    and over `averaged_s` about that instant. `receive_time_column`: when a row was received, kept beside its own time.
     """
 
     quantity: Literal["power_W", "current_A"] = "power_W"
@@ -67,6 +69,10 @@ class TelemetryForm(Part):
     lit_threshold: Positive | None = None
     bad_rows: Literal["refuse", "flag"] = "refuse"
     time_scale_s: Positive = 1.0
+    receive_time_column: Name | None = None
+    receive_time_format: Literal["utc", "unix"] = "utc"
+    offset_s: Numbers = field(default_factory=no_entries)
+    averaged_s: Annotated[Number, must(lambda value: value >= 0, "{path} must not be negative")] = 0.0
     zero: Number = 0.0
     wraps_at: Positive | None = None
     voltage_column: Name | None = None
@@ -78,16 +84,16 @@ class TelemetryForm(Part):
     reference_temperature_C: Number = 25.0
 
     def __post_init__(self) -> None:
-        used = [self.time_column, *self.columns.values()]
+        used = [self.time_column, *([self.receive_time_column] if self.receive_time_column else []), *self.columns.values()]
         if twice := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
             raise VehicleError(sentence(what, got=twice[0], do="give each panel its own"))
         if self.has_voltages and self.quantity != "power_W":
             what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
             raise VehicleError(sentence(what, do='set quantity = "power_W", or leave the voltages out'))
-        if self.time_format == "elapsed" and self.epoch_utc is None:
+        if self.time_format == "elapsed" and self.epoch_utc is None and self.receive_time_column is None:
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
-            raise VehicleError(sentence(what, do="add the UTC of time zero"))
+            raise VehicleError(sentence(what, do="add the UTC of time zero, or receive_time_column"))
 
     @property
     def has_voltages(self) -> bool:
@@ -270,6 +276,7 @@ def _require_known_panels(vehicle: Vehicle) -> None:
     form = vehicle.telemetry
     named += [("panel_response", name) for name in vehicle.panel_response.panels]
     named += [("telemetry.columns", name) for name in form.columns]
+    named += [("telemetry.offset_s", name) for name in form.offset_s]
     named += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
     named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]
     for key, name in named:

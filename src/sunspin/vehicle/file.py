@@ -48,6 +48,7 @@ class VehicleFile(Part):
     sun_rule: tuple[parts.SunRule, ...] = ()
     telemetry: craft.TelemetryForm = craft.TelemetryForm()
     sun_sensor: tuple[sensors.SunSensor, ...] = ()
+    sun_vector: sensors.SunVector | None = None
     gyro: sensors.Gyro | None = None
     attitude: sensors.Attitude | None = None
     magnetometer: sensors.Magnetometer | None = None
@@ -126,7 +127,9 @@ def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
-        sensors=sensors.Sensors(file.sun_sensor, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock),
+        sensors=sensors.Sensors(
+            file.sun_sensor, file.sun_vector, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock
+        ),
         panel_response=file.panel_response,
         facts=dict(_facts(table)),
     )

@@ -76,6 +76,17 @@ class SunSensor(Part):
 
 
 @part
+class SunVector(Part):
+    """Three columns along the body axes with the direction to the Sun, as somebody has computed it: of any length.
+
+    `sigma_rad`: one sigma of the direction. Where a vector is shorter than half of the longest, no Sun was seen.
+    """
+
+    columns: Annotated[tuple[Name, ...], *_columns(3)]
+    sigma_rad: Positive
+
+
+@part
 class Gyro(Part):
     """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`).
 
@@ -161,6 +172,7 @@ class Sensors(Part):
     """All of these; what is absent is empty or None."""
 
     sun_sensors: tuple[SunSensor, ...] = ()
+    sun_vector: SunVector | None = None
     gyro: Gyro | None = None
     attitude: Attitude | None = None
     magnetometer: Magnetometer | None = None
