@@ -54,6 +54,7 @@ class VehicleFile(Part):
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
     panel_response: ResponseForm = ResponseForm()
+    channel: tuple[parts.Channel, ...] = ()
 
 
 def read_vehicle(source: object) -> craft.Vehicle:
@@ -128,6 +129,7 @@ def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
         telemetry=file.telemetry,
         sensors=sensors.Sensors(file.sun_sensor, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock),
         panel_response=file.panel_response,
+        channels=file.channel,
         facts=dict(_facts(table)),
     )
 

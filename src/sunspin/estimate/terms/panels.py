@@ -66,9 +66,9 @@ class Panels(SunTerm):
         known = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion determines the gains
         power, scale_sigma = signals(telemetry), quality["scale_sigma"].values
         made = cls(
-            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.panel_gains,
+            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.input_gains,
             errors[: len(errors) * known], errors[len(errors) * known :], quality["scale"].values, scale_sigma,
-            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.panel_names,
+            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.input_names,
         )  # fmt: skip
         return made._differing(), quality["why"].values.astype(object)
 
