@@ -5,7 +5,7 @@ All in body axes.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
