@@ -76,7 +76,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     scenario = _scenario(vehicle, craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
     candidates, whose = _candidates(made, scan, factor, omega, printed_lines)
     claim(out, "outcomes")
-    options = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
+    options: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
     table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
     best = search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options) if best_delay else None
     also, lines, drawings = against_kernel(craft.name, next(iter(found.values())), data) if condition else ({}, (), ())
@@ -95,7 +95,7 @@ def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is not None and case.timeline is not None:
         return replace(case_scenario(replace(case, timeline=timeline or case.timeline)), **given)
-    given = times_of(timeline) | given
+    given = dict[str, Any](times_of(timeline)) | given
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in given:
             raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))

@@ -370,7 +370,7 @@ def outcomes(
     rows = OutcomeRows(
         vehicle, scenario, sc.strategy_of(vehicle, strategy), candidates_of(vehicle, candidates, scenario), int(n), int(seed)
     )
-    options = {"workers": workers, "store": store, "scheduler": scheduler, "progress": progress, "chunk": chunk}
+    options: dict[str, Any] = {"workers": workers, "store": store, "scheduler": scheduler, "progress": progress, "chunk": chunk}
     return dataset(rows, ensemble(rows, label="runs", **options))
 
 

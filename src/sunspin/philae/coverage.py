@@ -177,7 +177,7 @@ def compute(
     store : path, optional
         Folder in which finished twins are kept, as in :func:`sunspin.compute.rows.ensemble`; a part of it per prior.
     """
-    found, asked = {}, changes_of(changes)
+    found, points, asked = {}, 0, changes_of(changes)
     for prior in PRIORS:
         rows = TwinRows(case.name, prior, n, seed, coarser, factor, asked)
         points = len(rows.ground(workers, progress).points)

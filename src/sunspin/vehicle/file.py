@@ -49,12 +49,14 @@ class VehicleFile(Part):
     sun_rule: tuple[parts.SunRule, ...] = ()
     telemetry: craft.TelemetryForm = craft.TelemetryForm()
     sun_sensor: tuple[sensors.SunSensor, ...] = ()
+    sun_vector: sensors.SunVector | None = None
     gyro: sensors.Gyro | None = None
     attitude: sensors.Attitude | None = None
     magnetometer: sensors.Magnetometer | None = None
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
     panel_response: ResponseForm = ResponseForm()
+    channel: tuple[parts.Channel, ...] = ()
 
 
 class ChangedFile(NamedTuple):
@@ -161,8 +163,11 @@ def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehic
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
-        sensors=sensors.Sensors(file.sun_sensor, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock),
+        sensors=sensors.Sensors(
+            file.sun_sensor, file.sun_vector, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock
+        ),
         panel_response=file.panel_response,
+        channels=file.channel,
         facts=dict(_facts(table)),
         changes=made,
     )

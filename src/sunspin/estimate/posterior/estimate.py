@@ -135,7 +135,7 @@ def posterior(
         told["time_s"] = f"{off:.2g} s (from the residuals)"
         modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
     tree = _tree(likelihood, modes, drawn, picked)
-    tree.attrs |= _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
+    tree.attrs.update(_about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data))
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
     if edge > 0.01:
         modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
