@@ -157,7 +157,9 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "sigma": (("time", "panel"), sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
             "sigma_beside_earth": (("time", "panel"), beside, {"long_name": "the same where the Earth's light is modelled"}),
             "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), level[:, 0]), {"units": "1"}),
-            "scale_sigma": ("time", np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}),
+            "scale_sigma": (
+                "time", np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}
+            ),
             "gain": ("panel", gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
             "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * vehicle.input_gains),
             "gain_cov": (("panel", "panel2"), gain_cov * np.outer(vehicle.input_gains, vehicle.input_gains)),

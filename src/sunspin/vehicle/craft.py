@@ -58,8 +58,8 @@ class TelemetryForm(Part):
     A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
     `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
     Columns of currents give powers where there are voltages: then a value is that times `voltage_scale` times the panel's entry in
-    `voltage_columns`, or where it has none `voltage_column`. `throttled`: when the battery is full, all readings of a sample fall by
-    one factor that nobody knows.
+    `voltage_columns`, or where it has none `voltage_column`. `throttled`: when the battery is full, all readings of a sample fall
+    by one factor that nobody knows.
     """
 
     unsaid: ClassVar[tuple[str, ...]] = ("throttled",)

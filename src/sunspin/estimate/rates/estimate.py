@@ -23,6 +23,7 @@ from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, wit
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
+from sunspin.estimate.rates.images import either_side, images_of, words
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
@@ -193,6 +194,8 @@ def rates(
     result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed, telemetry.attrs.get("epoch_utc")))
     walked = np.nan if walk is None else walk
     result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
+    if source == "panels" and (alike := words(vehicle)):
+        result.attrs["alike"] = alike
     result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
     if wirings and not result["fits"].values.all():
         result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
@@ -309,8 +312,13 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     for guess in guesses(o):
         track = _turned_about_sun(guess, search(guess, motion, rate_max), motion)
         order, weight = _ranked(track)
-        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]))
+        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * most_modes(o)] > LEAST_WEIGHT**2)))]))
     return joined(found)
+
+
+def most_modes(o: Observations) -> int:
+    """Modes reported for each pass: two motions with all their images at least."""
+    return max(MAX_MODES, 2 * len(images_of(o)))
 
 
 def _turned_about_sun(o: Observations, track: Track, motion: Motion) -> Track:
@@ -368,7 +376,7 @@ def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass]
     result = []
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")
-        keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
+        keep = order[: max(1, int(np.count_nonzero(weight[order[: most_modes(o)]] > LEAST_WEIGHT)))]
         result.append(p.take(keep, weight[keep]))
     return result, walk
 
@@ -401,7 +409,9 @@ def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[b
         for name, one in told.items():
             misfits[name][k] = one
         explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
-        said = answers(p.weight[0] >= DECIDED, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
+        one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
+        unique = bool(p.weight[one].sum() >= DECIDED)
+        said = answers(unique, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
         row = PassMotions(
             len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
             UNCHECKED if list(told) == ["Sun"] else AS_STATED,
@@ -475,6 +485,10 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
     for doubt in ("wiring_doubt", "odd_sensor"):
         text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
+    if "alike" in result.attrs and (fits & ~unique).any():
+        text += f"; {result.attrs['alike']}"
+    if sides := int((fits & unique & (result["weight"].values[:, 0] < DECIDED)).sum()):
+        text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
     if (fits & ~unique).any():

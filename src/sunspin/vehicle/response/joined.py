@@ -50,7 +50,7 @@ def full_signal(one: Input, normals_B: np.ndarray, gains: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Inputs:
-    """The law of inputs around that of the panels (None: gain times cosine); `gains` of the panels, `full` signals of the inputs."""
+    """The law of inputs around that of the panels (None: gain times cosine); `gains` of panels, `full` signals of inputs."""
 
     law: Law | None
     inputs: tuple[Input, ...]
