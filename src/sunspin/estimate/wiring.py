@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.estimate.effort import may_go_on
 from sunspin.vehicle import Vehicle
 
 CLEARLY = 10.0
@@ -124,7 +125,7 @@ def better(
     """
     culprit = None
     for name in SENSORS:
-        if name in telemetry and np.isfinite(telemetry[name].values).any():
+        if name in telemetry and np.isfinite(telemetry[name].values).any() and may_go_on():
             motion = run(vehicle, telemetry.drop_vars(name))
             if motion is None or not _fits(motion):
                 continue
@@ -140,7 +141,7 @@ def better(
     stated = evidence(vehicle, telemetry)
     if not np.isfinite(stated):
         return None
-    gains = np.array([evidence(one.vehicle, one.telemetry) - stated for one in others])
+    gains = np.array([evidence(one.vehicle, one.telemetry) - stated if may_go_on() else -np.inf for one in others])
     best = int(np.argmax(gains))
     if not gains[best] > CLEARLY or not _fits(run(others[best].vehicle, others[best].telemetry)):
         return None

@@ -16,6 +16,7 @@ from sunspin.vehicle.part import (
     FloatArray,
     Name,
     Number,
+    Numbers,
     Part,
     Positive,
     Text,
@@ -58,11 +59,12 @@ class TelemetryForm(Part):
     A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
     `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
     Columns of currents give powers where there are voltages: then a value is that times `voltage_scale` times the panel's entry in
-    `voltage_columns`, or where it has none `voltage_column`. `throttled`: when the battery is full, all readings of a sample fall
-    by one factor that nobody knows.
+    `voltage_columns`, or where it has none `voltage_column`. An input is read its entry of `offset_s` later than its row's time,
+    and over `averaged_s` about that instant. `receive_time_column`: when a row was received, kept beside its own time.
+    `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
     """
 
-    unsaid: ClassVar[tuple[str, ...]] = ("throttled",)
+    unsaid: ClassVar[tuple[str, ...]] = ("throttled", "offset_s", "averaged_s", "receive_time_column")
 
     quantity: Literal["power_W", "current_A"] = "power_W"
     time_column: Name = "time"
@@ -74,6 +76,10 @@ class TelemetryForm(Part):
     lit_threshold: Positive | None = None
     bad_rows: Literal["refuse", "flag"] = "refuse"
     time_scale_s: Positive = 1.0
+    receive_time_column: Name | None = None
+    receive_time_format: Literal["utc", "unix"] = "utc"
+    offset_s: Numbers = field(default_factory=no_entries)
+    averaged_s: Annotated[Number, must(lambda value: value >= 0, "{path} must not be negative")] = 0.0
     zero: Number = 0.0
     wraps_at: Positive | None = None
     voltage_column: Name | None = None
@@ -86,16 +92,16 @@ class TelemetryForm(Part):
     throttled: StrictBool = False
 
     def __post_init__(self) -> None:
-        used = [self.time_column, *self.columns.values()]
+        used = [self.time_column, *([self.receive_time_column] if self.receive_time_column else []), *self.columns.values()]
         if twice := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
             raise VehicleError(sentence(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}"))
         if self.has_voltages and self.quantity != "power_W":
             what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
             raise VehicleError(sentence(what, do='set quantity = "power_W", or leave the voltages out'))
-        if self.time_format == "elapsed" and self.epoch_utc is None:
+        if self.time_format == "elapsed" and self.epoch_utc is None and self.receive_time_column is None:
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
-            raise VehicleError(sentence(what, do="add the UTC of time zero"))
+            raise VehicleError(sentence(what, do="add the UTC of time zero, or receive_time_column"))
 
     @property
     def has_voltages(self) -> bool:
@@ -151,7 +157,7 @@ class Vehicle(Part):
 
     `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the joint centre of mass, off-diagonal
     entries being tensor elements (minus the products of inertia). Mass and inertia may be unknown (None): then what needs
-    them says so.
+    them says so. `changes`: what was set for this run beside the file (:mod:`sunspin.vehicle.changes`), for results to say.
     """
 
     unsaid: ClassVar[tuple[str, ...]] = ("channels",)
@@ -172,6 +178,9 @@ class Vehicle(Part):
     panel_response: ResponseForm = ResponseForm()
     channels: tuple[Channel, ...] = ()
     facts: Facts = field(default_factory=no_entries)
+    changes: tuple[Any, ...] = ()
+
+    beside: ClassVar[tuple[str, ...]] = ("changes",)
 
     def __post_init__(self) -> None:
         for key, most in LIMITS.items():
@@ -185,6 +194,11 @@ class Vehicle(Part):
         _require_known_panels(self)
 
     _repr_html_ = vehicle_html
+
+    @property
+    def said(self) -> dict[str, str]:
+        """What results say of the vehicle in their attributes: its name, and what was changed where anything was."""
+        return {"vehicle": self.name} | ({"changes": "\n".join(map(str, self.changes))} if self.changes else {})
 
     @property
     def panel_names(self) -> tuple[str, ...]:
@@ -340,6 +354,7 @@ def _require_known_panels(vehicle: Vehicle) -> None:
     named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]
     read = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
     read += [("telemetry.columns", name) for name in form.columns]
+    read += [("telemetry.offset_s", name) for name in form.offset_s]
     read += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
     read += [("telemetry.temperature_columns", name) for name in form.temperature_columns if name in vehicle.panel_names]
     for known, every in ((vehicle.panel_names, named), (vehicle.input_names, read)):

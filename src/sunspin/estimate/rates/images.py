@@ -45,7 +45,7 @@ def either_side(track: Track) -> np.ndarray:
     return (opposite & same) | (np.arange(len(same)) == 0)
 
 
-def words(vehicle: Vehicle) -> str:
+def not_told(vehicle: Vehicle) -> str:
     """What panels on shared inputs do not tell, for the verdict; empty where they tell all."""
     count = len(vehicle.response_in().images)
     if count == 1:

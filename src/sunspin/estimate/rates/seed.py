@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.shoot import carried, shot
@@ -263,7 +264,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     tracks: list[Track] = []
     for i in order[: pairs + MORE_PAIRS]:
         best = min((float(track.cost[0]) for track in tracks), default=np.inf)
-        if len(tracks) >= pairs and best < BADLY * cost_limit(o):
+        if (len(tracks) >= pairs and best < BADLY * cost_limit(o)) or (tracks and not may_go_on()):
             break
         track = grow(o, *first_tracks(o, int(i), motion, rate_max, trust and not tracks), motion)
         tracks += [track] if len(track.omega) else []

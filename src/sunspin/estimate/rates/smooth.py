@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.estimate.rates.motion import Ends, step_with_answer
+from sunspin.estimate.rates.motion import Ends, step, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, normal
 from sunspin.solve.least_squares import least_squares, shortened
@@ -43,9 +43,33 @@ def measured(o: Observations, track: Seen) -> tuple[np.ndarray, np.ndarray, np.n
     return matrix, slope, cost
 
 
-def between(o: Observations, track: Seen, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the motion (6) and other terms (3 each) say of neighbours: residuals (K, n-1, m), Jacobians to the first and second."""
-    dt = np.diff(o.t_s)
+Tied = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""What neighbours say: residuals (K, n-1, m), Jacobians (K, n-1, m, 6) to the first and to the second."""
+
+
+def between(o: Observations, track: Track, motion: Motion) -> Tied:
+    """What the motion (6) and other terms (3 each) say of neighbours."""
+    dt, relative, ends = _intervals(o, track, motion)
+    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
+    white = whitening(dt, motion.noise)
+    value = _defects(track, relative, made, rate, white)
+    first = -np.einsum("nij,knjl->knil", white, answer)
+    second = np.broadcast_to(white, (*value.shape, 6)).copy()
+    for term in o.of_pairs:
+        more = term.between(o.t_s, relative)
+        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    return value, first, second
+
+
+def moved_otherwise(o: Observations, track: Track, motion: Motion) -> np.ndarray:
+    """What the motion alone says of neighbours (K, n-1, 6): those of `between`, as another body would have them."""
+    dt, relative, ends = _intervals(o, track, motion)
+    made, rate = step(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
+    return _defects(track, relative, made, rate, whitening(dt, motion.noise))
+
+
+def _intervals(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, np.ndarray, Ends]:
+    """Lengths (n-1), turns (K, n-1, 3, 3) and what acts at the ends of the intervals."""
     start, end = track.attitude[:, :-1], track.attitude[:, 1:]
     relative = end @ np.swapaxes(start, -1, -2)
     ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
@@ -55,17 +79,13 @@ def between(o: Observations, track: Seen, motion: Motion) -> tuple[np.ndarray, n
         if pair.any():
             ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
-    ends = motion.body.seen(ends, start, o.t_s[:-1])
-    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
+    return np.diff(o.t_s), relative, motion.body.seen(ends, start, o.t_s[:-1])
+
+
+def _defects(track: Track, relative: np.ndarray, made: np.ndarray, rate: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Turns and rates as they are less as the motion makes them (K, n-1, 6), in sigmas."""
     defect = np.concatenate([turn_between(made, relative), track.omega[:, 1:] - rate], axis=-1)
-    white = whitening(dt, motion.noise)
-    value = np.einsum("nij,knj->kni", white, defect)
-    first = -np.einsum("nij,knjl->knil", white, answer)
-    second = np.broadcast_to(white, (*value.shape, 6)).copy()
-    for term in o.of_pairs:
-        more = term.between(o.t_s, relative)
-        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
-    return value, first, second
+    return np.einsum("nij,knj->kni", white, defect)
 
 
 def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
@@ -84,11 +104,11 @@ def cost_limit(o: Observations) -> float:
     return BAD_COST * len(o) + THREE_READINGS * sum(term.readings() for term in o.terms)
 
 
-def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
-    """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common."""
+def normal_equations(o: Observations, track: Track, motion: Motion, tied: Tied | None = None) -> Bordered:
+    """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common; `tied`: as `between` says."""
     diagonal, slope, cost = measured(o, track)
     damping = damping_scale(diagonal, o.t_s)
-    value, first, second = between(o, track, motion)
+    value, first, second = between(o, track, motion) if tied is None else tied
     diagonal[:, :-1] += np.swapaxes(first, -1, -2) @ first
     diagonal[:, 1:] += np.swapaxes(second, -1, -2) @ second
     upper = np.swapaxes(first, -1, -2) @ second
