@@ -12,6 +12,8 @@ from sunspin.estimate.rates.images import imaged
 from sunspin.estimate.rates.state import Track
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
+from sunspin.vehicle.response.joined import Joined
+from sunspin.vehicle.response.tabled import Tabled
 
 FACES = {"+X": [1, 0, 0], "-X": [-1, 0, 0], "+Y": [0, 1, 0], "-Y": [0, -1, 0], "+Z": [0, 0, 1], "-Z": [0, 0, -1]}
 THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
@@ -149,6 +151,15 @@ def test_images_change_no_reading_and_keep_rates_and_directions_together():
         moved, seen = sun - dt * np.cross(omega, sun), image @ sun
         np.testing.assert_allclose(image @ moved, seen - dt * np.cross(other, seen), atol=1e-12)
         np.testing.assert_allclose(ss.panel_power(vehicle, seen), ss.panel_power(vehicle, sun), atol=1e-12)
+
+
+@pytest.mark.parametrize("reads", ["sum", "largest"])
+def test_slopes_of_flat_panels_are_those_of_the_differences(reads):
+    response, sun = craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads).response_in(), directions(50, 5)
+    gain = np.array([1.1, 0.9, 1.2, 1.0])
+    assert isinstance(response, Joined)
+    for own, differences in zip(response.slopes(sun, gain=gain)[:2], Tabled._along_sphere(response, sun, gain), strict=True):
+        np.testing.assert_allclose(own, differences, atol=1e-5)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- motion
