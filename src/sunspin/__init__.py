@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.philae.coverage_results import coverage as coverage, worth as worth
     from sunspin.vehicle import (
         Antenna as Antenna,
+        Channel as Channel,
         Friction as Friction,
         HullPart as HullPart,
         Leg as Leg,
@@ -62,6 +63,7 @@ _HOME = {
     "Leg": "sunspin.vehicle",
     "HullPart": "sunspin.vehicle",
     "Antenna": "sunspin.vehicle",
+    "Channel": "sunspin.vehicle",
     "load_vehicle": "sunspin.vehicle",
     "read_telemetry": "sunspin.telemetry.reader",
     "panel_power": "sunspin.vehicle.response.panels",

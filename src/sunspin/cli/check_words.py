@@ -68,7 +68,8 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
         lines.append(f"  gains: {quality.attrs['gains_from']}")
     lines.append(f"  light on dark faces: up to {quality.attrs['albedo']:.0%} of full Sun")
     counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
-    lines.append(f"  faces lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too")
+    lit = "inputs" if craft.channels else "faces"
+    lines.append(f"  {lit} lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too")
     return summary, lines
 
 

@@ -141,6 +141,9 @@ class Panels(SunTerm):
         change = self.response.power(mirrored) - self.response.power(around)
         return axes[2] if np.abs(change[:, seeing]).max() < FLAT * self.response.largest else None
 
+    def images(self) -> np.ndarray:
+        return self.response.images
+
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None]))
 

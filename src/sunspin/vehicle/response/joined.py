@@ -87,6 +87,18 @@ class Joined(Tabled):
                 made[..., list(one.panels)] &= first
         return made
 
+    def _along_sphere(
+        self, sun_B: np.ndarray, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Of flat panels in closed form: the slopes of those that make a reading."""
+        if self.law.law is not None or tilt is not None:
+            return super()._along_sphere(sun_B, gain, tilt)
+        sun = np.asarray(sun_B, dtype=np.float64)[..., None, :]
+        across = self.normals_B - (sun @ self.normals_B.T)[..., 0, :, None] * sun
+        each = (np.array(self.law.gains) * self.sides(sun[..., 0, :]))[..., None] * across
+        to_sun = np.stack([each[..., list(one.panels), :].sum(axis=-2) for one in self.law.inputs], axis=-2)
+        return self.power(sun_B, gain=gain), (self.strengths(gain) / np.array(self.law.full))[..., None] * to_sun
+
     @cached_property
     def images(self) -> np.ndarray:
         """Mirrors that exchange two panels of one input, and what they make together, as far as they change no reading much."""
