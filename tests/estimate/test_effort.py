@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.cli.rates import rates as command
-from sunspin.estimate.effort import Effort, allowed, may_go_on, spend
+from sunspin.estimate.effort import BATCH, Effort, allowed, may_go_on, spend
 from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
@@ -15,19 +15,19 @@ SPHERE = Vehicle("sphere", gain_unit="W", panels=[Panel(name, n, 1.0) for name, 
 
 
 def test_what_is_spent_counts_in_all_that_it_is_part_of():
-    with Effort(10.0) as whole:
-        part = whole.part(4.0)
+    with Effort(10.0 + 3 * BATCH) as whole:
+        part = whole.part(4.0 + 2 * BATCH)
         with part:
             spend(3)
-            assert may_go_on() and part.left == 1
+            assert may_go_on() and part.left == 1 + BATCH
             spend(2)
             assert not may_go_on() and part.cut and not whole.cut
-        assert may_go_on() and whole.spent == 5
+        assert may_go_on() and whole.spent == 5 + 2 * BATCH
         spend(6)
         with whole.part(100.0) as other:
             assert not may_go_on() and other.cut  # nothing is left of the whole
     spend(1)  # nobody counts
-    assert may_go_on() and whole.spent == 11
+    assert may_go_on() and whole.spent == 11 + 3 * BATCH
 
 
 @pytest.mark.parametrize("given", [0, -1, np.nan, True, "ten", None])
