@@ -128,13 +128,14 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
     samples = read_telemetry(path, craft)
     time, flag = samples["time"].values, samples["flag"].values
     gaps = intervals(samples)
+    spread = [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None
     summary: dict[str, Any] = {
         "file": str(path),
         "samples": int(time.size),
         "synthetic": bool(samples.attrs["synthetic"]),
         "epoch_utc": str(samples.attrs["epoch_utc"]),
         "span_s": float(np.ptp(time)) if time.size else 0.0,
-        "interval_s": [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None,
+        "interval_s": spread,
         "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
     }
     kind = "synthetic sample" if summary["synthetic"] else "sample"
@@ -142,8 +143,8 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
     lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"]
     if time.size and round(float(time[0])):
         lines.append(f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample")
-    if gaps.size:
-        lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
+    if spread:
+        lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*spread))
     for key, text in (("rows_sorted", "put in the order of time"), ("rows_merged", "repeats merged")):
         if key in samples.attrs:
             summary[key] = int(samples.attrs[key])

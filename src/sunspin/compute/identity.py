@@ -27,7 +27,8 @@ SMALL = 16
 def plain(value: Any) -> Any:
     """Data as JSON knows it: large arrays become their shape, type and SHA-256, small ones lists, data classes objects."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        beside = getattr(value, "beside", ())  # fields that say where values come from, and change none
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value) if field.name not in beside}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -46,7 +46,8 @@ def unused_columns(vehicle: Vehicle, table: Table, columns: list[int]) -> list[s
     """Columns of the file that nothing reads."""
     form = vehicle.telemetry
     used = {form.time_column, "phase", *(table.header[at] for at in columns), *sensor_columns(vehicle)}
-    used |= {form.receive_time_column, *form.temperature_columns.values(), *form.voltage_columns.values(), form.voltage_column}
+    used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
+    used |= {name for name in (form.voltage_column, form.receive_time_column) if name}
     return [name for name in table.header if name not in used]
 
 

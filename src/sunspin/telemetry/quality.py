@@ -160,7 +160,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "dead": ("panel", dead),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs=provenance("panel_quality", telemetry, vehicle=vehicle.name) | {
+        attrs=provenance("panel_quality", telemetry, **vehicle.said) | {
                "full_sun": float(full), "albedo": float(albedo),
                "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
                "earth_light": earth,

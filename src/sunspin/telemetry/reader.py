@@ -330,8 +330,7 @@ def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dat
     if "phase" in table.header:
         at = table.header.index("phase")
         coords["phase"] = ("time", np.array([row[at].strip() for row in table.rows], dtype=np.str_))
-    attrs = provenance("telemetry") | {
-        "vehicle": vehicle.name,
+    attrs = provenance("telemetry", **vehicle.said) | {
         "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
         "quantity": form.quantity,
         "file": path.name.encode("utf-8", "backslashreplace").decode("utf-8"),  # attributes hold no half characters

@@ -212,8 +212,7 @@ def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, l
     if base is not None:
         coords |= {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
     attrs = {} if base is None else dict(base.attrs)
-    attrs |= provenance("sun_directions") | {
-        "vehicle": vehicle.name,
+    attrs |= provenance("sun_directions", **vehicle.said) | {
         "noise": float(noise),
         "noise_from": noise_from,
         "lit_threshold": float(threshold),

@@ -147,7 +147,7 @@ class Vehicle(Part):
 
     `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the joint centre of mass, off-diagonal
     entries being tensor elements (minus the products of inertia). Mass and inertia may be unknown (None): then what needs
-    them says so.
+    them says so. `changes`: what was set for this run beside the file (:mod:`sunspin.vehicle.changes`), for results to say.
     """
 
     name: Name
@@ -165,6 +165,9 @@ class Vehicle(Part):
     sensors: Sensors = Sensors()
     panel_response: ResponseForm = ResponseForm()
     facts: Facts = field(default_factory=no_entries)
+    changes: tuple[Any, ...] = ()
+
+    beside = ("changes",)
 
     def __post_init__(self) -> None:
         for key, most in LIMITS.items():
@@ -177,6 +180,11 @@ class Vehicle(Part):
         _require_known_panels(self)
 
     _repr_html_ = vehicle_html
+
+    @property
+    def said(self) -> dict[str, str]:
+        """What results say of the vehicle in their attributes: its name, and what was changed where anything was."""
+        return {"vehicle": self.name} | ({"changes": "\n".join(map(str, self.changes))} if self.changes else {})
 
     @property
     def panel_names(self) -> tuple[str, ...]:

@@ -81,7 +81,7 @@ def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
 
 def has_common(o: Observations, clock: Clock | None, motion: Motion) -> bool:
     """Whether a pass has such errors at all."""
-    return clock is not None or places_of(o, motion, clock).count > 0
+    return clock is not None or places_of(o, motion, clock).n > 0
 
 
 def acceleration(body: Body, omega: np.ndarray, momentum: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ def with_common(
     acceleration noise (rad/s^1.5) under which the hypotheses were found, if they have to be cooled from there.
     """
     places = places_of(o, motion, clock)
-    error = np.zeros((len(track.omega), places.count))
+    error = np.zeros((len(track.omega), places.n))
     for term, place in places.sun:
         attitude, error[:, place] = term.begin(track)
         track = replace(track, attitude=attitude)
@@ -160,7 +160,7 @@ class Places(NamedTuple):
     clock: slice
 
     @property
-    def count(self) -> int:
+    def n(self) -> int:
         return len(self.unknowns)
 
     @property
@@ -201,8 +201,8 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
     moved = [moving(unseen, track.take(k), motion, error[k, places.moving][0]) for k in each]
     diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
-    border = np.zeros((*slope.shape, places.count))
-    corner = np.repeat(np.eye(places.count)[None], len(error), axis=0)
+    border = np.zeros((*slope.shape, places.n))
+    corner = np.repeat(np.eye(places.n)[None], len(error), axis=0)
     error_slope = error.copy()
     border[..., places.moving] += inside
     corner[:, places.moving, places.moving] += between_errors
@@ -294,7 +294,7 @@ def sun_part(o: Observations, track: Track, error: np.ndarray, motion: Motion, c
     places = places_of(o, motion, clock)
     late = np.zeros(len(error)) if clock is None else _late(clock, error)
     seen = track if clock is None else seen_later(o, track, motion, late)
-    size = 6 + places.count
+    size = 6 + places.n
     matrix, slope = np.zeros((*track.omega.shape[:2], size, size)), np.zeros((*track.omega.shape[:2], size))
     cost = np.zeros(len(error))
     for term, place in places.sun:

@@ -480,8 +480,8 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
-    attrs: dict[str, Any] = provenance("rates", telemetry) | {
-        "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
+    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
+        "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),

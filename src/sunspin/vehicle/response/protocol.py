@@ -63,6 +63,8 @@ class Counted:
 class PanelResponse(Protocol):
     """How panels of one vehicle see light."""
 
+    def __hash__(self) -> int: ...
+
     @property
     def facing_B(self) -> np.ndarray:
         """The direction (n_panel, 3) in which each panel gets most."""

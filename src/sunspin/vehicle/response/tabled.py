@@ -75,7 +75,9 @@ MASK_SIZE = 96
 
 
 class Law(Protocol):
-    """What a new response must say."""
+    """What a new response must say. It is compared and hashed by content, since what was looked up is kept by it."""
+
+    def __hash__(self) -> int: ...
 
     def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
         """The power (..., n_panel) of panels `names` over their gains for the Sun at sun_B (..., 3), which meets their normals
@@ -432,7 +434,7 @@ class Tabled(Flat):
         """The smallest table that gives powers to `error`, a share of the gain, beside edges."""
         from sunspin.vehicle.response.cube import SphereTable, nodes
 
-        asked = _even(LOOKS)
+        asked, reached = _even(LOOKS), np.inf
         for size in SIZES:
             power, to_sun = self._along_sphere(nodes(size))
             numbers = np.concatenate([power[..., None], to_sun], axis=-1) / self.gains[:, None]
@@ -440,11 +442,11 @@ class Tabled(Flat):
             away = np.abs(found.read(asked)[0] - self._base._seen)
             least, most = self._around(asked, 2.0 / size)
             edge = ((least > 0) != (most > 0)) | (most - least > 6.0 / size)
-            found = found._replace(error=float(away[~edge].max(initial=0.0)), edges=float(edge.any(axis=1).mean()))
-            if found.error <= error:
-                return found
+            reached = float(away[~edge].max(initial=0.0))
+            if reached <= error:
+                return found._replace(error=reached, edges=float(edge.any(axis=1).mean()))
         what = f"no table of {SIZES[-1]} cells along an edge of the cube tells the panels' law so well"
-        raise InputError(sentence(what, got=f"error {error:g}", do=f"allow {found.error:.1g}"))
+        raise InputError(sentence(what, got=f"error {error:g}", do=f"allow {reached:.1g}"))
 
     def _around(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest share (n, n_panel) on a ring around directions (n, 3)."""
