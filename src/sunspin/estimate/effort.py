@@ -39,8 +39,12 @@ class Effort:
         self._entered.append(_now.set(self))
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, failed: type[BaseException] | None, *_: object) -> None:
         _now.reset(self._entered.pop())
+        around: Effort | None = self if failed is not None else None
+        while around is not None:  # the sentence on what is wrong begins on a line of its own
+            around.close()
+            around = around.outer
 
     def part(self, most: float) -> Effort:
         """Another effort within this one."""
