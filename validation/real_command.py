@@ -157,11 +157,11 @@ def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
 HEAD = """# How right is it on real data
 
 Written by `make validate-real` (`python -m validation real`), which repeats the comparison wherever the data lie in `SUNSPIN_DATA`;
-[Other people's data](data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else has
-measured too, is rare: skCUBE's is the one set so far.
+[Other people's data](data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else
+has measured too, is rare: skCUBE's is the one set so far.
 
-- **skCUBE**, a 1U CubeSat, 23 to 28 June 2017: Sun sensors, magnetometer, gyro of unknown scale, 40 s apart in passes of 10 minutes.
-  *Where*: raw frames in the public repository `yangwao/skCube-data-collector` (MIT licence, commit
+- **skCUBE**, a 1U CubeSat, 23 to 28 June 2017: Sun sensors, magnetometer, gyro of unknown scale, 40 s apart in passes of ten
+  minutes. *Where*: raw frames in the public repository `yangwao/skCube-data-collector` (MIT licence, commit
   59258b0de91c7828915a3137cc758bbdbec15402), folder `rawdata`; `sunspin decode ZIP --out skcube` makes tables of them.
   *Compared*: rates from the Sun sensors, with and without the magnetometer, against the gyro, which is withheld from them.
 

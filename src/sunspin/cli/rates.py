@@ -32,7 +32,7 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
 @click.option("--to", "end", help="Use samples up to this time, likewise.")
 @click.option("--no-wirings", is_flag=True, help="Where a pass does not fit, do not try other wirings of panels and sensors.")
 @click.option("--effort", type=float, callback=effort_given, default=1.0, show_default=True, help="How much may be computed, in "
-              "units of what is usual: about a minute and a half of one core, half as much again for wirings; inf: as much as is "
+              "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
               "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
               "says so and is never decided.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")

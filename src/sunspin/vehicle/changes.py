@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, TypeGuard, get_args, get_origin
 
 from sunspin.base.errors import InputError, VehicleError, sentence
 from sunspin.base.toml import read_toml
@@ -135,7 +135,9 @@ def changed(
             except KeyError:
                 raise InputError(_unknown(each.key, [*(one.key for one in settings(table, kind)), *known])) from None
             was, source = _certificate(original, each)
-            made[each.key] = Changed(each.key, _certificate(table, each)[0], was, unit_of(each.key), source)
+            value = _certificate(table, each)[0]
+            value = each.value if isinstance(value, dict) else value  # a law of friction goes by its name
+            made[each.key] = Changed(each.key, value, was, unit_of(each.key), source)
     return table, tuple(one for one in made.values() if one.value != one.was)
 
 
@@ -159,7 +161,7 @@ def _places(key: str) -> list[str]:
     return [name or f"[{at.strip()}" for name, at in PLACE.findall(key)]
 
 
-def _is_certificate(node: Any) -> bool:
+def _is_certificate(node: Any) -> TypeGuard[dict[str, Any]]:
     return isinstance(node, dict) and isinstance(node.get("value"), int | float | list | str)
 
 

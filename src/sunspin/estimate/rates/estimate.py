@@ -61,7 +61,7 @@ NOISE_RANGE = (1e-9, 1.0)
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
 
-NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE = 0.3, 0.7, 0.5
+NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE = 0.3, 0.75, 0.4
 """Of the effort: as far as the choice of the torques' strength may go, and the search of all passes; beside it, for wirings."""
 
 FEW_MODES = 3

@@ -8,9 +8,12 @@ wild. Only the Sun is known in N, as its z axis: the turn about it is held by a 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from sunspin.estimate.rates.motion import Ends, step, step_with_answer
+from sunspin.estimate.rates.motion import Body, Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, normal
 from sunspin.solve.least_squares import least_squares, shortened
@@ -47,45 +50,48 @@ Tied = tuple[np.ndarray, np.ndarray, np.ndarray]
 """What neighbours say: residuals (K, n-1, m), Jacobians (K, n-1, m, 6) to the first and to the second."""
 
 
-def between(o: Observations, track: Track, motion: Motion) -> Tied:
+class Intervals(NamedTuple):
+    """Between neighbours: lengths (n-1), turns (K, n-1, 3, 3), what acts at the ends, and `whitening` (n-1, 6, 6)."""
+
+    dt: np.ndarray
+    relative: np.ndarray
+    ends: Ends
+    white: np.ndarray
+
+    @classmethod
+    def of(cls, o: Observations, track: Track, motion: Motion) -> Intervals:
+        dt, start, end = np.diff(o.t_s), track.attitude[:, :-1], track.attitude[:, 1:]
+        relative = end @ np.swapaxes(start, -1, -2)
+        ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
+        if np.any(motion.body.dipole):
+            met = np.all(np.isfinite(o.field_B), axis=1)
+            pair = (met[:-1] & met[1:])[:, None]
+            if pair.any():
+                ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
+        ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
+        return cls(dt, relative, motion.body.seen(ends, start, o.t_s[:-1]), whitening(dt, motion.noise))
+
+    def step(self, body: Body, omega: np.ndarray, derive: Callable[..., Any]) -> Any:
+        """What a step of the motion (`step` or `step_with_answer`) makes of rates (K, n, 3) at the samples."""
+        return derive(body, omega[:, :-1], np.broadcast_to(self.dt, self.relative.shape[:2]), self.ends)
+
+    def defect(self, omega: np.ndarray, made: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Turns and rates as they are less as the motion makes them (K, n-1, 6), in sigmas."""
+        defect = np.concatenate([turn_between(made, self.relative), omega[:, 1:] - rate], axis=-1)
+        return np.einsum("nij,knj->kni", self.white, defect)
+
+
+def between(o: Observations, track: Track, motion: Motion, over: Intervals | None = None) -> Tied:
     """What the motion (6) and other terms (3 each) say of neighbours."""
-    dt, relative, ends = _intervals(o, track, motion)
-    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
-    white = whitening(dt, motion.noise)
-    value = _defects(track, relative, made, rate, white)
-    first = -np.einsum("nij,knjl->knil", white, answer)
-    second = np.broadcast_to(white, (*value.shape, 6)).copy()
+    over = Intervals.of(o, track, motion) if over is None else over
+    made, rate, answer = over.step(motion.body, track.omega, step_with_answer)
+    value = over.defect(track.omega, made, rate)
+    first = -np.einsum("nij,knjl->knil", over.white, answer)
+    second = np.broadcast_to(over.white, (*value.shape, 6)).copy()
     for term in o.of_pairs:
-        more = term.between(o.t_s, relative)
+        more = term.between(o.t_s, over.relative)
         value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
     return value, first, second
-
-
-def moved_otherwise(o: Observations, track: Track, motion: Motion) -> np.ndarray:
-    """What the motion alone says of neighbours (K, n-1, 6): those of `between`, as another body would have them."""
-    dt, relative, ends = _intervals(o, track, motion)
-    made, rate = step(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
-    return _defects(track, relative, made, rate, whitening(dt, motion.noise))
-
-
-def _intervals(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, np.ndarray, Ends]:
-    """Lengths (n-1), turns (K, n-1, 3, 3) and what acts at the ends of the intervals."""
-    start, end = track.attitude[:, :-1], track.attitude[:, 1:]
-    relative = end @ np.swapaxes(start, -1, -2)
-    ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
-    if np.any(motion.body.dipole):
-        met = np.all(np.isfinite(o.field_B), axis=1)
-        pair = (met[:-1] & met[1:])[:, None]
-        if pair.any():
-            ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
-    ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
-    return np.diff(o.t_s), relative, motion.body.seen(ends, start, o.t_s[:-1])
-
-
-def _defects(track: Track, relative: np.ndarray, made: np.ndarray, rate: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Turns and rates as they are less as the motion makes them (K, n-1, 6), in sigmas."""
-    defect = np.concatenate([turn_between(made, relative), track.omega[:, 1:] - rate], axis=-1)
-    return np.einsum("nij,knj->kni", white, defect)
 
 
 def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
