@@ -360,7 +360,8 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
             break
         track = _turned_about_sun(guess, search(guess, motion, rate_max), motion)
         order, weight = _ranked(track)
-        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: max(2 * MAX_MODES, most_modes(o))] > LEAST_WEIGHT**2)))]))
+        heavy = weight[: max(2 * MAX_MODES, most_modes(o))] > LEAST_WEIGHT**2
+        found.append(track.take(order[: max(1, int(np.count_nonzero(heavy)))]))
     return joined(found)
 
 
