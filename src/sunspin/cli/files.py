@@ -111,6 +111,13 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
         lines.append(
             f"  the Sun can light {summary['lit_patterns']} sets of panels; {summary['reconstructible']} of them give a direction"
         )
+    if craft.channels:
+        about = [f"{one.name} ({'the largest' if one.reads == 'largest' else 'the sum'} of {', '.join(one.panels)})"
+                 for one in craft.channels]  # fmt: skip
+        summary["channels"] = {one.name: list(one.panels) for one in craft.channels}
+        copies = len(craft.response_in().images)
+        alike = f", so that {copies} directions fit a sample alike" if copies > 1 else ""
+        lines.append(f"  inputs of several panels: {'; '.join(about)}; which of them is lit is not told{alike}")
     bare = summary["without_source"]
     if bare:
         shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")

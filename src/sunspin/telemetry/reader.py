@@ -22,6 +22,7 @@ from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import UNITS
 from sunspin.telemetry.sensors import ABSURD, read_sensors, unwrapped
 from sunspin.vehicle import TelemetryForm, Vehicle
+from sunspin.vehicle.craft import OR_CHANNEL
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
@@ -103,7 +104,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
 def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = False) -> list[int]:
     powers = vehicle.telemetry.quantity == "power_W" and not vehicle.telemetry.has_voltages
     letter, unit = ("P", "W") if powers else ("I", "A")
-    known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.panel_names}
+    known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.input_names}
     if optional and not any(name in table.header for names in known.values() for name in names):
         return []
     found = []
@@ -114,7 +115,7 @@ def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = 
         found.append(column_of(table, present[0], f"panel {panel}", path))
     if twice := [at for at in found if found.count(at) > 1]:
         what = "two panels read one column"
-        do = "name the column of each under [telemetry.columns] in the vehicle file"
+        do = f"name the column of each under [telemetry.columns] in the vehicle file{OR_CHANNEL}"
         raise TelemetryError(sentence(what, got=table.header[twice[0]], do=do, where=str(path)))
     return found
 
@@ -129,8 +130,8 @@ def _number(text: str) -> float:
 def _volts(vehicle: Vehicle, table: Table, path: Path) -> np.ndarray:
     """Voltage (n, n_panel) of each current."""
     form = vehicle.telemetry
-    names = [form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.panel_names]
-    at = [column_of(table, name, f"voltage of panel {panel}", path) for name, panel in zip(names, vehicle.panel_names, strict=True)]
+    names = [form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.input_names]
+    at = [column_of(table, name, f"voltage of panel {panel}", path) for name, panel in zip(names, vehicle.input_names, strict=True)]
     volts = form.voltage_scale * np.array([[_number(row[column]) for column in at] for row in table.rows]).reshape(-1, len(at))
     volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
     if form.bad_rows == "refuse" and not np.isfinite(volts).all():
@@ -189,13 +190,13 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
     form = vehicle.telemetry
     if not form.temperature_columns or not values.shape[1]:
         return values, {}
-    strange = [name for name in form.temperature_columns if name not in vehicle.panel_names]
+    strange = [name for name in form.temperature_columns if name not in vehicle.input_names]
     if strange:
         raise TelemetryError(sentence("telemetry.temperature_columns names a panel that the vehicle has not", got=strange[0]))
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
         at = column_of(table, name, f"temperature of panel {panel}", path)
-        warm[:, vehicle.panel_names.index(panel)] = [_number(row[at]) for row in table.rows]
+        warm[:, vehicle.input_names.index(panel)] = [_number(row[at]) for row in table.rows]
     warm *= form.temperature_scale
     warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)
     known = np.isfinite(warm)
@@ -325,7 +326,7 @@ def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dat
     form = vehicle.telemetry
     coords: dict[str, Any] = {
         "time": ("time", time, {"units": "s", "long_name": "time since the epoch"}),
-        "panel": list(vehicle.panel_names),
+        "panel": list(vehicle.input_names),
     }
     if "phase" in table.header:
         at = table.header.index("phase")

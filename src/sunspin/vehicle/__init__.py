@@ -10,11 +10,11 @@ from __future__ import annotations
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.craft import LIMITS, TelemetryForm, Vehicle
 from sunspin.vehicle.part import FloatArray, direction, frozen_array
-from sunspin.vehicle.parts import Antenna, Fact, Friction, HullPart, Leg, Panel, SpinDown, SunRule, Wheel
+from sunspin.vehicle.parts import Antenna, Channel, Fact, Friction, HullPart, Leg, Panel, SpinDown, SunRule, Wheel
 
 __all__ = [
-    "LIMITS", "Antenna", "Fact", "FloatArray", "Friction", "HullPart", "Leg", "Panel", "SpinDown", "SunRule", "TelemetryForm",
-    "Vehicle", "Wheel", "direction", "frozen_array", "load_vehicle",
+    "LIMITS", "Antenna", "Channel", "Fact", "FloatArray", "Friction", "HullPart", "Leg", "Panel", "SpinDown", "SunRule",
+    "TelemetryForm", "Vehicle", "Wheel", "direction", "frozen_array", "load_vehicle",
 ]  # fmt: skip
 
 

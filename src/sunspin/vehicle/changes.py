@@ -135,7 +135,9 @@ def changed(
             except KeyError:
                 raise InputError(_unknown(each.key, [*(one.key for one in settings(table, kind)), *known])) from None
             was, source = _certificate(original, each)
-            made[each.key] = Changed(each.key, _certificate(table, each)[0], was, unit_of(each.key), source)
+            value = _certificate(table, each)[0]
+            value = each.value if isinstance(value, dict) else value  # a law of friction goes by its name
+            made[each.key] = Changed(each.key, value, was, unit_of(each.key), source)
     return table, tuple(one for one in made.values() if one.value != one.was)
 
 

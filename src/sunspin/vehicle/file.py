@@ -56,6 +56,7 @@ class VehicleFile(Part):
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
     panel_response: ResponseForm = ResponseForm()
+    channel: tuple[parts.Channel, ...] = ()
 
 
 class ChangedFile(NamedTuple):
@@ -166,6 +167,7 @@ def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehic
             file.sun_sensor, file.sun_vector, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock
         ),
         panel_response=file.panel_response,
+        channels=file.channel,
         facts=dict(_facts(table)),
         changes=made,
     )

@@ -5,7 +5,7 @@ All in body axes.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
@@ -170,6 +170,8 @@ class Clock(Part):
 @part
 class Sensors(Part):
     """All of these; what is absent is empty or None."""
+
+    unsaid: ClassVar[tuple[str, ...]] = ("sun_vector",)
 
     sun_sensors: tuple[SunSensor, ...] = ()
     sun_vector: SunVector | None = None

@@ -23,6 +23,7 @@ from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, wit
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
+from sunspin.estimate.rates.images import either_side, images_of, not_told
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
@@ -211,6 +212,8 @@ def rates(
         late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(body.spherical and noise >= HIGHER_NOISES[0]),
     )  # fmt: skip
+    if source == "panels" and (alike := not_told(vehicle)):
+        result.attrs["alike"] = alike
     if wirings and not result["fits"].values.all():
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
             result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
@@ -357,8 +360,13 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
             break
         track = _turned_about_sun(guess, search(guess, motion, rate_max), motion)
         order, weight = _ranked(track)
-        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]))
+        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * most_modes(o)] > LEAST_WEIGHT**2)))]))
     return joined(found)
+
+
+def most_modes(o: Observations) -> int:
+    """Modes reported for each pass: two motions with all their images at least."""
+    return max(MAX_MODES, 2 * len(images_of(o)))
 
 
 def _turned_about_sun(o: Observations, track: Track, motion: Motion) -> Track:
@@ -416,7 +424,7 @@ def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass]
     result = []
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")
-        keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
+        keep = order[: max(1, int(np.count_nonzero(weight[order[: most_modes(o)]] > LEAST_WEIGHT)))]
         result.append(p.take(keep, weight[keep]))
     return result, walk
 
@@ -449,7 +457,9 @@ def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[b
         for name, one in told.items():
             misfits[name][k] = one
         explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
-        said = answers(p.weight[0] >= DECIDED, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
+        one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
+        unique = bool(p.weight[one].sum() >= DECIDED)
+        said = answers(unique, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
         row = PassMotions(
             len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
             UNCHECKED if list(told) == ["Sun"] else AS_STATED,
@@ -513,6 +523,18 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     return result
 
 
+def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
+    """What is said of passes with `one` motion that may see the Sun on either side, and of those with `several`."""
+    text = ""
+    if sides := int((one & (result["weight"].values[:, 0] < DECIDED)).sum()):
+        text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
+    if several.any() and "alike" in result.attrs:
+        return f"{text}; in the others several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
+    if several.any():
+        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    return text
+
+
 def verdict(result: xr.Dataset) -> str:
     """What the data can tell, in words."""
     decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
@@ -525,8 +547,7 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
-    if (fits & ~unique).any():
-        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    text += _left_open(result, fits & unique, fits & ~unique)
     if cut := result.attrs["cut_passes"]:
         text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"
     if result.attrs.get("wirings_cut"):

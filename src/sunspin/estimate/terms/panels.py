@@ -36,7 +36,7 @@ AVERAGED = np.polynomial.legendre.leggauss(3)
 
 
 class Instants(NamedTuple):
-    """When panels are read: `offset_s` (n_panel) after their row's time, over `averaged_s` about that instant."""
+    """When panels are read: `offset_s` (n_input) after their row's time, over `averaged_s` about that instant."""
 
     offset_s: np.ndarray
     averaged_s: float = 0.0
@@ -44,7 +44,7 @@ class Instants(NamedTuple):
     @classmethod
     def of(cls, vehicle: Vehicle) -> Instants:
         form = vehicle.telemetry
-        return cls(np.array([form.offset_s.get(name, 0.0) for name in vehicle.panel_names]), form.averaged_s)
+        return cls(np.array([form.offset_s.get(name, 0.0) for name in vehicle.input_names]), form.averaged_s)
 
     def shifts(self) -> Iterator[tuple[float, np.ndarray]]:
         """Each instant, s from the row's time, with the weights (n_panel) that it has in the panels' readings."""
@@ -90,9 +90,9 @@ class Panels(SunTerm):
         known = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion determines the gains
         power, scale_sigma = signals(telemetry), quality["scale_sigma"].values
         made = cls(
-            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.panel_gains,
+            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.input_gains,
             errors[: len(errors) * known], errors[len(errors) * known :], quality["scale"].values, scale_sigma,
-            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.panel_names,
+            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.input_names,
             Instants.of(vehicle),
         )  # fmt: skip
         return made._differing(), quality["why"].values.astype(object)
@@ -140,6 +140,9 @@ class Panels(SunTerm):
         mirrored = around - 2 * (around @ axes[2])[:, None] * axes[2]
         change = self.response.power(mirrored) - self.response.power(around)
         return axes[2] if np.abs(change[:, seeing]).max() < FLAT * self.response.largest else None
+
+    def images(self) -> np.ndarray:
+        return self.response.images
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None]))
