@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypedDict
 
 import numpy as np
 
@@ -132,8 +132,15 @@ def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     )
 
 
-def blow_of(case: Case) -> dict[str, float]:
-    """What the case assumes of the blow, as fields of a `Scenario`."""
+class Blow(TypedDict):
+    """What is assumed of a blow, as `Scenario` and :func:`sunspin.impact` take it."""
+
+    restitution: float
+    damper: float
+
+
+def blow_of(case: Case) -> Blow:
+    """What the case assumes of the blow."""
     blow = case.assumptions.collision
     return {"restitution": blow.restitution, "damper": blow.damper}
 
