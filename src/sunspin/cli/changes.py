@@ -70,7 +70,7 @@ def set_options(*uses: str, short: tuple[str, ...] = ()) -> Callable:
             "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change an assumption for this run, by its key in the "
             "vehicle file: KEY=VALUE, KEY*=FACTOR or KEY+=STEP; `--set list` shows what can be set. Repeatable.",
         )(command)  # fmt: skip
-        command.uses = uses
+        vars(command)["uses"] = uses
         return command
 
     return decorate
