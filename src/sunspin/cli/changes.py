@@ -51,7 +51,7 @@ class Changeable(click.Command):
         return getattr(self.callback, "uses", ())
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if "list" in args:
+        if any(word in ("list", "--set=list") for word in args):
             given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
             if "list" in given.get("sets", ()):
                 _print_list(str(given.get("vehicle") or "philae"), self.uses, bool(given.get("as_json")))
