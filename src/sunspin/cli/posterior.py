@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.cli.changes import Changeable, opened, set_options
 from sunspin.cli.common import (
     claim,
     data_option,
@@ -21,7 +21,7 @@ from sunspin.cli.common import (
 from sunspin.cli.values import field, observation, prior, times
 
 
-@click.command()
+@click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
 @click.option("--from", "begin", type=float, help="Use samples from this time on, s from the epoch.")
@@ -42,11 +42,12 @@ from sunspin.cli.values import field, observation, prior, times
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @device_option
+@set_options()
 @output_options()
 @run_options
 @data_option
-def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, draws, store, device, out,
-              as_json, quiet, seed, workers, data) -> None:  # fmt: skip
+def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, draws, store, device, sets,
+              out, as_json, quiet, seed, workers, data) -> None:  # fmt: skip
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
@@ -62,10 +63,9 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     from sunspin.landing.afterwards import with_predictions
     from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
-    from sunspin.vehicle import load_vehicle
 
-    craft = load_vehicle(vehicle)
-    samples = _own(vehicle) if telemetry is None else read_telemetry(find_telemetry(telemetry, data), craft)
+    file, craft, _, _ = opened(vehicle, sets)
+    samples = read_telemetry(_own(vehicle) if telemetry is None else find_telemetry(telemetry, data), craft)
     seen = [observation("rate", text, 1) for text in rates] + [observation("gyro", text, 3) for text in gyros]
     seen += [field(text) for text in fields]
     asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
@@ -76,12 +76,13 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     )  # fmt: skip
     if asked is not None:
         with_predictions(craft, tree, asked, seed, timeline_of(vehicle))
-    deliver(tree, out, as_json, quiet, vehicle, samples)
+    deliver(tree, out, as_json, quiet, file, samples)
 
 
-def _own(name: str) -> Any:
-    from sunspin.telemetry.case import case_names, load_case
+def _own(name: str) -> Path:
+    from sunspin.telemetry.case import case_telemetry
 
-    if name not in case_names():
+    path = case_telemetry(name)
+    if path is None:
         raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
-    return load_case(name).telemetry
+    return path

@@ -9,6 +9,7 @@ import click
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
+from sunspin.cli.values import effort as effort_given
 from sunspin.cli.values import numbers
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
@@ -30,9 +31,13 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
 @click.option("--from", "begin", help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.")
 @click.option("--to", "end", help="Use samples up to this time, likewise.")
 @click.option("--no-wirings", is_flag=True, help="Where a pass does not fit, do not try other wirings of panels and sensors.")
+@click.option("--effort", type=float, callback=effort_given, default=1.0, show_default=True, help="How much may be computed, in "
+              "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
+              "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
+              "says so and is never decided.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
-          no_wirings, without) -> None:  # fmt: skip
+          no_wirings, effort, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
@@ -54,7 +59,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     claim(out, "rates")
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
-        acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings,
+        acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings, effort=effort,
         progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)

@@ -17,6 +17,13 @@ MAX_GRID = 100_000
 """Values of one axis of a scan's grid."""
 
 
+def effort(_: click.Context, parameter: click.Parameter, given: float) -> float:
+    """A positive number, or infinity."""
+    if not given > 0:
+        raise InputError(sentence(f"{parameter.opts[0]} must be a positive number or inf", got=given, do="1 is the usual effort"))
+    return given
+
+
 def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
     """Refuse numbers that are infinite, none, or beyond all measure."""
     name = parameter.opts[0]

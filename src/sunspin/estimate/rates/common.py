@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.smooth import between, damping_scale, followed, moved, normal_equations, whitening
+from sunspin.estimate.rates.motion import Body, step
+from sunspin.estimate.rates.smooth import Intervals, between, damping_scale, followed, moved, normal_equations, whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
 from sunspin.solve.least_squares import least_squares, take
@@ -230,16 +230,21 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     inertia = motion.body.inertia + np.tensordot(of_inertia, motion.body.errors, axes=1)
     sphere = motion.body.spherical and not len(of_inertia)
     motion = replace(motion, body=replace(motion.body, inertia=inertia, spherical=sphere))
-    cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion)
+    over = Intervals.of(o, track, motion)
+    tied = between(o, track, motion, over)
+    cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion, tied)
     r = len(error)
     border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
-    value, first, second = between(o, track, motion)
+    value, first, second = tied
     answer = [np.zeros((*value.shape, 0))]
     for change in motion.body.errors:
-        other = replace(motion, body=replace(motion.body, inertia=inertia + INERTIA_STEP * change))
-        answer.append(((between(o, track, other)[0] - value) / INERTIA_STEP)[..., None])
+        body = replace(motion.body, inertia=inertia + INERTIA_STEP * change)
+        other = over.defect(track.omega, *over.step(body, track.omega, step))
+        changed = np.zeros_like(value)  # what other terms say of neighbours does not know the body
+        changed[..., :6] = (other - value[..., :6]) / INERTIA_STEP
+        answer.append(changed[..., None])
     if len(of_others):
         pulled = _linear(o, track, motion, value.shape)
         more = pulled @ of_others

@@ -13,6 +13,8 @@ from itertools import product
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.effort import may_go_on
+from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.shoot import carried, shot
 from sunspin.estimate.rates.smooth import cost_limit, measured, smooth
@@ -135,8 +137,7 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
     if not len(order):
         return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
-    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    angle = np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
+    angle = _features(track, times)
     chosen = np.zeros(0, dtype=int)
     for i in order:
         apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
@@ -145,6 +146,12 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
         if len(chosen) == keep:
             break
     return chosen
+
+
+def _features(track: Track, times: np.ndarray) -> np.ndarray:
+    """Turns between neighbours and directions of the Sun (K, m, 3) by which hypotheses differ."""
+    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
+    return np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
@@ -187,7 +194,24 @@ def _freed(o: Observations, track: Track, motion: Motion) -> Track:
 def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
     """All modes of a pass, best first."""
     loose = replace(motion, noise=max(motion.noise, SEED_NOISE))
-    return cooled(o, seeds(o, loose, rate_max, pairs), loose.noise, motion)
+    return cooled(o, with_images(o, seeds(o, loose, rate_max, pairs), loose), loose.noise, motion)
+
+
+def with_images(o: Observations, track: Track, motion: Motion) -> Track:
+    """The modes with all images of the best that are not images of each other."""
+    images = images_of(o)
+    if len(images) == 1:
+        return track
+    chosen: list[int] = []
+    for i in range(len(track.cost)):
+        as_seen = _features(joined_images(track.take(np.array([i])), images), o.t_s)
+        apart = ((as_seen[:, None] - _features(track.take(np.array(chosen, dtype=int)), o.t_s)) ** 2).sum(axis=-1).max(axis=-1)
+        if not chosen or apart.min() > ALIKE_RAD**2:
+            chosen.append(i)
+        if len(chosen) == FAMILIES:
+            break
+    others = smooth(o, joined_images(track.take(np.array(chosen)), images[1:]), motion)
+    return distinct(joined([track, others]), o.t_s)
 
 
 def guesses(o: Observations) -> list[Observations]:
@@ -240,7 +264,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     tracks: list[Track] = []
     for i in order[: pairs + MORE_PAIRS]:
         best = min((float(track.cost[0]) for track in tracks), default=np.inf)
-        if len(tracks) >= pairs and best < BADLY * cost_limit(o):
+        if (len(tracks) >= pairs and best < BADLY * cost_limit(o)) or (tracks and not may_go_on()):
             break
         track = grow(o, *first_tracks(o, int(i), motion, rate_max, trust and not tracks), motion)
         tracks += [track] if len(track.omega) else []

@@ -42,7 +42,16 @@ def with_chosen(
     if n_lines and len(points) >= 2 * n_lines:
         lines = fit_lines(points, n_lines, seed=seed).rename({"axis": "line_axis", "n": "near_point"})
         scan = scan.merge(lines, combine_attrs="override")
-    return scan.assign_attrs(provenance("scan", telemetry, vehicle=volume.attrs["vehicle"], seed=seed))
+    of_vehicle = {key: volume.attrs[key] for key in ("vehicle", "changes") if key in volume.attrs}
+    return scan.assign_attrs(provenance("scan", telemetry, **of_vehicle, seed=seed))
+
+
+def stored_vehicle(path: Path) -> dict[str, str]:
+    """What a scan in a file says of its vehicle: name, and changes where there were any; empty where there is no such file."""
+    if not path.is_file():
+        return {}
+    attrs = read_netcdf(path, str(path), InputError).attrs
+    return {key: str(attrs[key]) for key in ("vehicle", "changes") if key in attrs}
 
 
 def stored_near_minimum(path: Path, factor: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
@@ -17,7 +17,7 @@ import xarray as xr
 from sunspin.estimate.terms import gains
 from sunspin.estimate.terms.earth_light import EarthLight, faint, pairs_differing
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
-from sunspin.solve.rotations import cross_matrix
+from sunspin.solve.rotations import cross_matrix, seen_turned
 from sunspin.telemetry.quality import panel_quality
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -29,6 +29,29 @@ directions that is tried."""
 
 BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 """Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
+
+
+AVERAGED = np.polynomial.legendre.leggauss(3)
+"""Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
+
+
+class Instants(NamedTuple):
+    """When panels are read: `offset_s` (n_input) after their row's time, over `averaged_s` about that instant."""
+
+    offset_s: np.ndarray
+    averaged_s: float = 0.0
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Instants:
+        form = vehicle.telemetry
+        return cls(np.array([form.offset_s.get(name, 0.0) for name in vehicle.input_names]), form.averaged_s)
+
+    def shifts(self) -> Iterator[tuple[float, np.ndarray]]:
+        """Each instant, s from the row's time, with the weights (n_panel) that it has in the panels' readings."""
+        whole = (np.zeros(1), 2 * np.ones(1))
+        for offset in np.unique(self.offset_s):
+            for place, weight in zip(*(AVERAGED if self.averaged_s else whole), strict=True):
+                yield float(offset + place * self.averaged_s / 2), weight / 2 * (self.offset_s == offset)
 
 
 @dataclass(frozen=True)
@@ -56,6 +79,7 @@ class Panels(SunTerm):
     earth_share: float
     whole: tuple[np.ndarray, np.ndarray, np.ndarray]
     names: tuple[str, ...]
+    instants: Instants
     earth: EarthLight | None = None
 
     @classmethod
@@ -66,9 +90,10 @@ class Panels(SunTerm):
         known = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion determines the gains
         power, scale_sigma = signals(telemetry), quality["scale_sigma"].values
         made = cls(
-            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.panel_gains,
+            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.input_gains,
             errors[: len(errors) * known], errors[len(errors) * known :], quality["scale"].values, scale_sigma,
-            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.panel_names,
+            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.input_names,
+            Instants.of(vehicle),
         )  # fmt: skip
         return made._differing(), quality["why"].values.astype(object)
 
@@ -115,6 +140,9 @@ class Panels(SunTerm):
         mirrored = around - 2 * (around @ axes[2])[:, None] * axes[2]
         change = self.response.power(mirrored) - self.response.power(around)
         return axes[2] if np.abs(change[:, seeing]).max() < FLAT * self.response.largest else None
+
+    def images(self) -> np.ndarray:
+        return self.response.images
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None]))
@@ -185,9 +213,7 @@ class Panels(SunTerm):
         """Light (K, n, n_panel) on the panels, in the unit of the gains, and its derivative (K, n, n_panel, 3 + u)."""
         free = self.gain_unknowns if error is not None else self.gain_unknowns[:0]
         gain = self.gain if error is None else (self.gain + error[:, : len(free)] @ free)[:, None]
-        sun = seen.sun_B
-        light, to_sun, _ = self.response.slopes(sun, gain=gain)
-        to_turn = to_sun @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
+        light, to_turn = self._over_time(seen, gain)
         parts = [to_turn, (light / gain)[..., None] * free.T]
         if self.earth is not None and error is not None:
             lit = error[:, len(free) :]
@@ -195,6 +221,22 @@ class Panels(SunTerm):
             light = light + more + self.earth.zero(lit)
             parts = [to_turn + slope[..., :3], parts[1] + (more / gain)[..., None] * free.T, slope[..., 3:]]  # as its gain
         return light, np.concatenate(parts, axis=-1)
+
+    def _over_time(self, seen: Seen, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Light (K, n, n_panel) of the Sun and its derivative (K, n, n_panel, 3) by a turn, at the readings' instants; that it
+        changes with the rate too, by which the body turns until then, is left out of the derivative."""
+        light, to_turn = 0.0, 0.0
+        across = cross_matrix(seen.sun_B)  # a turn moves the Sun by sun x turn
+        for shift, weight in self.instants.shifts():
+            if not shift:
+                sun, moves = seen.sun_B, across
+            else:
+                sun = seen_turned(seen.sun_B, shift * seen.omega)
+                moves = seen_turned(np.swapaxes(across, -1, -2), shift * seen.omega[..., None, :])
+                moves = np.swapaxes(moves, -1, -2)
+            part, to_sun, _ = self.response.slopes(sun, gain=gain)
+            light, to_turn = light + weight * part, to_turn + weight[:, None] * (to_sun @ moves)
+        return np.asarray(light), np.asarray(to_turn)
 
     def considered(self, seen: Seen) -> list[tuple[Self, float]]:
         """With one sigma more of each error of the gains; and with the Earth's light as each hypothesis sees it, from each end of

@@ -3,7 +3,7 @@
 A fit is a list of terms. Each is asked by the same methods, so that what a sensor is stands in one file:
 
 - `take`: the same for some samples; `present`, `informs`, `points`, `readings`: at which samples it says what.
-- `wider`, `forgiving`, `guesses`, `directions`, `rates`, `rate_sigma`: what the search needs, which knows no unknowns.
+- `wider`, `forgiving`, `guesses`, `directions`, `images`, `rates`, `rate_sigma`: what the search needs, which knows no unknowns.
 - `freed`, `unknowns`, `begin`: what is estimated beside the motion, in units of its prior sigma.
 - `residuals` (of samples), `between` and `gained` (of neighbours), `pushes` (of the motion): in sigmas, with derivatives.
 - `considered`: what is not estimated and counts in the result's error; `unrelated`: what a fit without it owes.
@@ -160,6 +160,10 @@ class SunTerm(Term):
     def blind_axis(self) -> np.ndarray | None:
         """The direction (3) along which nothing is seen: a mirror across its plane changes no reading."""
         return None
+
+    def images(self) -> np.ndarray:
+        """Mirrors and turns (m, 3, 3) of the body that change no reading, or little, the first of them none at all."""
+        return np.eye(3)[None]
 
     def begin(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
         """Attitudes (K, n, 3, 3) and unknowns (K, u), in sigmas, from which a fit begins."""
