@@ -132,7 +132,7 @@ def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     )
 
 
-def blow_of(case: Case) -> dict[str, float]:
+def blow_of(case: Case) -> dict[str, Any]:
     """What the case assumes of the blow, as fields of a `Scenario`."""
     blow = case.assumptions.collision
     return {"restitution": blow.restitution, "damper": blow.damper}

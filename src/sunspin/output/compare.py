@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -81,8 +82,8 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         known = ", ".join(COMPARED)
         raise InputError(sentence("results of this command cannot be compared", got=f"sunspin {commands[0]}", do=f"known: {known}"))
     said = [_summary(folder) for folder in folders]
-    find = {"reproduce": _rows, "rates": _passes, "posterior": _posterior}[commands[0]]
-    found = sorted(find(*said, *folders), key=lambda one: (not np.isfinite(one.error), -one.size))
+    finders: dict[str, Callable[..., Iterator[Moved]]] = {"reproduce": _rows, "rates": _passes, "posterior": _posterior}
+    found = sorted(finders[commands[0]](*said, *folders), key=lambda one: (not np.isfinite(one.error), -one.size))
     if not found:
         got = f"{a} and {b}"
         raise InputError(sentence("the two results have nothing in common", got=got, do="compare results of the same data"))
@@ -185,11 +186,11 @@ def _pass(a: dict[str, Any], b: dict[str, Any]) -> Iterator[Moved]:
     if a.get("utc_at") == b.get("utc_at"):
         for axis in "xyz":
             values = [float(one[f"omega_{axis}_deg_s"]) for one in best]
-            sigma = float(np.hypot(*(float(one[f"sigma_{axis}_deg_s"]) for one in best)))
+            sigma = math.hypot(*(float(one[f"sigma_{axis}_deg_s"]) for one in best))
             yield _sigmas(f"{name} omega_{axis}", f"rate about {axis} at {a.get('utc_at')}", values, "deg/s", sigma, words)
             words = []
     values = [float(one["speed_median_deg_s"]) for one in best]
-    half = float(np.hypot(*(float(one["speed_high_deg_s"]) - float(one["speed_low_deg_s"]) for one in best))) / 2
+    half = math.hypot(*(float(one["speed_high_deg_s"]) - float(one["speed_low_deg_s"]) for one in best)) / 2
     yield _sigmas(f"{name} speed", "angular speed of the likeliest motion", values, "deg/s", half / INTERVAL_SIGMAS, words)
     weights = [float(one["weight"]) for one in best]
     yield _moved(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, TypeGuard, get_args, get_origin
 
 from sunspin.base.errors import InputError, VehicleError, sentence
 from sunspin.base.toml import read_toml
@@ -161,7 +161,7 @@ def _places(key: str) -> list[str]:
     return [name or f"[{at.strip()}" for name, at in PLACE.findall(key)]
 
 
-def _is_certificate(node: Any) -> bool:
+def _is_certificate(node: Any) -> TypeGuard[dict[str, Any]]:
     return isinstance(node, dict) and isinstance(node.get("value"), int | float | list | str)
 
 

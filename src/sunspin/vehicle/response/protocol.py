@@ -61,7 +61,9 @@ class Counted:
 
 
 class Law(Protocol):
-    """What a new response must say."""
+    """What a new response must say. It is compared and hashed by content, since what was looked up is kept by it."""
+
+    def __hash__(self) -> int: ...
 
     def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
         """The power (..., n_panel) of panels `names` over their gains for the Sun at sun_B (..., 3), which meets their normals
