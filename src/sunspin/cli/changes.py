@@ -62,7 +62,7 @@ class Changeable(click.Command):
 def set_options(*uses: str, short: tuple[str, ...] = ()) -> Callable:
     """--set and some of its short names; `uses`: keys of the assumptions, or tables of them, that the command uses."""
 
-    def decorate(command: Callable) -> Callable:
+    def decorate(command: Any) -> Callable:
         for name in reversed(short):
             _, value, about = SHORT[name]
             command = click.option(f"--{name.replace('_', '-')}", metavar=value, help=about)(command)
