@@ -22,12 +22,10 @@ def twin():
     return make(1, 1)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def copies():
-    """Fewer copies than usual: right elements are refused once in 20 times at most."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(orbit_check, "COPIES", 20)
-        yield
+@pytest.fixture
+def few_copies(monkeypatch):
+    """Right elements are refused once in 20 times at most, and not in 50; enough where wrong ones are clearly wrong."""
+    monkeypatch.setattr(orbit_check, "COPIES", 20)
 
 
 @pytest.fixture(scope="module")
@@ -60,14 +58,14 @@ def test_right_elements_fit_and_their_shift_is_found(twin, judged):
     np.testing.assert_allclose(scale, 1e-9, rtol=0.1)  # readings are in nT
 
 
-def test_elements_of_another_plane_are_refused(twin):
+def test_elements_of_another_plane_are_refused(twin, few_copies):
     vehicle, data, _, _ = twin
     used, found, words = judged_orbit(orbit(twin, by_deg=70.0), vehicle, data)
     assert found.verdict is Verdict.REFUSED and found.turn_times > 1.3
     assert used is None and words.startswith("the orbit is NOT USED: the elements do not fit the telemetry")
 
 
-def test_a_clock_off_by_an_hour_is_named(twin):
+def test_a_clock_off_by_an_hour_is_named(twin, few_copies):
     vehicle, data, given, about = twin
     late = data.assign_attrs(epoch_utc=_earlier(data.attrs["epoch_utc"], 3600))
     elements = parse_elements("\n".join(given), "twin")
@@ -76,7 +74,7 @@ def test_a_clock_off_by_an_hour_is_named(twin):
     assert found.verdict is Verdict.REFUSED and found.clock_behind_s == 3600
 
 
-def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin, fits):
+def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin, fits, few_copies):
     vehicle, data, _, _ = twin
     found = check_orbit(orbit(twin), vehicle, data.assign(field_B=-data["field_B"]))
     assert found.sign_turned and not fits.sign_turned

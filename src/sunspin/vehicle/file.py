@@ -184,7 +184,7 @@ def _facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.
         elif isinstance(item, list) and all(isinstance(each, dict) for each in item):
             for each in item:
                 yield from _facts(each, f"{where}{key}.{each.get('name')}.")
-        elif not isinstance(item, str) and not (isinstance(item, list) and isinstance(item[0], str)):
+        elif not isinstance(item, str | bool) and not (isinstance(item, list) and isinstance(item[0], str)):
             yield f"{where}{key}", parts.Fact(numbers(item))
 
 

@@ -399,7 +399,8 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
         track = search(guess, motion, rate_max)
         track = out_of_field(o, track, motion) if field_leads(o) else _turned_about_sun(guess, track, motion)
         order, weight = _ranked(track)
-        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * most_modes(o)] > LEAST_WEIGHT**2)))]))
+        heavy = weight[: max(2 * MAX_MODES, most_modes(o))] > LEAST_WEIGHT**2
+        found.append(track.take(order[: max(1, int(np.count_nonzero(heavy)))]))
     return joined(found)
 
 
