@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.smooth import between, damping_scale, followed, moved, normal_equations, whitening
+from sunspin.estimate.rates.smooth import apart, between, damping_scale, followed, moved, noises, normal_equations, whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
 from sunspin.solve.least_squares import least_squares, take
@@ -121,6 +121,18 @@ def with_common(
 def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = None, steps: int = 8) -> Common:
     """A fit brought to a stiffer motion."""
     return _fitted(o, fit.track, fit.error, motion, clock, steps)
+
+
+def again(
+    o: Observations, fit: Common, before: Observations, motion: Motion, clock: Clock | None = None, steps: int = 8
+) -> Common:
+    """Other observations of the same samples fitted from where a fit of those `before` ended, with the same errors in common."""
+    old, new = ([one.name for one in places_of(each, motion, clock).unknowns] for each in (before, o))
+    error = np.zeros((len(fit.error), len(new)))
+    for i, name in enumerate(new):
+        if name in old:
+            error[:, i] = fit.error[:, old.index(name)]
+    return _fitted(o, fit.track, error, motion, clock, steps)
 
 
 def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int) -> Common:
@@ -230,16 +242,18 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     inertia = motion.body.inertia + np.tensordot(of_inertia, motion.body.errors, axes=1)
     sphere = motion.body.spherical and not len(of_inertia)
     motion = replace(motion, body=replace(motion.body, inertia=inertia, spherical=sphere))
-    cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion)
+    value, first, second = between(o, track, motion)
+    cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion, (value, first, second))
     r = len(error)
     border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
-    value, first, second = between(o, track, motion)
     answer = [np.zeros((*value.shape, 0))]
-    for change in motion.body.errors:
+    for change in motion.body.errors:  # neighbours' other residuals do not know the inertia
         other = replace(motion, body=replace(motion.body, inertia=inertia + INERTIA_STEP * change))
-        answer.append(((between(o, track, other)[0] - value) / INERTIA_STEP)[..., None])
+        changed = np.zeros((*value.shape, 1))
+        changed[..., :6, 0] = (apart(o, track, other) - value[..., :6]) / INERTIA_STEP
+        answer.append(changed)
     if len(of_others):
         pulled = _linear(o, track, motion, value.shape)
         more = pulled @ of_others
@@ -259,7 +273,7 @@ def _linear(o: Observations, track: Track, motion: Motion, shape: tuple[int, ...
     """What one sigma of each unknown of these terms adds to the residuals between neighbours (K, n - 1, m) = `shape`; that it
     changes with the states is left out of their equations."""
     spans = np.diff(o.t_s)
-    white, found = -whitening(spans, motion.noise), []
+    white, found = -whitening(spans, *noises(o, motion)), []
     for term in o.of_motion:
         found.append((slice(0, 6), white @ term.pushes(track, spans)))
     for i, term in enumerate(o.of_pairs):

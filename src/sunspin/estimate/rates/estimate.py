@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +19,9 @@ from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
+from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, judged
 from sunspin.estimate.rates.clock import lateness, suspected
-from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
+from sunspin.estimate.rates.common import LOOSER, Clock, Common, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
@@ -42,8 +44,10 @@ from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import NARROWER, answers, misfit
 from sunspin.estimate.wiring import Better, better
+from sunspin.solve.rotations import turn_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
+from sunspin.vehicle.timeline import utc_after
 
 MAX_MODES = 6
 """Modes reported for each pass."""
@@ -74,7 +78,8 @@ SUSPECTED = "the data alone, not counted"
 class Pass(NamedTuple):
     """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
     smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3);
-    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`."""
+    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`; `model`: the hypothesis that holds most
+    of the weight, and how much of it."""
 
     index: np.ndarray
     kept: np.ndarray
@@ -83,11 +88,13 @@ class Pass(NamedTuple):
     mean: np.ndarray
     mean_sigma: np.ndarray
     residual: dict[str, np.ndarray]
+    model: tuple[str, float] = (AS_READ, 1.0)
 
     def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
         """The modes `order` with these weights."""
         left = {name: part[order] for name, part in self.residual.items()}
-        return Pass(self.index, self.kept, self.track.take(order), weight, self.mean[order], self.mean_sigma[order], left)
+        mean, sigma = self.mean[order], self.mean_sigma[order]
+        return Pass(self.index, self.kept, self.track.take(order), weight, mean, sigma, left, self.model)
 
 
 def rates(
@@ -187,7 +194,8 @@ def rates(
         motion = replace(motion, noise=refined(ready, motion))
     clock, late = _clock(sensors.clock, ready, motion)
     each = zip(wholes, parts, (track for _, track in tracks), strict=True)
-    found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise) for one in each], motion)
+    others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
+    found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise, others) for one in each], motion)
     missed = [coarse(o.take(part), motion, rate_max) for part in parts]
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed, telemetry.attrs.get("epoch_utc")))
@@ -255,6 +263,11 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     if isinstance(found, Better):
         result = result.assign(wiring=("pass_id", np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)))
     return result.assign_attrs(wiring_doubt=found.words)
+
+
+def _clock_time(epoch_utc: str | None, t_s: float) -> str:
+    """A time (s) as a person says it."""
+    return f"{t_s:.0f} s" if epoch_utc is None else utc_after(t_s, epoch_utc)[11:19]
 
 
 def _asked_for(pass_id: int | None, count: int) -> list[int]:
@@ -337,27 +350,71 @@ def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max:
 
 def finished(
     every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
-    rate_max: float, begin: float,
+    rate_max: float, begin: float, others: Others | None = None,
 ) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
-    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
+    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them; with what else may have
+    moved the body counted in, if `others` are to be tried."""
     plain = every.take(kept)
     o = plain.freed()
-    common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
-    if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
+    fit = settled(o, track, motion, clock, begin)
+    if len(motion.body.errors) and fit.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
-        common = other if other.track.cost.min() < common.track.cost.min() else common
-    if common is not None:  # with their common errors two hypotheses may have become one
-        common = common.take(distinct_index(common.track, o.t_s))
-    fit = Fitted.of(o, track, common, motion, clock)
-    between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
-    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
-    if common is not None:
-        track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
-    whole = between.filled(track, motion)
-    left = residuals(every.take(index).freed(), np.searchsorted(index, kept), whole, fit)
-    order, weight = _ranked(track)
-    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), sigma, left).take(order, weight / weight.sum())
+        fit = other if other.track.cost.min() < fit.track.cost.min() else fit
+    fit = fit.take(distinct_index(fit.track, o.t_s))  # with their common errors two hypotheses may have become one
+    stated = judged(Hypothesis(AS_READ, every.take(index), np.searchsorted(index, kept), motion, clock), fit)
+    trials = [stated] if others is None else alternatives(stated, others)
+    groups = counted(trials)
+    used = sorted({i for group in groups for i, _ in group.members})
+    each = {i: completed(trials[i], stated.hypothesis, index, kept) for i in used}
+    modes = [mixed([each[i].take(np.array([k]), np.ones(1)) for i, k in group.members], group.weights) for group in groups]
+    shares = [(trials[i].hypothesis.what, float(w)) for one in groups for (i, _), w in zip(one.members, one.weights, strict=True)]
+    found = stacked(modes)._replace(model=likeliest(shares))
+    return found.take(np.arange(len(modes)), np.array([group.weights.sum() for group in groups]))
+
+
+def completed(trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndarray) -> Pass:
+    """A trial's modes with their sigmas, at all samples; residuals are those of sensors as good as stated."""
+    one, fit, o = trial.hypothesis, trial.fit, trial.hypothesis.fitted()
+    between = Dense.of(one.o, np.arange(len(one.o)), one.kept, fit.seen, one.motion)
+    track, sigma = with_spread(o, fit.track, one.motion, between.mean_map(), fit, one.clock)
+    whole = between.filled(replace(track, attitude=fit.seen.attitude, omega=fit.seen.omega))
+    left = residuals(stated.o.freed(), one.kept, whole, Fitted(o, fit.track, fit.error, one.motion, one.clock))
+    hidden = sum(term.hidden_variance(np.diff(o.t_s)) for term in o.of_motion)
+    whole.covariance[..., 3:, 3:] += hidden * np.eye(3)
+    whole = replace(whole, log_weight=trial.log_evidence)
+    weight = np.exp(trial.log_evidence - trial.best)
+    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), np.sqrt(sigma**2 + hidden / len(o)), left)
+
+
+def mixed(members: list[Pass], weights: np.ndarray) -> Pass:
+    """One motion that several hypotheses lead to: as the heaviest has it, with what the others are off counted in its sigmas."""
+    head = members[0]
+    covariance, variance = np.zeros_like(head.track.covariance), np.zeros_like(head.mean_sigma)
+    for one, share in zip(members, weights / weights.sum(), strict=True):
+        turned = turn_between(head.track.attitude, one.track.attitude)
+        off = np.concatenate([turned, one.track.omega - head.track.omega], axis=-1)
+        covariance += share * (one.track.covariance + off[..., :, None] * off[..., None, :])
+        variance += share * (one.mean_sigma**2 + (one.mean - head.mean) ** 2)
+    log_weight = np.logaddexp.reduce([one.track.log_weight for one in members])
+    track = replace(head.track, covariance=covariance, log_weight=log_weight)
+    return head._replace(track=track, mean_sigma=np.sqrt(variance))
+
+
+def stacked(modes: list[Pass]) -> Pass:
+    """All of a pass's modes."""
+    first = modes[0]
+    left = {name: np.concatenate([one.residual[name] for one in modes]) for name in first.residual}
+    weight, mean, sigma = (np.concatenate([getattr(one, name) for one in modes]) for name in ("weight", "mean", "mean_sigma"))
+    return Pass(first.index, first.kept, joined([one.track for one in modes]), weight, mean, sigma, left)
+
+
+def likeliest(shares: list[tuple[str, float]]) -> tuple[str, float]:
+    """Of what hypotheses say, each with a weight, what holds most of it, and how much."""
+    total: dict[str, float] = {}
+    for what, weight in shares:
+        total[what] = total.get(what, 0.0) + weight
+    return max(total.items(), key=lambda one: one[1])
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -404,7 +461,7 @@ def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[b
         said = answers(p.weight[0] >= DECIDED, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
         row = PassMotions(
             len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
-            UNCHECKED if list(told) == ["Sun"] else AS_STATED,
+            UNCHECKED if list(told) == ["Sun"] else AS_STATED, *p.model,
         )  # fmt: skip
         rows.append(row)
     about = {"long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"}

@@ -19,6 +19,7 @@ from sunspin.estimate.rates.smooth import cost_limit, measured, smooth
 from sunspin.estimate.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.term import Seen
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -129,14 +130,19 @@ def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DR
     return track.take(distinct_index(track, times, keep, drop))
 
 
+def outline(track: Seen, times: np.ndarray) -> np.ndarray:
+    """What tells hypotheses apart (K, m, 3): their turns between neighbours, and their directions of the Sun."""
+    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
+    return np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
+
+
 def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> np.ndarray:
     """Which hypotheses those are."""
     order = np.argsort(track.cost, kind="stable")
     if not len(order):
         return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
-    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    angle = np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
+    angle = outline(track, times)
     chosen = np.zeros(0, dtype=int)
     for i in order:
         apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)

@@ -9,8 +9,9 @@ wild. Only the Sun is known in N, as its z axis: the turn about it is held by a 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from sunspin.estimate.rates.motion import Ends, step_with_answer
+from sunspin.estimate.rates.motion import Ends, step, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, normal
 from sunspin.solve.least_squares import least_squares, shortened
@@ -45,7 +46,26 @@ def measured(o: Observations, track: Seen) -> tuple[np.ndarray, np.ndarray, np.n
 
 def between(o: Observations, track: Seen, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the motion (6) and other terms (3 each) say of neighbours: residuals (K, n-1, m), Jacobians to the first and second."""
-    dt = np.diff(o.t_s)
+    dt, ends, relative = _intervals(o, track, motion)
+    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], dt, ends)
+    white = whitening(dt[0], *noises(o, motion))
+    value = _defects(track, relative, made, rate, white)
+    first = -np.einsum("nij,knjl->knil", white, answer)
+    second = np.broadcast_to(white, (*value.shape, 6)).copy()
+    for term in o.of_pairs:
+        more = term.between(o.t_s, relative)
+        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+    return value, first, second
+
+
+def apart(o: Observations, track: Seen, motion: Motion) -> np.ndarray:
+    """What the motion alone says of neighbours: the first six residuals (K, n-1, 6) of :func:`between`."""
+    dt, ends, relative = _intervals(o, track, motion)
+    return _defects(track, relative, *step(motion.body, track.omega[:, :-1], dt, ends), whitening(dt[0], *noises(o, motion)))
+
+
+def _intervals(o: Observations, track: Seen, motion: Motion) -> tuple[np.ndarray, Ends, np.ndarray]:
+    """Of each hypothesis: times between neighbours (K, n-1), what acts there, and the turns (K, n-1, 3, 3)."""
     start, end = track.attitude[:, :-1], track.attitude[:, 1:]
     relative = end @ np.swapaxes(start, -1, -2)
     ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
@@ -55,27 +75,40 @@ def between(o: Observations, track: Seen, motion: Motion) -> tuple[np.ndarray, n
         if pair.any():
             ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
-    ends = motion.body.seen(ends, start, o.t_s[:-1])
-    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
+    return np.broadcast_to(np.diff(o.t_s), relative.shape[:2]), motion.body.seen(ends, start, o.t_s[:-1]), relative
+
+
+def _defects(track: Seen, relative: np.ndarray, made: np.ndarray, rate: np.ndarray, white: np.ndarray) -> np.ndarray:
     defect = np.concatenate([turn_between(made, relative), track.omega[:, 1:] - rate], axis=-1)
-    white = whitening(dt, motion.noise)
-    value = np.einsum("nij,knj->kni", white, defect)
-    first = -np.einsum("nij,knjl->knil", white, answer)
-    second = np.broadcast_to(white, (*value.shape, 6)).copy()
-    for term in o.of_pairs:
-        more = term.between(o.t_s, relative)
-        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
-    return value, first, second
+    return np.einsum("nij,knj->kni", white, defect)
 
 
-def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
-    """Inverse square roots (n, 6, 6) of the covariance of turn and rate that white angular acceleration makes in `dt` (n)."""
+def noises(o: Observations, motion: Motion) -> tuple[np.ndarray, float]:
+    """White angular acceleration (n - 1), rad/s^1.5, between neighbours, and white noise of the rate, rad s^-0.5."""
+    dt = np.diff(o.t_s)
+    acceleration = motion.noise**2 + sum(term.acceleration_noise(dt) ** 2 for term in o.of_motion)
+    rate = sum(term.rate_noise() ** 2 for term in o.of_motion)
+    return np.sqrt(np.broadcast_to(acceleration, dt.shape)), float(np.sqrt(rate))
+
+
+def wandering(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) -> np.ndarray:
+    """Covariance (n, 6, 6) of turn and rate that such noises, of :func:`noises`, make in `dt` (n)."""
     covariance = np.zeros((len(dt), 6, 6))
-    eye = np.eye(3)
-    covariance[:, :3, :3] = (dt**3 / 3)[:, None, None] * eye
-    covariance[:, :3, 3:] = covariance[:, 3:, :3] = (dt**2 / 2)[:, None, None] * eye
-    covariance[:, 3:, 3:] = dt[:, None, None] * eye
-    return np.linalg.inv(np.linalg.cholesky(covariance)) / noise
+    eye, square = np.eye(3), np.square(acceleration)
+    covariance[:, :3, :3] = (square * dt**3 / 3 + rate**2 * dt)[:, None, None] * eye
+    covariance[:, :3, 3:] = covariance[:, 3:, :3] = (square * dt**2 / 2)[:, None, None] * eye
+    covariance[:, 3:, 3:] = (square * dt)[:, None, None] * eye
+    return covariance
+
+
+def whitening(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) -> np.ndarray:
+    """Inverse square roots (n, 6, 6) of that covariance."""
+    return np.linalg.inv(np.linalg.cholesky(wandering(dt, acceleration, rate)))
+
+
+def log_noise(o: Observations, motion: Motion) -> float:
+    """What motions under other noises differ in, beside their cost: half the log of the determinants of that covariance."""
+    return float(np.linalg.slogdet(wandering(np.diff(o.t_s), *noises(o, motion)))[1].sum() / 2)
 
 
 def cost_limit(o: Observations) -> float:
@@ -84,11 +117,14 @@ def cost_limit(o: Observations) -> float:
     return BAD_COST * len(o) + THREE_READINGS * sum(term.readings() for term in o.terms)
 
 
-def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
-    """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common."""
+def normal_equations(
+    o: Observations, track: Track, motion: Motion, neighbours: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+) -> Bordered:
+    """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common; `neighbours`: of
+    :func:`between`, if the caller has that."""
     diagonal, slope, cost = measured(o, track)
     damping = damping_scale(diagonal, o.t_s)
-    value, first, second = between(o, track, motion)
+    value, first, second = between(o, track, motion) if neighbours is None else neighbours
     diagonal[:, :-1] += np.swapaxes(first, -1, -2) @ first
     diagonal[:, 1:] += np.swapaxes(second, -1, -2) @ second
     upper = np.swapaxes(first, -1, -2) @ second

@@ -1,0 +1,297 @@
+"""What may be wrong with the model of a pass of :mod:`sunspin.estimate.rates`: tried, weighed by evidence, and counted in.
+
+Beside the model as stated each pass is fitted with a constant torque in body axes or in axes fixed in space, with steps of the
+rate, with stronger unknown torques, with a swinging too quick for the samples, and with readings or time tags worse than stated.
+Each is the list of terms with one entry changed (:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found.
+How large a change is nobody knows even to a power of ten: sizes are log-uniform over wide ranges, which costs evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.estimate.rates.common import Common, again, places_of
+from sunspin.estimate.rates.hypotheses import Hypothesis
+from sunspin.estimate.rates.noise import falling
+from sunspin.estimate.rates.seed import ALIKE_RAD, outline
+from sunspin.estimate.rates.smooth import between, log_noise, noises, whitening
+from sunspin.estimate.rates.state import Track
+from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque
+from sunspin.estimate.terms.term import StateTerm, SunTerm, normal
+from sunspin.estimate.terms.unsteady import RateStep, Swinging
+from sunspin.solve.rotations import smallest_turn, turn_between
+
+DOUBT = float(np.log(0.3))
+"""Log odds before the data of each noise that is larger than stated, against the model as stated. Torques and steps are as likely:
+that nobody knows their size or place is counted by itself."""
+
+TURNED = np.radians(np.geomspace(1.0, 300.0, 6))
+"""rad by which a constant torque may turn the body over a pass: each as likely as any other."""
+
+MODES, LIGHTEST = 2, 0.02
+"""Modes from which alternatives begin, at most, and the least weight of one."""
+
+STRONGER = (3.0, 10.0)
+"""How much stronger unknown torques may be than elsewhere in the file."""
+
+COARSER = (1.5, 2.5, 5.0)
+"""How much worse a sensor may be than stated."""
+
+MOST_STEPS = 4
+"""Steps of the rate in a pass, at most."""
+
+STEP_SIZES = float(np.log(np.log(100.0)))
+"""What it costs in log evidence that the size of a step is known to a factor of a hundred only, and put where it comes out."""
+
+HOPELESS, WORSE = 6.0, 1.0
+"""Log evidence by which an alternative must be no worse than the model as stated, and a smaller noise no worse than a larger one,
+if more of the kind is to be tried."""
+
+SWINGS = (0.05, 0.15, 0.5)
+"""rad by which a swinging turns the body between two samples."""
+
+COUNTED = 0.005
+"""A mode of an alternative that holds less than this part of the weight is left out."""
+
+TORQUES_STRONGER, SWINGS_QUICKLY = "unknown torques stronger than in the rest of the file", "a swinging quicker than the samples"
+"""What such hypotheses change, in words."""
+
+
+class Trial(NamedTuple):
+    """A hypothesis fitted from some modes (K); `log_evidence` (K) of each."""
+
+    hypothesis: Hypothesis
+    fit: Common
+    log_evidence: np.ndarray
+
+    @property
+    def best(self) -> float:
+        return float(np.max(self.log_evidence, initial=-np.inf))
+
+    def take(self, index: np.ndarray) -> Trial:
+        """The modes `index`."""
+        return Trial(self.hypothesis, self.fit.take(index), self.log_evidence[index])
+
+
+class Others(NamedTuple):
+    """How alternatives are tried: `free`, the acceleration noise was chosen by the data, so that less of it may be left where
+    something else explains the motion; `clock_time`: a time (s) in words."""
+
+    free: bool
+    clock_time: Callable[[float], str]
+
+
+def judged(one: Hypothesis, fit: Common) -> Trial:
+    """A fit with its evidence."""
+    return Trial(one, fit, fit.track.log_weight - log_noise(one.fitted(), one.motion) + one.debt)
+
+
+def alternatives(stated: Trial, how: Others) -> list[Trial]:
+    """The model as stated and its alternatives."""
+    order = np.argsort(-stated.log_evidence, kind="stable")[:MODES]
+    start = stated.take(order[stated.log_evidence[order] > stated.best + np.log(LIGHTEST)])
+    noise = start.hypothesis.motion.noise
+    rungs = falling(noise)[1:] if how.free else []
+    found = [stated, *_torques(start, rungs), *_steps(start, rungs, how.clock_time), *_stronger(start), *_coarser(start),
+             *_swinging(start)]  # fmt: skip
+    return [one for one in found if np.isfinite(one.best)]
+
+
+def _tried(one: Hypothesis, begin: Trial, steps: int = 5) -> Trial:
+    """A hypothesis fitted from where another ended."""
+    return judged(one, again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, steps))
+
+
+def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
+    """A trial, and it under ever less of other torques, as long as that is no worse."""
+    yield begin
+    for noise in rungs:
+        one = begin.hypothesis
+        trial = _tried(replace(one, motion=replace(one.motion, noise=noise)), begin)
+        yield trial
+        if trial.best < begin.best - WORSE:
+            return
+        begin = trial
+
+
+def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
+    stated = start.hypothesis
+    sizes = 2 * TURNED / float(np.ptp(stated.o.t_s)) ** 2
+    for frame in ("B", "N"):
+        term = SteadyTorque(sizes[-1], frame, stated.motion.body.inertia)
+        trials = [(trial, *_weighed(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
+        trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
+        k = int(np.argmax(evidence))
+        if evidence[k] > start.best - HOPELESS:
+            sized = term.sized(float(sizes[int(np.argmax(gains[:, k]))] / sizes[-1]))
+            trial = _tried(trial.hypothesis.swapped(term, sized), trial)
+            size = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
+            what = f"a steady torque of {size:.1g} rad/s2 in {WORDS[frame]}"
+            yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
+
+
+def _place(trial: Trial) -> slice:
+    """Where the unknowns of a steady torque stand."""
+    one = trial.hypothesis
+    return next(place for term, place in places_of(one.fitted(), one.motion, one.clock).motion if isinstance(term, SteadyTorque))
+
+
+def _weighed(trial: Trial, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of a torque fitted under the widest of the prior sigmas `sizes` (m): what each gains (m, K), and the evidence over all (K)."""
+    place = _place(trial)
+    gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], sizes / sizes[-1])
+    return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(sizes))
+
+
+def _sized(error: np.ndarray, covariance: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Gain in log evidence (m, K) if the prior sigma of some unknowns, fitted to (K, u) with covariance (K, u, u) under a sigma of
+    one, were `shares` (m) of that: exact where the readings answer to them linearly."""
+    eye = np.eye(error.shape[1])
+    inverse = np.linalg.inv(covariance)
+    slope = (inverse @ error[..., None])[..., 0]
+    before = np.einsum("ki,kij,kj->k", error, inverse, error)
+    found = []
+    for share in shares:
+        matrix = inverse + (1 / share**2 - 1) * eye
+        after = np.einsum("ki,ki->k", slope, np.linalg.solve(matrix, slope[..., None])[..., 0])
+        size = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(matrix)[1] - 2 * len(eye) * np.log(share)
+        found.append((after - before + size) / 2)
+    return np.array(found)
+
+
+def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str]) -> Iterator[Trial]:
+    """Where neighbours fit the motion worst, one after another, as long as the evidence grows."""
+    t_s = start.hypothesis.o.t_s[start.hypothesis.kept]
+    middle = (t_s[1:] + t_s[:-1]) / 2
+    best, at = start, []
+    for count in range(min(MOST_STEPS, len(middle) - 1)):
+        off = _defects(best)[1]
+        off[at] = 0.0
+        k = int(np.argmax(off))
+        lower = [noise for noise in rungs if noise < best.hypothesis.motion.noise]
+        new = _step(best, k, lower, -np.log(len(middle)))
+        if new.best < (best.best if count else start.best - HOPELESS):
+            break
+        best, at = new, sorted([*at, k])
+    if at:
+        words = f"{'steps' if len(at) > 1 else 'a step'} of the rate at {', '.join(clock_time(middle[k]) for k in at)}"
+        yield best._replace(hypothesis=replace(best.hypothesis, what=words))
+
+
+def _step(best: Trial, k: int, rungs: list[float], odds: float) -> Trial:
+    """One more step, after the kept sample `k`: as large as one of any size comes out."""
+    one = best.hypothesis
+    before = np.zeros(len(one.o), dtype=bool)
+    before[one.kept[k]] = True
+    widest = one.motion.rate_prior
+    wide = _tried(one.beside(one.what, RateStep(widest, before), odds - STEP_SIZES), best)
+    size = float(np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest))
+    begin = wide._replace(hypothesis=wide.hypothesis.swapped(wide.hypothesis.o.terms[-1], RateStep(size, before)))
+    first = _tried(begin.hypothesis, wide)
+    return max(_quieter(first, rungs), key=lambda trial: trial.best)
+
+
+def _defects(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
+    """Of a trial's best mode: by how much turn and rate miss the motion between neighbours (n - 1, 6), and in sigmas, squared
+    (n - 1)."""
+    one, o = trial.hypothesis, trial.hypothesis.fitted()
+    track = trial.fit.track.take(np.array([np.argmax(trial.log_evidence)]))
+    value = between(o, track, one.motion)[0][0, :, :6]
+    white = whitening(np.diff(o.t_s), *noises(o, one.motion))
+    return np.linalg.solve(white, value[..., None])[..., 0], (value**2).sum(axis=1)
+
+
+def _stronger(start: Trial) -> Iterator[Trial]:
+    one = start.hypothesis
+    for factor in STRONGER:
+        motion = replace(one.motion, noise=factor * one.motion.noise)
+        yield _tried(replace(one, what=TORQUES_STRONGER, motion=motion, debt=one.debt + DOUBT), start)
+
+
+def _coarser(start: Trial) -> Iterator[Trial]:
+    """Each sensor so much worse as its residuals want it to be."""
+    stated = start.hypothesis
+    for term in stated.o.terms:
+        if not isinstance(term, SunTerm | StateTerm) or not term.present()[stated.kept].any():
+            continue
+        factor = _wanted(start, term)
+        if factor == 1.0:
+            continue
+        numbers = int(term.freedom()[stated.kept].sum())
+        one = stated.swapped(term, term.coarser(factor))
+        one = replace(one, what=f"readings of the {term.called} {factor:g} times worse than stated",
+                      debt=stated.debt + DOUBT - np.log(len(COARSER)) - numbers * np.log(factor))  # fmt: skip
+        yield _tried(one, start)
+
+
+def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
+    """How much worse than stated the residuals of the best mode want a sensor to be."""
+    one, fit = start.hypothesis, start.fit.take(np.array([0]))
+    o = one.fitted()
+    places = places_of(o, one.motion, one.clock)
+    kept, place = next((mine, place) for mine, place in (*places.state, *places.sun) if mine.called == term.called)
+    seen = fit.seen if isinstance(term, SunTerm) else fit.track
+    numbers = kept.freedom().sum()
+    costs = [normal(kept.coarser(f), seen, fit.error[:, place])[2].sum() + numbers * np.log(f) for f in (1.0, *COARSER)]
+    return (1.0, *COARSER)[int(np.argmin(costs))]
+
+
+def _swinging(start: Trial) -> Iterator[Trial]:
+    """Also from the least turns that take the Sun where the modes see it: whole turns may be a swinging's doing."""
+    stated = start.hypothesis
+    t_s = stated.o.t_s[stated.kept]
+    usual = float(np.median(np.diff(t_s)))
+    slow = start._replace(fit=start.fit._replace(track=_slowest(start.fit.track, t_s)))
+    for begin in (start, slow):
+        last = -np.inf
+        for angle in SWINGS:
+            term = Swinging(angle / np.sqrt(usual))
+            begin = _tried(stated.beside(SWINGS_QUICKLY, term, DOUBT - np.log(len(SWINGS))), begin)
+            yield begin
+            if begin.best < max(last, start.best - HOPELESS):
+                break
+            last = begin.best
+
+
+def _slowest(track: Track, t_s: np.ndarray) -> Track:
+    """Motions that see the Sun as these do, and turn least."""
+    attitude, omega = track.attitude.copy(), np.zeros_like(track.omega)
+    sun = track.sun_B
+    for i, dt in enumerate(np.diff(t_s)):
+        x, y = (smallest_turn(sun[:, i], sun[:, i + 1], attitude[:, i, :, axis]) for axis in (0, 1))
+        attitude[:, i + 1] = np.stack([x, y, np.cross(x, y)], axis=-1)
+        omega[:, i] = turn_between(attitude[:, i], attitude[:, i + 1]) / dt
+    omega[:, 1:-1] = (omega[:, :-2] + omega[:, 1:-1]) / 2
+    omega[:, -1] = omega[:, -2]
+    return Track(attitude, omega)
+
+
+class Counted(NamedTuple):
+    """One motion of a pass with all hypotheses that lead to it: `members`, the trial and its mode, heaviest first, and their
+    weights, which add to that of the motion."""
+
+    members: list[tuple[int, int]]
+    weights: np.ndarray
+
+
+def counted(trials: list[Trial]) -> list[Counted]:
+    """The motions that the trials leave, heaviest first, with weights that add to one."""
+    every = [(float(log), i, k) for i, trial in enumerate(trials) for k, log in enumerate(trial.log_evidence)]
+    top = max(log for log, _, _ in every)
+    every = sorted((one for one in every if one[0] > top + np.log(COUNTED)), key=lambda one: -one[0])
+    weights = np.exp(np.array([log for log, _, _ in every]) - top)
+    found: list[tuple[np.ndarray, list[int]]] = []
+    for m, (_, i, k) in enumerate(every):
+        one = trials[i].hypothesis
+        place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
+        near = [members for other, members in found if ((other - place) ** 2).sum(axis=-1).max() <= ALIKE_RAD**2]
+        if near:
+            near[0].append(m)
+        else:
+            found.append((place, [m]))
+    groups = [Counted([every[m][1:] for m in members], weights[members] / weights.sum()) for _, members in found]
+    return sorted(groups, key=lambda one: -one.weights.sum())
