@@ -22,8 +22,7 @@ DRAWS = 2000
 
 class PassMotions(NamedTuple):
     """The K motions of one pass at the instant `at_s`: samples used, first and last instant (s from the epoch), weights (K), rates
-    (K, 3) with sigmas (K, 3), quantiles of the angular speed (K, 3), rad/s; `model`: what, beside the model as stated, may have moved
-    the body, whichever holds most of the weight, and how much."""
+    (K, 3) with sigmas (K, 3), quantiles of the angular speed (K, 3), rad/s."""
 
     samples: int
     first_s: float
@@ -35,8 +34,6 @@ class PassMotions(NamedTuple):
     speed: np.ndarray
     answers: Answers
     wiring: str
-    model: str = ""
-    model_weight: float = 1.0
 
 
 def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -80,7 +77,5 @@ def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any
     for name in ("omega", "sigma"):
         for k, axis in enumerate("xyz"):
             variables[f"{name}_{axis}"] = (each, padded([getattr(one, name)[:, k] for one in passes]), {"units": "rad s-1"})
-    variables["model"] = "pass_id", [one.model for one in passes]
-    variables["model_weight"] = "pass_id", [one.model_weight for one in passes], {"units": "1"}
     variables["why_not_decided"] = ("pass_id", [one.answers.why_not for one in passes])
     return variables

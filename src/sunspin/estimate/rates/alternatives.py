@@ -1,9 +1,10 @@
 """What may be wrong with the model of a pass of :mod:`sunspin.estimate.rates`: tried, weighed by evidence, and counted in.
 
 Beside the model as stated each pass is fitted with a constant torque in body axes or in axes fixed in space, with steps of the
-rate, with stronger unknown torques, with a swinging too quick for the samples, and with readings or time tags worse than stated.
-Each is the list of terms with one entry changed (:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found.
-How large a change is nobody knows even to a power of ten: sizes are log-uniform over wide ranges, which costs evidence.
+rate, with stronger unknown torques, with a swinging too quick for the samples, and with sensors worse than stated. Each is the list
+of terms with one entry changed (:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found. All are as likely
+before the data, and so is each size of a swinging, since satellites under control do swing. How strong a torque is nobody knows even
+to a power of ten, nor when a step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs evidence.
 """
 
 from __future__ import annotations
@@ -17,25 +18,21 @@ import numpy as np
 from sunspin.estimate.rates.common import Common, again, places_of
 from sunspin.estimate.rates.hypotheses import Hypothesis
 from sunspin.estimate.rates.noise import falling
-from sunspin.estimate.rates.seed import ALIKE_RAD, outline
-from sunspin.estimate.rates.smooth import between, log_noise, noises, whitening
+from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
+from sunspin.estimate.rates.smooth import apart, log_noise, noises, whitening
 from sunspin.estimate.rates.state import Track
 from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque
 from sunspin.estimate.terms.term import StateTerm, SunTerm, normal
 from sunspin.estimate.terms.unsteady import RateStep, Swinging
 from sunspin.solve.rotations import smallest_turn, turn_between
 
-DOUBT = float(np.log(0.3))
-"""Log odds before the data of each noise that is larger than stated, against the model as stated. Torques and steps are as likely:
-that nobody knows their size or place is counted by itself."""
-
 TURNED = np.radians(np.geomspace(1.0, 300.0, 6))
 """rad by which a constant torque may turn the body over a pass: each as likely as any other."""
 
-MODES, LIGHTEST = 2, 0.02
-"""Modes from which alternatives begin, at most, and the least weight of one."""
+MODES, LIGHTEST, SWINGING_MODES = 2, 0.02, 6
+"""Modes from which alternatives begin, at most, and the least weight of one; and modes from which a swinging does."""
 
-STRONGER = (3.0, 10.0)
+STRONGER = (3.0, 10.0, 30.0)
 """How much stronger unknown torques may be than elsewhere in the file."""
 
 COARSER = (1.5, 2.5, 5.0)
@@ -51,8 +48,14 @@ HOPELESS, WORSE = 6.0, 1.0
 """Log evidence by which an alternative must be no worse than the model as stated, and a smaller noise no worse than a larger one,
 if more of the kind is to be tried."""
 
+QUICK, CAREFUL, SLACK = 1, 5, 4.0
+"""Steps of a fit that finds out whether another is worth its time, and of that; and log evidence that the latter may still gain."""
+
 SWINGS = (0.05, 0.15, 0.5)
 """rad by which a swinging turns the body between two samples."""
+
+ALIASED = 1.5
+"""rad turned between two samples beyond which whole turns may be a swinging's doing."""
 
 COUNTED = 0.005
 """A mode of an alternative that holds less than this part of the weight is left out."""
@@ -94,24 +97,31 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     """The model as stated and its alternatives."""
     order = np.argsort(-stated.log_evidence, kind="stable")[:MODES]
     start = stated.take(order[stated.log_evidence[order] > stated.best + np.log(LIGHTEST)])
-    noise = start.hypothesis.motion.noise
-    rungs = falling(noise)[1:] if how.free else []
-    found = [stated, *_torques(start, rungs), *_steps(start, rungs, how.clock_time), *_stronger(start), *_coarser(start),
-             *_swinging(start)]  # fmt: skip
+    noises = [stated, *_stronger(start)]
+    loosest = max([start, *noises[1:]], key=lambda trial: trial.best)  # where torques and steps that the noise holds down can grow
+    rungs = falling(loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise)[1:]
+    shared = [one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises]
+    found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start), *_swinging(stated)]
     return [one for one in found if np.isfinite(one.best)]
 
 
-def _tried(one: Hypothesis, begin: Trial, steps: int = 5) -> Trial:
-    """A hypothesis fitted from where another ended."""
+def _tried(one: Hypothesis, begin: Trial, wanted: float, first: int = QUICK) -> Trial:
+    """A hypothesis fitted from where another ended: by some steps at `first`, and with care where its log evidence is then not
+    hopelessly below what is `wanted`."""
+    quick = _fitted(one, begin, first)
+    return quick if quick.best < wanted - HOPELESS - SLACK else _fitted(one, quick, CAREFUL)
+
+
+def _fitted(one: Hypothesis, begin: Trial, steps: int) -> Trial:
     return judged(one, again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, steps))
 
 
-def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
+def _quieter(begin: Trial, rungs: list[float], wanted: float) -> Iterator[Trial]:
     """A trial, and it under ever less of other torques, as long as that is no worse."""
     yield begin
     for noise in rungs:
         one = begin.hypothesis
-        trial = _tried(replace(one, motion=replace(one.motion, noise=noise)), begin)
+        trial = _tried(replace(one, motion=replace(one.motion, noise=noise)), begin, wanted)
         yield trial
         if trial.best < begin.best - WORSE:
             return
@@ -119,18 +129,21 @@ def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
 
 
 def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
-    stated = start.hypothesis
+    """One that hardly turns the body over the pass is no other hypothesis."""
+    stated, wanted = start.hypothesis, start.best
     sizes = 2 * TURNED / float(np.ptp(stated.o.t_s)) ** 2
     for frame in ("B", "N"):
         term = SteadyTorque(sizes[-1], frame, stated.motion.body.inertia)
-        trials = [(trial, *_weighed(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
+        first = _fitted(stated.beside("", term), start, QUICK + 1)
+        trials = [(trial, *_weighed(trial, sizes)) for trial in _quieter(first, rungs, wanted)]
         trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
         k = int(np.argmax(evidence))
-        if evidence[k] > start.best - HOPELESS:
-            sized = term.sized(float(sizes[int(np.argmax(gains[:, k]))] / sizes[-1]))
-            trial = _tried(trial.hypothesis.swapped(term, sized), trial)
-            size = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
-            what = f"a steady torque of {size:.1g} rad/s2 in {WORDS[frame]}"
+        size = int(np.argmax(gains[:, k]))
+        if size and evidence[k] > wanted - HOPELESS:
+            sized = term.sized(float(sizes[size] / sizes[-1]))
+            trial = _fitted(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), trial, CAREFUL)
+            pulled = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
+            what = f"a steady torque of {pulled:.1g} rad/s2 in {WORDS[frame]}"
             yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
 
 
@@ -141,7 +154,7 @@ def _place(trial: Trial) -> slice:
 
 
 def _weighed(trial: Trial, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of a torque fitted under the widest of the prior sigmas `sizes` (m): what each gains (m, K), and the evidence over all (K)."""
+    """Of a torque fitted under the widest of the prior sigmas `sizes` (m): gains of each (m, K), and the evidence over all (K)."""
     place = _place(trial)
     gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], sizes / sizes[-1])
     return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(sizes))
@@ -167,32 +180,32 @@ def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str])
     """Where neighbours fit the motion worst, one after another, as long as the evidence grows."""
     t_s = start.hypothesis.o.t_s[start.hypothesis.kept]
     middle = (t_s[1:] + t_s[:-1]) / 2
-    best, at = start, []
-    for count in range(min(MOST_STEPS, len(middle) - 1)):
+    best, at, wanted = start, [], start.best - HOPELESS
+    for _ in range(min(MOST_STEPS, len(middle) - 1)):
         off = _defects(best)[1]
         off[at] = 0.0
         k = int(np.argmax(off))
         lower = [noise for noise in rungs if noise < best.hypothesis.motion.noise]
-        new = _step(best, k, lower, -np.log(len(middle)))
-        if new.best < (best.best if count else start.best - HOPELESS):
+        new = _step(best, k, lower, wanted, -np.log(len(middle)))
+        if new.best < wanted:
             break
+        wanted = new.best
         best, at = new, sorted([*at, k])
     if at:
         words = f"{'steps' if len(at) > 1 else 'a step'} of the rate at {', '.join(clock_time(middle[k]) for k in at)}"
         yield best._replace(hypothesis=replace(best.hypothesis, what=words))
 
 
-def _step(best: Trial, k: int, rungs: list[float], odds: float) -> Trial:
+def _step(best: Trial, k: int, rungs: list[float], wanted: float, odds: float) -> Trial:
     """One more step, after the kept sample `k`: as large as one of any size comes out."""
     one = best.hypothesis
     before = np.zeros(len(one.o), dtype=bool)
     before[one.kept[k]] = True
     widest = one.motion.rate_prior
-    wide = _tried(one.beside(one.what, RateStep(widest, before), odds - STEP_SIZES), best)
+    wide = _fitted(one.beside(one.what, RateStep(widest, before), odds - STEP_SIZES), best, QUICK)
     size = float(np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest))
-    begin = wide._replace(hypothesis=wide.hypothesis.swapped(wide.hypothesis.o.terms[-1], RateStep(size, before)))
-    first = _tried(begin.hypothesis, wide)
-    return max(_quieter(first, rungs), key=lambda trial: trial.best)
+    first = _tried(wide.hypothesis.swapped(wide.hypothesis.o.terms[-1], RateStep(size, before)), wide, wanted)
+    return max(_quieter(first, rungs, wanted), key=lambda trial: trial.best)
 
 
 def _defects(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
@@ -200,16 +213,19 @@ def _defects(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
     (n - 1)."""
     one, o = trial.hypothesis, trial.hypothesis.fitted()
     track = trial.fit.track.take(np.array([np.argmax(trial.log_evidence)]))
-    value = between(o, track, one.motion)[0][0, :, :6]
+    value = apart(o, track, one.motion)[0]
     white = whitening(np.diff(o.t_s), *noises(o, one.motion))
     return np.linalg.solve(white, value[..., None])[..., 0], (value**2).sum(axis=1)
 
 
 def _stronger(start: Trial) -> Iterator[Trial]:
-    one = start.hypothesis
+    one, begin = start.hypothesis, start
     for factor in STRONGER:
         motion = replace(one.motion, noise=factor * one.motion.noise)
-        yield _tried(replace(one, what=TORQUES_STRONGER, motion=motion, debt=one.debt + DOUBT), start)
+        begin = _tried(replace(one, what=TORQUES_STRONGER, motion=motion), begin, start.best)
+        yield begin
+        if begin.best < start.best - HOPELESS:
+            return
 
 
 def _coarser(start: Trial) -> Iterator[Trial]:
@@ -224,8 +240,8 @@ def _coarser(start: Trial) -> Iterator[Trial]:
         numbers = int(term.freedom()[stated.kept].sum())
         one = stated.swapped(term, term.coarser(factor))
         one = replace(one, what=f"readings of the {term.called} {factor:g} times worse than stated",
-                      debt=stated.debt + DOUBT - np.log(len(COARSER)) - numbers * np.log(factor))  # fmt: skip
-        yield _tried(one, start)
+                      debt=stated.debt - np.log(len(COARSER)) - numbers * np.log(factor))  # fmt: skip
+        yield _tried(one, start, start.best)
 
 
 def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
@@ -240,21 +256,28 @@ def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
     return (1.0, *COARSER)[int(np.argmin(costs))]
 
 
-def _swinging(start: Trial) -> Iterator[Trial]:
-    """Also from the least turns that take the Sun where the modes see it: whole turns may be a swinging's doing."""
-    stated = start.hypothesis
-    t_s = stated.o.t_s[stated.kept]
+def _swinging(stated: Trial) -> Iterator[Trial]:
+    """From all modes, however improbable without it, and from the least turns that take the Sun where the best sees it."""
+    one, order = stated.hypothesis, np.argsort(-stated.log_evidence, kind="stable")
+    begin, first = stated.take(order[:SWINGING_MODES]), QUICK
+    t_s = one.o.t_s[one.kept]
     usual = float(np.median(np.diff(t_s)))
-    slow = start._replace(fit=start.fit._replace(track=_slowest(start.fit.track, t_s)))
-    for begin in (start, slow):
-        last = -np.inf
-        for angle in SWINGS:
-            term = Swinging(angle / np.sqrt(usual))
-            begin = _tried(stated.beside(SWINGS_QUICKLY, term, DOUBT - np.log(len(SWINGS))), begin)
-            yield begin
-            if begin.best < max(last, start.best - HOPELESS):
-                break
-            last = begin.best
+    if np.any(np.linalg.norm(begin.fit.track.omega[0, :-1], axis=1) * np.diff(t_s) > ALIASED):
+        begin, first = _joined(begin, _slowest(begin.fit.track.take(slice(1)), t_s)), CAREFUL
+    for angle in SWINGS:
+        last = begin.best
+        begin = _tried(one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual))), begin, stated.best, first)
+        begin = begin.take(distinct_index(begin.fit.track, t_s))
+        yield begin
+        if begin.best < min(last, stated.best - HOPELESS):
+            return
+
+
+def _joined(start: Trial, more: Track) -> Trial:
+    """Modes to begin with, and one more with the errors in common of the first."""
+    first = start.fit.track
+    both = Track(np.concatenate([first.attitude, more.attitude]), np.concatenate([first.omega, more.omega]))
+    return start._replace(fit=start.fit._replace(track=both, error=np.concatenate([start.fit.error, start.fit.error[:1]])))
 
 
 def _slowest(track: Track, t_s: np.ndarray) -> Track:

@@ -68,6 +68,9 @@ DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
 
+NAMED = 0.05
+"""Another model of the motion is named where the one as stated holds less of the weight."""
+
 MOST_LATE = 0.1
 """A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
 
@@ -154,8 +157,9 @@ def rates(
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
         mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
-        `passes.csv` (:func:`sunspin.estimate.passes.table`); `misfit` (pass_id, sensor, figure) of the best mode. On `sample`:
-        `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
+        `passes.csv` (:func:`sunspin.estimate.passes.table`); `model`, `model_weight`: the hypothesis of the motion
+        (:mod:`sunspin.estimate.rates.alternatives`) and its weight; `misfit` (pass_id, sensor, figure) of the best mode.
+        On `sample`: `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
         `sensors_late_sigma_s`; `wiring_doubt`, where another wiring or a sensor left out would make a pass fit.
 
     Raises
@@ -410,11 +414,11 @@ def stacked(modes: list[Pass]) -> Pass:
 
 
 def likeliest(shares: list[tuple[str, float]]) -> tuple[str, float]:
-    """Of what hypotheses say, each with a weight, what holds most of it, and how much."""
-    total: dict[str, float] = {}
+    """Of what hypotheses say, each with a weight, what is named, and its weight: the model as stated unless that is improbable."""
+    total = {AS_READ: 0.0}
     for what, weight in shares:
         total[what] = total.get(what, 0.0) + weight
-    return max(total.items(), key=lambda one: one[1])
+    return (AS_READ, total[AS_READ]) if total[AS_READ] > NAMED else max(total.items(), key=lambda one: one[1])
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -461,13 +465,15 @@ def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[b
         said = answers(p.weight[0] >= DECIDED, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
         row = PassMotions(
             len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
-            UNCHECKED if list(told) == ["Sun"] else AS_STATED, *p.model,
+            UNCHECKED if list(told) == ["Sun"] else AS_STATED,
         )  # fmt: skip
         rows.append(row)
     about = {"long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"}
     return table(rows, epoch_utc) | {
         "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
         "sensor": names, "figure": ["readings", "beyond", "chance"],
+        "model": ("pass_id", [p.model[0] for p in found], {"long_name": "what holds most of the weight of all that was tried"}),
+        "model_weight": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
     }  # fmt: skip
 
 
@@ -534,6 +540,8 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if other := sum(one != AS_READ for one in result["model"].values):
+        text += f"; in {other} the motion is not that of the model as stated: what it may be is named"
     if (fits & ~unique).any():
         text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
     if missed := int((~complete).sum()):

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from sunspin.estimate.terms.term import MotionTerm, Seen, Unknown
-from sunspin.solve.rotations import turn
+from sunspin.solve.rotations import cross_matrix, turn
 
 SHARE = 0.3
 """s^-0.5; the torque's prior sigma (rad/s2) for each rad/s^1.5 of white angular acceleration: the two make a rate wander alike in
@@ -54,4 +54,4 @@ class MagneticTorque(MotionTerm):
 
 def _pull(attitude: np.ndarray) -> np.ndarray:
     """e_j x A e_l (..., 3, 9) for all j and l; if the products m_j b_l have a variance of one, m x A b has one of six."""
-    return np.stack([np.cross(dipole, attitude[..., axis]) for dipole in np.eye(3) for axis in range(3)], axis=-1)
+    return np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude).reshape(*attitude.shape[:-1], 9)
