@@ -3,8 +3,9 @@
 Beside the model as stated each pass is fitted with a constant torque in body axes or in axes fixed in space, with steps of the
 rate, with stronger unknown torques, with a swinging too quick for the samples, and with sensors worse than stated. Each is the list
 of terms with one entry changed (:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found. All are as likely
-before the data, and so is each size of a swinging, since satellites under control do swing. How strong a torque is nobody knows even
-to a power of ten, nor when a step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs evidence.
+before the data, and so is each size of a swinging, since satellites under control do swing. How strong a torque is nobody knows
+even to a power of ten, nor when a step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs
+evidence.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from sunspin.solve.rotations import smallest_turn, turn_between
 TURNED = np.radians(np.geomspace(1.0, 300.0, 6))
 """rad by which a constant torque may turn the body over a pass: each as likely as any other."""
 
-MODES, LIGHTEST, SWINGING_MODES = 2, 0.02, 6
+MODES, LIGHTEST, SWINGING_MODES = 2, 0.02, 5
 """Modes from which alternatives begin, at most, and the least weight of one; and modes from which a swinging does."""
 
 STRONGER = (3.0, 10.0, 30.0)
@@ -48,16 +49,17 @@ HOPELESS, WORSE = 6.0, 1.0
 """Log evidence by which an alternative must be no worse than the model as stated, and a smaller noise no worse than a larger one,
 if more of the kind is to be tried."""
 
-QUICK, CAREFUL, SLACK = 1, 5, 4.0
-"""Steps of a fit that finds out whether another is worth its time, and of that; and log evidence that the latter may still gain."""
+STEPS, CLOSE = 6, 0.03
+"""Steps of a fit at most; one that promises to gain less than the second, in log density, is the last."""
 
-SWINGS = (0.05, 0.15, 0.5)
-"""rad by which a swinging turns the body between two samples."""
+SWINGS, OTHER_MODES = (0.05, 0.15, 0.5), float(np.log(5.0))
+"""rad by which a swinging turns the body between two samples; and what the modes add to the log evidence of one that is found from
+few: a body that swings may have turned any number of times, and many such motions fit."""
 
 ALIASED = 1.5
 """rad turned between two samples beyond which whole turns may be a swinging's doing."""
 
-COUNTED = 0.005
+COUNTED = 0.01
 """A mode of an alternative that holds less than this part of the weight is left out."""
 
 TORQUES_STRONGER, SWINGS_QUICKLY = "unknown torques stronger than in the rest of the file", "a swinging quicker than the samples"
@@ -101,27 +103,23 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     loosest = max([start, *noises[1:]], key=lambda trial: trial.best)  # where torques and steps that the noise holds down can grow
     rungs = falling(loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise)[1:]
     shared = [one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises]
-    found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start), *_swinging(stated)]
+    found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start)]
+    found += _swinging(stated) if how.free else []  # else the vehicle's file says what torques there are
     return [one for one in found if np.isfinite(one.best)]
 
 
-def _tried(one: Hypothesis, begin: Trial, wanted: float, first: int = QUICK) -> Trial:
-    """A hypothesis fitted from where another ended: by some steps at `first`, and with care where its log evidence is then not
-    hopelessly below what is `wanted`."""
-    quick = _fitted(one, begin, first)
-    return quick if quick.best < wanted - HOPELESS - SLACK else _fitted(one, quick, CAREFUL)
+def _tried(one: Hypothesis, begin: Trial) -> Trial:
+    """A hypothesis fitted from where another ended."""
+    fit = again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, STEPS, CLOSE)
+    return judged(one, fit)
 
 
-def _fitted(one: Hypothesis, begin: Trial, steps: int) -> Trial:
-    return judged(one, again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, steps))
-
-
-def _quieter(begin: Trial, rungs: list[float], wanted: float) -> Iterator[Trial]:
+def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
     """A trial, and it under ever less of other torques, as long as that is no worse."""
     yield begin
     for noise in rungs:
         one = begin.hypothesis
-        trial = _tried(replace(one, motion=replace(one.motion, noise=noise)), begin, wanted)
+        trial = _tried(replace(one, motion=replace(one.motion, noise=noise)), begin)
         yield trial
         if trial.best < begin.best - WORSE:
             return
@@ -130,20 +128,20 @@ def _quieter(begin: Trial, rungs: list[float], wanted: float) -> Iterator[Trial]
 
 def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
     """One that hardly turns the body over the pass is no other hypothesis."""
-    stated, wanted = start.hypothesis, start.best
+    stated = start.hypothesis
     sizes = 2 * TURNED / float(np.ptp(stated.o.t_s)) ** 2
     for frame in ("B", "N"):
         term = SteadyTorque(sizes[-1], frame, stated.motion.body.inertia)
-        first = _fitted(stated.beside("", term), start, QUICK + 1)
-        trials = [(trial, *_weighed(trial, sizes)) for trial in _quieter(first, rungs, wanted)]
+        trials = [(trial, *_weighed(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
         trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
         k = int(np.argmax(evidence))
         size = int(np.argmax(gains[:, k]))
-        if size and evidence[k] > wanted - HOPELESS:
+        if size and evidence[k] > start.best - HOPELESS:
             sized = term.sized(float(sizes[size] / sizes[-1]))
-            trial = _fitted(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), trial, CAREFUL)
+            trial = _tried(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), trial)
             pulled = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
             what = f"a steady torque of {pulled:.1g} rad/s2 in {WORDS[frame]}"
+            evidence = evidence - np.log(1 + len(rungs))
             yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
 
 
@@ -180,32 +178,37 @@ def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str])
     """Where neighbours fit the motion worst, one after another, as long as the evidence grows."""
     t_s = start.hypothesis.o.t_s[start.hypothesis.kept]
     middle = (t_s[1:] + t_s[:-1]) / 2
-    best, at, wanted = start, [], start.best - HOPELESS
+    trials, at, wanted = [start], [], start.best - HOPELESS
     for _ in range(min(MOST_STEPS, len(middle) - 1)):
+        best = max(trials, key=lambda trial: trial.best)
         off = _defects(best)[1]
         off[at] = 0.0
         k = int(np.argmax(off))
         lower = [noise for noise in rungs if noise < best.hypothesis.motion.noise]
         new = _step(best, k, lower, wanted, -np.log(len(middle)))
-        if new.best < wanted:
+        top = max(trial.best for trial in new)
+        if top < wanted:
             break
-        wanted = new.best
-        best, at = new, sorted([*at, k])
+        trials, at, wanted = new, sorted([*at, k]), top
     if at:
         words = f"{'steps' if len(at) > 1 else 'a step'} of the rate at {', '.join(clock_time(middle[k]) for k in at)}"
-        yield best._replace(hypothesis=replace(best.hypothesis, what=words))
+        for trial in trials:
+            evidence = trial.log_evidence - np.log(1 + len(rungs))
+            yield trial._replace(hypothesis=replace(trial.hypothesis, what=words), log_evidence=evidence)
 
 
-def _step(best: Trial, k: int, rungs: list[float], wanted: float, odds: float) -> Trial:
-    """One more step, after the kept sample `k`: as large as one of any size comes out."""
+def _step(best: Trial, k: int, rungs: list[float], wanted: float, odds: float) -> list[Trial]:
+    """One more step, after the kept sample `k`, under ever less of other torques: as large as one of any size comes out."""
     one = best.hypothesis
     before = np.zeros(len(one.o), dtype=bool)
     before[one.kept[k]] = True
     widest = one.motion.rate_prior
-    wide = _fitted(one.beside(one.what, RateStep(widest, before), odds - STEP_SIZES), best, QUICK)
+    wide = _tried(one.beside(one.what, RateStep(widest, before), odds - STEP_SIZES), best)
     size = float(np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest))
-    first = _tried(wide.hypothesis.swapped(wide.hypothesis.o.terms[-1], RateStep(size, before)), wide, wanted)
-    return max(_quieter(first, rungs, wanted), key=lambda trial: trial.best)
+    if wide.best + 3 * np.log(widest / size) < wanted:  # no more can be gained
+        return [wide]
+    first = _tried(wide.hypothesis.swapped(wide.hypothesis.o.terms[-1], RateStep(size, before)), wide)
+    return list(_quieter(first, rungs))
 
 
 def _defects(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
@@ -222,7 +225,7 @@ def _stronger(start: Trial) -> Iterator[Trial]:
     one, begin = start.hypothesis, start
     for factor in STRONGER:
         motion = replace(one.motion, noise=factor * one.motion.noise)
-        begin = _tried(replace(one, what=TORQUES_STRONGER, motion=motion), begin, start.best)
+        begin = _tried(replace(one, what=TORQUES_STRONGER, motion=motion), begin)
         yield begin
         if begin.best < start.best - HOPELESS:
             return
@@ -241,7 +244,7 @@ def _coarser(start: Trial) -> Iterator[Trial]:
         one = stated.swapped(term, term.coarser(factor))
         one = replace(one, what=f"readings of the {term.called} {factor:g} times worse than stated",
                       debt=stated.debt - np.log(len(COARSER)) - numbers * np.log(factor))  # fmt: skip
-        yield _tried(one, start, start.best)
+        yield _tried(one, start)
 
 
 def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
@@ -259,14 +262,14 @@ def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
 def _swinging(stated: Trial) -> Iterator[Trial]:
     """From all modes, however improbable without it, and from the least turns that take the Sun where the best sees it."""
     one, order = stated.hypothesis, np.argsort(-stated.log_evidence, kind="stable")
-    begin, first = stated.take(order[:SWINGING_MODES]), QUICK
+    begin = stated.take(order[:SWINGING_MODES])
     t_s = one.o.t_s[one.kept]
     usual = float(np.median(np.diff(t_s)))
     if np.any(np.linalg.norm(begin.fit.track.omega[0, :-1], axis=1) * np.diff(t_s) > ALIASED):
-        begin, first = _joined(begin, _slowest(begin.fit.track.take(slice(1)), t_s)), CAREFUL
+        begin = _joined(begin, _slowest(begin.fit.track.take(slice(1)), t_s))
     for angle in SWINGS:
         last = begin.best
-        begin = _tried(one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual))), begin, stated.best, first)
+        begin = _tried(one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual)), OTHER_MODES), begin)
         begin = begin.take(distinct_index(begin.fit.track, t_s))
         yield begin
         if begin.best < min(last, stated.best - HOPELESS):

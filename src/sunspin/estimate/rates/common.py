@@ -18,7 +18,7 @@ from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.smooth import apart, between, damping_scale, followed, moved, noises, normal_equations, whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
-from sunspin.solve.least_squares import least_squares, take
+from sunspin.solve.least_squares import TOLERANCE, least_squares, take
 from sunspin.solve.linear import Bordered, bordered, spread
 from sunspin.solve.rotations import turn
 
@@ -124,7 +124,7 @@ def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = N
 
 
 def again(
-    o: Observations, fit: Common, before: Observations, motion: Motion, clock: Clock | None = None, steps: int = 8
+    o: Observations, fit: Common, before: Observations, motion: Motion, clock: Clock | None, steps: int, tolerance: float
 ) -> Common:
     """Other observations of the same samples fitted from where a fit of those `before` ended, with the same errors in common."""
     old, new = ([one.name for one in places_of(each, motion, clock).unknowns] for each in (before, o))
@@ -132,10 +132,12 @@ def again(
     for i, name in enumerate(new):
         if name in old:
             error[:, i] = fit.error[:, old.index(name)]
-    return _fitted(o, fit.track, error, motion, clock, steps)
+    return _fitted(o, fit.track, error, motion, clock, steps, tolerance)
 
 
-def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int) -> Common:
+def _fitted(
+    o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int, tolerance: float = TOLERANCE
+) -> Common:
     """K hypotheses and their common errors fitted at once."""
     places = places_of(o, motion, clock)
     farthest = np.array([unknown.limit for unknown in places.unknowns])
@@ -148,7 +150,7 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
     found = least_squares(
         lambda state: _equations(o, Track(state[0], state[1]), state[2], motion, clock),
         lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
-        bordered, (track.attitude, track.omega, error), steps=steps, limit=limit,
+        bordered, (track.attitude, track.omega, error), steps=steps, tolerance=tolerance, limit=limit,
     )  # fmt: skip
     (attitude, omega, error), system, told = found.state, found.system, spread(found.system)
     fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)

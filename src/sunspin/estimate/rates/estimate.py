@@ -370,20 +370,24 @@ def finished(
     trials = [stated] if others is None else alternatives(stated, others)
     groups = counted(trials)
     used = sorted({i for group in groups for i, _ in group.members})
-    each = {i: completed(trials[i], stated.hypothesis, index, kept) for i in used}
+    heads = {group.members[0][0] for group in groups}
+    each = {i: completed(trials[i], stated.hypothesis, index, kept, i in heads) for i in used}
     modes = [mixed([each[i].take(np.array([k]), np.ones(1)) for i, k in group.members], group.weights) for group in groups]
     shares = [(trials[i].hypothesis.what, float(w)) for one in groups for (i, _), w in zip(one.members, one.weights, strict=True)]
     found = stacked(modes)._replace(model=likeliest(shares))
     return found.take(np.arange(len(modes)), np.array([group.weights.sum() for group in groups]))
 
 
-def completed(trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndarray) -> Pass:
-    """A trial's modes with their sigmas, at all samples; residuals are those of sensors as good as stated."""
+def completed(trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndarray, whole_story: bool = True) -> Pass:
+    """A trial's modes with their sigmas, at all samples, with residuals of sensors as good as stated if the `whole_story` is asked
+    for."""
     one, fit, o = trial.hypothesis, trial.fit, trial.hypothesis.fitted()
     between = Dense.of(one.o, np.arange(len(one.o)), one.kept, fit.seen, one.motion)
     track, sigma = with_spread(o, fit.track, one.motion, between.mean_map(), fit, one.clock)
     whole = between.filled(replace(track, attitude=fit.seen.attitude, omega=fit.seen.omega))
-    left = residuals(stated.o.freed(), one.kept, whole, Fitted(o, fit.track, fit.error, one.motion, one.clock))
+    left = {}
+    if whole_story:
+        left = residuals(stated.o.freed(), one.kept, whole, Fitted(o, fit.track, fit.error, one.motion, one.clock))
     hidden = sum(term.hidden_variance(np.diff(o.t_s)) for term in o.of_motion)
     whole.covariance[..., 3:, 3:] += hidden * np.eye(3)
     whole = replace(whole, log_weight=trial.log_evidence)
