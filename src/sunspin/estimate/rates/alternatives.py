@@ -62,6 +62,9 @@ ALIASED = 1.5
 COUNTED = 0.01
 """A mode of an alternative that holds less than this part of the weight is left out."""
 
+BENT_RAD = 1.0
+"""Two hypotheses may bend one motion apart by so much between two samples; other motions differ by more, mostly by whole turns."""
+
 TORQUES_STRONGER, SWINGS_QUICKLY = "unknown torques stronger than in the rest of the file", "a swinging quicker than the samples"
 """What such hypotheses change, in words."""
 
@@ -192,22 +195,32 @@ def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str])
         trials, at, wanted = new, sorted([*at, k]), top
     if at:
         words = f"{'steps' if len(at) > 1 else 'a step'} of the rate at {', '.join(clock_time(middle[k]) for k in at)}"
-        for trial in trials:
+        for trial in [*trials, *_elsewhere(max(trials, key=lambda trial: trial.best))]:
             evidence = trial.log_evidence - np.log(1 + len(rungs))
             yield trial._replace(hypothesis=replace(trial.hypothesis, what=words), log_evidence=evidence)
+
+
+def _elsewhere(best: Trial) -> Iterator[Trial]:
+    """The same steps, each also in the intervals beside its own: near a sample, the data hardly tell before from after."""
+    one = best.hypothesis
+    for term in one.o.terms:
+        if isinstance(term, RateStep):
+            k = int(np.flatnonzero(term.before[one.kept])[0])
+            for other in range(max(0, k - 1), min(k + 2, len(one.kept) - 1)):
+                if other != k:
+                    yield _tried(one.swapped(term, term.at(one.kept[other])), best)
 
 
 def _step(best: Trial, k: int, rungs: list[float], wanted: float, odds: float) -> list[Trial]:
     """One more step, after the kept sample `k`, under ever less of other torques: as large as one of any size comes out."""
     one = best.hypothesis
-    before = np.zeros(len(one.o), dtype=bool)
-    before[one.kept[k]] = True
     widest = one.motion.rate_prior
-    wide = _tried(one.beside(one.what, RateStep(widest, before), odds - STEP_SIZES), best)
+    step = RateStep(widest, np.zeros(len(one.o), dtype=bool)).at(one.kept[k])
+    wide = _tried(one.beside(one.what, step, odds - STEP_SIZES), best)
     size = float(np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest))
     if wide.best + 3 * np.log(widest / size) < wanted:  # no more can be gained
         return [wide]
-    first = _tried(wide.hypothesis.swapped(wide.hypothesis.o.terms[-1], RateStep(size, before)), wide)
+    first = _tried(wide.hypothesis.swapped(step, replace(step, sigma=size)), wide)
     return list(_quieter(first, rungs))
 
 
@@ -314,9 +327,11 @@ def counted(trials: list[Trial]) -> list[Counted]:
     for m, (_, i, k) in enumerate(every):
         one = trials[i].hypothesis
         place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
-        near = [members for other, members in found if ((other - place) ** 2).sum(axis=-1).max() <= ALIKE_RAD**2]
-        if near:
-            near[0].append(m)
+        for head, members in found:
+            others = all(every[n][1] != i for n in members)
+            if ((head - place) ** 2).sum(axis=-1).max() <= (BENT_RAD if others else ALIKE_RAD) ** 2:
+                members.append(m)
+                break
         else:
             found.append((place, [m]))
     groups = [Counted([every[m][1:] for m in members], weights[members] / weights.sum()) for _, members in found]

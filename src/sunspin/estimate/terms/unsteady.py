@@ -6,8 +6,8 @@ much stronger, a swinging a rate that differs at every instant, so that the atti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -28,6 +28,10 @@ class RateStep(MotionTerm):
 
     sigma: float
     before: np.ndarray
+
+    def at(self, index: int) -> Self:
+        """The same after the sample `index`."""
+        return replace(self, before=np.arange(len(self.before)) == index)
 
     def acceleration_noise(self, dt: np.ndarray) -> np.ndarray:
         return self.before[:-1] * self.sigma / np.sqrt(dt)

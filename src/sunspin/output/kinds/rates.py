@@ -69,7 +69,7 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     numbers |= {"speed_deg_s": [rate.low, rate.mean, rate.high], "at_s": rate.at_s, "omega_at_deg_s": rate.omega.tolist()}
     best = f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
     best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
-    if numbers["model"] != AS_STATED:
+    if numbers.get("model", AS_STATED) != AS_STATED:
         best += f"  likeliest: {numbers['model']} (weight {numbers['model_weight']:.2f})"
     return numbers, f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}"
 
