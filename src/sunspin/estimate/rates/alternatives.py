@@ -178,7 +178,7 @@ def _sized(error: np.ndarray, covariance: np.ndarray, shares: np.ndarray) -> np.
 
 
 def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str]) -> Iterator[Trial]:
-    """Where neighbours fit the motion worst, one after another, as long as the evidence grows."""
+    """Where neighbours fit the motion worst, one after another, as long as the evidence grows above that without any."""
     t_s = start.hypothesis.o.t_s[start.hypothesis.kept]
     middle = (t_s[1:] + t_s[:-1]) / 2
     trials, at, wanted = [start], [], start.best - HOPELESS
@@ -193,9 +193,13 @@ def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str])
         if top < wanted:
             break
         trials, at, wanted = new, sorted([*at, k]), top
+        if top < start.best:
+            break
     if at:
         words = f"{'steps' if len(at) > 1 else 'a step'} of the rate at {', '.join(clock_time(middle[k]) for k in at)}"
-        for trial in [*trials, *_elsewhere(max(trials, key=lambda trial: trial.best))]:
+        if wanted > start.best:
+            trials = [*trials, *_elsewhere(max(trials, key=lambda trial: trial.best))]
+        for trial in trials:
             evidence = trial.log_evidence - np.log(1 + len(rungs))
             yield trial._replace(hypothesis=replace(trial.hypothesis, what=words), log_evidence=evidence)
 
