@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunspin.estimate.rates.alternatives import Others, _sized, alternatives, counted, judged
+from sunspin.estimate.rates.alternatives import Others, _sized, alternatives, counted, weighed
 from sunspin.estimate.rates.common import with_common
 from sunspin.estimate.rates.dense import bridge
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
@@ -70,7 +70,7 @@ def tried(push, noise):
     motion = Motion(Body.of(made.vehicle), noise, 0.075)
     one = Hypothesis(AS_STATED, o.take(index), np.arange(len(index)), motion)
     fit = with_common(one.fitted(), Track((attitude[index] @ axes.T)[None], omega[index][None]), motion, None)
-    return alternatives(judged(one, fit), Others(True, "{:.0f} s".format)), omega[index]
+    return alternatives(weighed(one, fit), Others(True, "{:.0f} s".format)), omega[index]
 
 
 @pytest.mark.parametrize(("push", "noise", "words"), [

@@ -18,9 +18,10 @@ import numpy as np
 
 from sunspin.estimate.rates.common import Common, again, places_of
 from sunspin.estimate.rates.hypotheses import Hypothesis
+from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.noise import falling
 from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
-from sunspin.estimate.rates.smooth import apart, log_noise, noises, whitening
+from sunspin.estimate.rates.smooth import Intervals, log_noise
 from sunspin.estimate.rates.state import Track
 from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque
 from sunspin.estimate.terms.term import StateTerm, SunTerm, normal
@@ -93,7 +94,7 @@ class Others(NamedTuple):
     clock_time: Callable[[float], str]
 
 
-def judged(one: Hypothesis, fit: Common) -> Trial:
+def weighed(one: Hypothesis, fit: Common) -> Trial:
     """A fit with its evidence."""
     return Trial(one, fit, fit.track.log_weight - log_noise(one.fitted(), one.motion) + one.debt)
 
@@ -114,7 +115,7 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
 def _tried(one: Hypothesis, begin: Trial) -> Trial:
     """A hypothesis fitted from where another ended."""
     fit = again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, STEPS, CLOSE)
-    return judged(one, fit)
+    return weighed(one, fit)
 
 
 def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
@@ -135,7 +136,7 @@ def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
     sizes = 2 * TURNED / float(np.ptp(stated.o.t_s)) ** 2
     for frame in ("B", "N"):
         term = SteadyTorque(sizes[-1], frame, stated.motion.body.inertia)
-        trials = [(trial, *_weighed(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
+        trials = [(trial, *_over_sizes(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
         trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
         k = int(np.argmax(evidence))
         size = int(np.argmax(gains[:, k]))
@@ -154,7 +155,7 @@ def _place(trial: Trial) -> slice:
     return next(place for term, place in places_of(one.fitted(), one.motion, one.clock).motion if isinstance(term, SteadyTorque))
 
 
-def _weighed(trial: Trial, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _over_sizes(trial: Trial, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of a torque fitted under the widest of the prior sigmas `sizes` (m): gains of each (m, K), and the evidence over all (K)."""
     place = _place(trial)
     gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], sizes / sizes[-1])
@@ -219,12 +220,12 @@ def _step(best: Trial, k: int, rungs: list[float], wanted: float, odds: float) -
     """One more step, after the kept sample `k`, under ever less of other torques: as large as one of any size comes out."""
     one = best.hypothesis
     widest = one.motion.rate_prior
-    step = RateStep(widest, np.zeros(len(one.o), dtype=bool)).at(one.kept[k])
-    wide = _tried(one.beside(one.what, step, odds - STEP_SIZES), best)
+    jump = RateStep(widest, np.zeros(len(one.o), dtype=bool)).at(one.kept[k])
+    wide = _tried(one.beside(one.what, jump, odds - STEP_SIZES), best)
     size = float(np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest))
     if wide.best + 3 * np.log(widest / size) < wanted:  # no more can be gained
         return [wide]
-    first = _tried(wide.hypothesis.swapped(step, replace(step, sigma=size)), wide)
+    first = _tried(wide.hypothesis.swapped(jump, replace(jump, sigma=size)), wide)
     return list(_quieter(first, rungs))
 
 
@@ -233,9 +234,9 @@ def _defects(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
     (n - 1)."""
     one, o = trial.hypothesis, trial.hypothesis.fitted()
     track = trial.fit.track.take(np.array([np.argmax(trial.log_evidence)]))
-    value = apart(o, track, one.motion)[0]
-    white = whitening(np.diff(o.t_s), *noises(o, one.motion))
-    return np.linalg.solve(white, value[..., None])[..., 0], (value**2).sum(axis=1)
+    over = Intervals.of(o, track, one.motion)
+    value = over.defect(track.omega, *over.step(one.motion.body, track.omega, step))[0]
+    return np.linalg.solve(over.white, value[..., None])[..., 0], (value**2).sum(axis=1)
 
 
 def _stronger(start: Trial) -> Iterator[Trial]:
