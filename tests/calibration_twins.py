@@ -112,10 +112,11 @@ def deviations(twin: Twin, found: xr.Dataset) -> dict[str, list[float]]:
     off: dict[str, list[float]] = {}
     for name in dict.fromkeys(found["key"].values.tolist()):
         part = found.isel(quantity=np.flatnonzero(found["key"].values == name))
+        value = part["value"].values
         if part["written"].values.all() and name in twin.truth:
-            symmetric = name == "magnetometer.matrix" and np.allclose(part["value"].values[[1, 2, 5]], part["value"].values[[3, 6, 7]])
+            symmetric = name == "magnetometer.matrix" and np.allclose(value[[1, 2, 5]], value[[3, 6, 7]])
             truth = twin.truth["stretch" if symmetric else name]
-            off[name] = ((part["value"].values - truth) / part["sigma"].values).tolist()
+            off[name] = ((value - truth) / part["sigma"].values).tolist()
     return off
 
 
@@ -125,8 +126,9 @@ def judge(seed: int, i: int) -> dict[str, Any]:
     for what, off in (("off", 1.0), ("clean", 0.0)):
         twin = make(seed, i, off)
         elements = parse_elements("\n".join(twin.elements), "twin")
-        orbit = in_orbit(elements, twin.telemetry.attrs["epoch_utc"], twin.telemetry["time"].values, shift_sigma_s=twin.shift_sigma_s)
-        about[what] = deviations(twin, calibrate_sensors(twin.vehicle, twin.telemetry, orbit))
+        data = twin.telemetry
+        orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=twin.shift_sigma_s)
+        about[what] = deviations(twin, calibrate_sensors(twin.vehicle, data, orbit))
     return about
 
 

@@ -68,8 +68,8 @@ def field_nT(place: np.ndarray, sidereal: np.ndarray, when: datetime) -> np.ndar
 
 
 def sky(given: tuple[str, str], begin: float, t: np.ndarray, ahead: float) -> tuple[np.ndarray, ...]:
-    """Direction to the Sun (n, 3), field (n, 3) in nT, whether the Sun is up (n) and the ground below lit (n), at s from `begin` after
-    the epoch, so many s ahead of the elements."""
+    """Direction to the Sun (n, 3), field (n, 3) in nT, whether the Sun is up (n) and the ground below lit (n), at s from `begin`
+    after the epoch, so many s ahead of the elements."""
     day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)
     true = begin + t
     _, place, _ = Satrec.twoline2rv(*given).sgp4_array(np.full(len(t), day), fraction + (true + ahead) / 86400)

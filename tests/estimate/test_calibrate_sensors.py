@@ -43,7 +43,7 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
     assert np.sqrt((every**2).mean()) < 1.5 and every.max() < 4
     zero = found.isel(quantity=found["key"].values == "magnetometer.zero")
     assert np.all(zero["sigma"].values < 400) and bool(zero["moved"].values.any()) == bool(off)
-    assert found.attrs["field_residual_after_T"] < 3.5e-7 and found.attrs["source"].endswith(" samples of twin.csv, 2021-03-15 to 2021-03-16")
+    assert found.attrs["field_residual_after_T"] < 3.5e-7 and " samples of twin.csv, 2021-03-" in found.attrs["source"]
     text = str(found.sunspin.summary())
     assert "magnetometer.zero = [" in text and "Shift along the track" in text
 
@@ -74,7 +74,8 @@ def test_a_gyro_is_calibrated_by_rates_found_without_it():
             {"omega_B": (("time", "axis"), seen), "omega_cov_B": (("time", "a", "b"), np.tile(1e-6 * np.eye(3), (len(t), 1, 1))),
              "pass_of": ("time", pass_of), "decided": ("pass_id", np.ones(passes, dtype=bool))}, {"time": t},
         )  # fmt: skip
-        fit = fit_gyro(Gyro(("a", "b", "c"), 1.0, np.zeros(3), 5e-4), xr.Dataset({"gyro_B": (("time", "axis"), read)}, {"time": t}), found)
+        gyro, data = Gyro(("a", "b", "c"), 1.0, np.zeros(3), 5e-4), xr.Dataset({"gyro_B": (("time", "axis"), read)}, {"time": t})
+        fit = fit_gyro(gyro, data, found)
         sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
         off.append((fit.values - [0.01, -0.02, 0.005, 1.04]) / sigma)
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(off))) < 1.5 and fit.passes == 8
@@ -100,8 +101,9 @@ noise_rad_s = 1
 
 
 def test_the_copy_keeps_order_and_comments():
-    new = [NewValue(("panel", "+X"), "relative_gain", 6.5, 0.1, "s"), NewValue(("magnetometer",), "zero", [1.0, 2.0, 3.0], [0.1] * 3, "s"),
-           NewValue(("magnetometer",), "scale_T", 2e-9, 1e-11, "s"), NewValue(("gyro",), "scale_rad_s", 1.1, 0.01, "s")]  # fmt: skip
+    field = ("magnetometer",)
+    new = [NewValue(("panel", "+X"), "relative_gain", 6.5, 0.1, "s"), NewValue(field, "zero", [1.0, 2.0, 3.0], [0.1] * 3, "s"),
+           NewValue(field, "scale_T", 2e-9, 1e-11, "s"), NewValue(("gyro",), "scale_rad_s", 1.1, 0.01, "s")]  # fmt: skip
     text = rewritten(FILE, new)
     assert [line for line in text.splitlines() if line not in FILE.splitlines()] == [
         'relative_gain = {value = 6.5, sigma = 0.1, source = "s"}   # of the second batch',
@@ -146,7 +148,7 @@ y_bias_rad = -0.1
 x_sigma_rad = 0.02
 y_sigma_rad = 0.02
 """
-    text = text.replace("# noise = 5", "matrix = [[1, 0.1, 0], [0, 1, 0], [0, 0, 2]]").replace("zero = [0, 0, 0]", "zero = [1, 2, 3]")
+    text = text.replace("# noise = 5", "matrix = [[1, 0.1, 0], [0, 1, 0], [0, 0, 2]]").replace("[0, 0, 0]", "[1, 2, 3]")
     (tmp_path / "v.toml").write_text(text, "utf-8")
     (tmp_path / "t.csv").write_text("t,a,b,c,u,v\n0,11,12,13,5,-10\n1,1,2,4,5,-10\n", "utf-8")
     data = ss.read_telemetry(tmp_path / "t.csv", ss.load_vehicle(tmp_path / "v.toml"))

@@ -414,7 +414,11 @@ def _spk(path: Path) -> _Table:
     except Elsewhere as error:
         raise InputError(sentence(f"the SPK cannot be used ({error})", where=where)) from None
     values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)
-    return _Table("2000-01-01T12:00:00", "TDB", values[:, 0], 1e3 * values[:, 1:4], 1e3 * values[:, 4:], "J2000")
+    if not len(values):
+        raise InputError(sentence("the SPK has no states", where=where))
+    begin = int(values[0, 0])  # the leap seconds of an epoch hold for its table
+    epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
+    return _Table(epoch, "TDB", values[:, 0] - begin, 1e3 * values[:, 1:4], 1e3 * values[:, 4:], "J2000")
 
 
 def utc_of(jd: float) -> str:

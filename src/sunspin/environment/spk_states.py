@@ -4,6 +4,7 @@ Arguments: kernel, step (s), most states. Standard output: TDB seconds past J200
 """
 
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,13 @@ def main() -> None:
     import spiceypy as sp
 
     kernel, step, most = sys.argv[1], float(sys.argv[2]), int(sys.argv[3])
+    try:
+        sys.stdout.buffer.write(states(sp, kernel, step, most).tobytes())
+    except sp.exceptions.SpiceyError as error:
+        sys.exit(f"SPICE says {type(error).__name__}")
+
+
+def states(sp: Any, kernel: str, step: float, most: int) -> np.ndarray:
     sp.furnsh(kernel)
     bodies = [body for body in sp.spkobj(kernel) if body != EARTH]
     if len(bodies) != 1:
@@ -26,7 +34,7 @@ def main() -> None:
     for begin, end in spans:
         for et in np.append(np.arange(begin, end, step), end):
             rows.append([et, *sp.spkgeo(bodies[0], et, "J2000", EARTH)[0]])
-    sys.stdout.buffer.write(np.array(rows, dtype=np.float64).tobytes())
+    return np.array(rows, dtype=np.float64)
 
 
 if __name__ == "__main__":

@@ -289,7 +289,7 @@ class _Model:
         """How many conditions (n) the readings of a sample put on the unknowns, beside those that its attitude takes up."""
         read = self.read
         sun, field = read[:, :-3].sum(axis=1), read[:, -3:].all(axis=1)
-        return np.maximum(read.sum(axis=1) - np.where(field & (sun > 1), 3, 2), 0)
+        return np.maximum(read.sum(axis=1) - np.where(field & (sun > 0), 3, 2), 0)
 
     def triads(self, unknown: np.ndarray) -> np.ndarray:
         """Attitudes (n, 3, 3) to begin with, from one reading of the Sun and the field."""
@@ -406,13 +406,19 @@ class _Model:
 
     def answer(self, state: _State, first: np.ndarray, unit: float) -> Calibration:
         unknown = state.unknown[0]
-        attitude, scores, matrix, _ = self._scores(unknown, state.attitude[0])
+        _, scores, _, _ = self._scores(unknown, state.attitude[0])
+        _, at, back = self._settled(unknown, state.attitude[0])
+        alone, conditions = self._projected(at, back), self.conditions
+        expected = (STUDENT + conditions) / (STUDENT + conditions + 2)  # of the Student law, on average
+        matrix = np.einsum("n,nrd,nre->de", expected, alone, alone)
         covariance = np.linalg.inv(self.precision + matrix)
+        fitted, total = float((covariance * matrix).sum()), float(conditions.sum())
         clusters = _clusters(self.seen.pass_of)
         count = clusters.max() + 1
         summed = np.zeros((count, len(unknown)))
         np.add.at(summed, clusters, scores)
-        meat = summed.T @ summed * (count / max(count - 1, 1)) + self.precision
+        fewer = count / max(count - 1, 1) * total / max(total - fitted, 1.0)  # what the fit itself takes from the scatter
+        meat = summed.T @ summed * fewer + self.precision
         before, after = self._left(self._stated(unknown)), self._left(unknown)
         read = self.seen
         samples = {"field": int(read.has_field.sum()), "Sun": int(read.has_sun.sum()), "passes": len(np.unique(read.pass_of)),

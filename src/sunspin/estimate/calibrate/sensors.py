@@ -305,7 +305,7 @@ def _dataset(vehicle: Vehicle, telemetry: xr.Dataset, keys: list[Key], notes: li
             columns["written"].append(bool(known.all()))
             columns["samples"].append(key.samples)
     stated, value, sigma = (np.array(columns[name]) for name in ("stated", "value", "sigma"))
-    moved = ~(np.abs(value - stated) <= sigma)  # a value that was not stated counts as moved
+    moved = np.abs(value - stated) > sigma  # one that was not stated is new and has not moved
     file = telemetry.attrs.get("file", "telemetry")
     return xr.Dataset(
         {name: ("quantity", np.array(part)) for name, part in columns.items()} | {"moved": ("quantity", moved)},
