@@ -263,7 +263,8 @@ def _instants(table: _Table, where: str) -> Instants:
         raise InputError(sentence("this is not a time such as 2026-01-31T12:00:00", got=table.epoch, where=where)) from None
     tai_ahead = when.tt_ahead * DAY_S - 32.184
     tt_ahead = tai_ahead + 32.184
-    behind = {"UTC": 0.0, "UT1": 0.0, "TAI": tai_ahead, "TT": tt_ahead, "TDT": tt_ahead, "TDB": tt_ahead,
+    tdb_ahead = tt_ahead + 1.657e-3 * np.sin(6.24 + 0.017202 * (when.middle - 2451545.0))  # Astronomical Almanac, page B7
+    behind = {"UTC": 0.0, "UT1": 0.0, "TAI": tai_ahead, "TT": tt_ahead, "TDT": tt_ahead, "TDB": tdb_ahead,
               "GPS": tai_ahead - TAI_AHEAD_OF_GPS_S}  # fmt: skip
     if table.scale not in behind:
         do = f"give one of {', '.join(behind)}"

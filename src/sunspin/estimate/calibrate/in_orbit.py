@@ -46,7 +46,9 @@ PANEL_SIGMA_RAD = 0.03
 WEAK = 1e-4
 """Information (1/rad^2) that keeps a turn finite which no sensor of a sample sees."""
 
-INNER, ROUNDS, STEPS, TOLERANCE = 4, 5, 12, 0.01
+INNER, ROUNDS, STEPS, TOLERANCE = 4, 12, 12, 0.01
+STEADY = 0.01
+"""Scatters and unknowns are fitted in turn until those change by less than this part."""
 
 GAP = 6.0
 """Passes are parted by gaps of more than so many usual intervals; readings of one pass may err as one."""
@@ -156,7 +158,9 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
     for _ in range(ROUNDS):
         solution = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE)
         state = solution.state._replace(attitude=solution.system.kept[0])
-        model = model.with_scatter(state)
+        before, model = model, model.with_scatter(state)
+        if np.allclose(model.scatter, before.scatter, rtol=STEADY):
+            break
     return model.answer(state, first, unit)
 
 

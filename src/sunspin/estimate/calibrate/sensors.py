@@ -32,6 +32,9 @@ MOST_SAMPLES = 600
 FEWEST = 40
 """Conditions that samples must put on the unknowns before magnetometer and Sun sensors are calibrated."""
 
+BLOCKS = 8
+"""Parts of the file that are left out in turn."""
+
 SMALL = 1e-5
 """Step of the differences by which covariances are carried to the keys of the file, in prior sigmas."""
 
@@ -132,13 +135,22 @@ def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[
     if not np.isfinite(quality.attrs["spread"]):
         notes.append(f"gains of panels: {quality.attrs['gains_from']}")
         return [], vehicle
-    sigma, prior = np.sqrt(np.diag(quality["gain_cov"].values)), prior_sigmas(vehicle) * stated
+    sigma = np.maximum(np.sqrt(np.diag(quality["gain_cov"].values)), _jackknife(vehicle, telemetry))
+    prior = prior_sigmas(vehicle) * stated
     key = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     count = int((quality["use"].values == 0).sum())
     one = [np.array([part]) for part in (stated, gain, sigma, prior)]
     keys = [Key(("panel", panel.name), key, *(part[0, k : k + 1] for part in one), vehicle.gain_unit or "1", count)
             for k, panel in enumerate(vehicle.panels)]  # fmt: skip
     return keys, with_gains(vehicle, gain / stated)
+
+
+def _jackknife(vehicle: Vehicle, telemetry: xr.Dataset) -> np.ndarray:
+    """Sigma (n_panel) of the gains by leaving out each part of the file: what brightens or dims a panel lasts for a pass."""
+    samples = np.arange(telemetry.sizes["time"])
+    rest = [np.setdiff1d(samples, block) for block in np.array_split(samples, BLOCKS)]
+    gain = np.array([panel_quality(vehicle, telemetry.isel(time=some))["gain"].values for some in rest])
+    return np.sqrt((BLOCKS - 1) / BLOCKS * ((gain - gain.mean(axis=0)) ** 2).sum(axis=0))
 
 
 def _readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
