@@ -22,6 +22,12 @@ from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
 
 
+def few(off: float = 1.0):
+    """A twin with every second sample."""
+    twin = make(1, 0, off, gyro=False)
+    return twin._replace(telemetry=twin.telemetry.isel(time=slice(None, None, 2)))
+
+
 def calibrated(twin, monkeypatch, verdict=Verdict.FITS):
     """With the orbit check's answer given: it has tests of its own."""
     start = OrbitCheck(0.0, 10.0, verdict, matrix=1e-9 * np.eye(3), zero=np.zeros(3))
@@ -32,9 +38,9 @@ def calibrated(twin, monkeypatch, verdict=Verdict.FITS):
     return ss.calibrate_sensors(twin.vehicle, twin.telemetry, orbit)
 
 
-@pytest.mark.parametrize("off", [1.0, 0.0])
+@pytest.mark.parametrize("off", [1.0, pytest.param(0.0, marks=pytest.mark.long)])
 def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
-    twin = make(1, 0, off, gyro=False)
+    twin = few(off)
     found = calibrated(twin, monkeypatch)
     z = deviations(twin, found)
     kinds = {name.split(".")[0] for name in z}
@@ -42,7 +48,7 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
     every = np.abs(np.concatenate(list(z.values())))
     assert np.sqrt((every**2).mean()) < 1.5 and every.max() < 4
     zero = found.isel(quantity=found["key"].values == "magnetometer.zero")
-    assert np.all(zero["sigma"].values < 400) and bool(zero["moved"].values.any()) == bool(off)
+    assert np.all(zero["sigma"].values < 400) and (found["moved"].values.mean() > 0.6) == bool(off)
     assert found.attrs["field_residual_after_T"] < 3.5e-7 and " samples of twin.csv, 2021-03-" in found.attrs["source"]
     text = str(found.sunspin.summary())
     assert "magnetometer.zero = [" in text and "Shift along the track" in text
@@ -50,11 +56,11 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
 
 def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):
     with pytest.raises(ss.InputError, match="the elements do not fit the telemetry, which cannot be calibrated with them"):
-        calibrated(make(1, 0, gyro=False), monkeypatch, Verdict.REFUSED)
+        calibrated(few(), monkeypatch, Verdict.REFUSED)
 
 
 def test_without_an_orbit_only_the_panels_are_calibrated():
-    twin = make(1, 0, gyro=False)
+    twin = few()
     found = ss.calibrate_sensors(twin.vehicle, twin.telemetry)
     assert {name.split(".")[0] for name in found["key"].values} == {"panel"}
     assert "not determined without an orbit" in found.attrs["notes"]

@@ -78,6 +78,9 @@ FINE, DEEP = 33, 10.0
 BLOCKS, AROUND, BESIDE = 8, 9, 3.0
 """Parts of the file that are left out in turn, with so many steps of the shift within so many sigmas."""
 
+FEW = 1.15
+"""By so much a sigma from so few parts is too small for 90 % to lie within 1.645 of it: Student's law, 7 degrees of freedom."""
+
 ROUNDS, STEPS, TOLERANCE = 3, 10, 0.05
 
 
@@ -442,7 +445,8 @@ def _shift(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, flo
         cost = _fit(some, Predicted(*(each[:, rest] for each in part)), near.prior).cost
         found.append(_lowest(near.shifts, cost)[0])
     if found:
-        sigma = max(sigma, float(np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum())))
+        apart = float(np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum()))
+        sigma = max(sigma, FEW * apart)
     return mean, sigma, k < 2 or k > len(grid.shifts) - 3
 
 
