@@ -32,7 +32,7 @@ MATRIX_SIGMA, SCALE_FREE = 0.2, 3.0
 """Prior sigmas of each element of the magnetometer's matrix over its scale, and of the scale itself, which is free."""
 
 ZERO_SIGMA = 1.0
-"""Of its zero where the vehicle file states none, in medians of its readings: the file's may be missing."""
+"""Of its zero where the vehicle file states no sigma, in medians of what its columns hold: the file's may be missing."""
 
 BIAS_SIGMA_RAD, ANGLE_SCALE_SIGMA = 0.1, 0.2
 """Of a Sun sensor's bias, and of its scales over those stated, where the vehicle file states none."""
@@ -167,7 +167,9 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
 def priors(vehicle: Vehicle, seen: Readings, orbit: Orbit) -> np.ndarray:
     """One sigma of each unknown before the data, the zero's in the unit of the readings: that of the vehicle file, else ours."""
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-    median = float(np.nanmedian(np.linalg.norm(seen.field, axis=1))) if seen.has_field.any() else 1.0
+    part, median = vehicle.sensors.magnetometer, 1.0
+    if part is not None and seen.has_field.any():
+        median = float(np.nanmedian(np.linalg.norm(seen.field @ np.linalg.inv(part.matrix).T + part.zero, axis=1)))
     zero = vehicle.facts.get("magnetometer.zero")
     zero_sigma = ZERO_SIGMA * median if zero is None or not np.any(zero.sigma) else np.asarray(zero.sigma, dtype=float)
     found = [np.full(9, MATRIX_SIGMA), np.broadcast_to(zero_sigma, 3), [along, along / DRIFT_DAYS]]

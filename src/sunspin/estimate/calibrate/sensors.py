@@ -50,8 +50,8 @@ class Key(NamedTuple):
     prior: np.ndarray
     unit: str
     samples: int
-    always: bool = False
-    """Whether it is written with another key and not judged by itself."""
+    together: bool | None = None
+    """Whether all keys that only make sense with it are determined, and it with them; None: it stands for itself."""
 
     @property
     def name(self) -> str:
@@ -243,10 +243,11 @@ def _magnetometer(vehicle: Vehicle, made: Calibration) -> list[Key]:
         Key(at, "matrix", part.matrix.ravel(), *_carried(made, matrix), "1", n),
         Key(at, "scale_T", np.array([np.nan if part.scale_T is None else part.scale_T]), *_carried(made, scale), "T", n),
     ]  # fmt: skip
-    if part.noise is None and all(np.all(key.sigma < NARROWER * key.prior) for key in keys):
+    known = all(np.all(key.sigma < NARROWER * key.prior) for key in keys)
+    if part.noise is None:
         noise = np.array([made.noise_T]) / scale(made)
-        keys.append(Key(at, "noise", np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise, "field", n, True))
-    return keys
+        keys.append(Key(at, "noise", np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise, "field", n))
+    return [key._replace(together=known) for key in keys]
 
 
 def _sun_sensors(vehicle: Vehicle, seen: Readings, made: Calibration) -> Iterator[Key]:
@@ -306,7 +307,7 @@ def _dataset(vehicle: Vehicle, telemetry: xr.Dataset, keys: list[Key], notes: li
     days = " to ".join(dict.fromkeys(utc_after(float(t), epoch)[:10] for t in (time.min(), time.max())))
     columns: dict[str, list[Any]] = {name: [] for name in (*FIELDS, "unit", "key", "component", "determined", "written", "samples")}
     for key in keys:
-        known = (key.sigma < NARROWER * key.prior) | key.always
+        known = key.sigma < NARROWER * key.prior
         for i in range(len(key.value)):
             for name, part in zip(FIELDS, (key.stated, key.value, key.sigma, key.prior), strict=True):
                 columns[name].append(float(part[i]))
@@ -314,7 +315,7 @@ def _dataset(vehicle: Vehicle, telemetry: xr.Dataset, keys: list[Key], notes: li
             columns["component"].append(i)
             columns["unit"].append(key.unit)
             columns["determined"].append(bool(known[i]))
-            columns["written"].append(bool(known.all()))
+            columns["written"].append(bool(known.all()) if key.together is None else key.together)
             columns["samples"].append(key.samples)
     stated, value, sigma = (np.array(columns[name]) for name in ("stated", "value", "sigma"))
     moved = np.abs(value - stated) > sigma  # one that was not stated is new and has not moved
