@@ -173,7 +173,7 @@ class _Table(NamedTuple):
 def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
     """Elements (TLE, OMM) or an ephemeris (OEM, CSV, SPK), whichever the file has; errors as of `read_ephemeris`."""
     path = Path(path)
-    content = read_bytes(path, MAX_FILE_BYTES, "file of an orbit", InputError, "give the path of a TLE, OMM, OEM, CSV or SPK")
+    content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE, OMM, OEM, CSV or SPK")
     text = content[:20_000].decode("utf-8-sig", "replace")
     if content[:4] in (b"DAF/", b"NAIF") or "CCSDS_OEM_VERS" in text or "<oem" in text or _is_table(text):
         return (read_ephemeris(path),)

@@ -37,6 +37,9 @@ ZERO_SIGMA = 1.0
 BIAS_SIGMA_RAD, ANGLE_SCALE_SIGMA = 0.1, 0.2
 """Of a Sun sensor's bias, and of its scales over those stated, where the vehicle file states none."""
 
+SHIFTS = 31
+"""Of these the one is taken from which the fit begins."""
+
 DRIFT_DAYS = 30.0
 """The shift along the track may drift by its own sigma in so many days: drag."""
 
@@ -140,28 +143,53 @@ class Calibration:
 
 
 def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, prior: np.ndarray) -> Calibration:
-    """Calibrate by these readings, from a start; `prior` (D): one sigma of each unknown (those of :func:`priors`)."""
-    sky = _Sky.of(orbit, seen.t_s)
+    """Calibrate by these readings, from a start or from the sphere that explains the field's strength, whichever fits better;
+    `prior` (D): one sigma of each unknown (those of :func:`priors`)."""
+    sky = _Sky(orbit, seen.t_s)
     _, field_T, light = sky.at(start.shift_s, 0.0)
     dark = light < 0.5  # what is seen there is not the Sun
     seen = seen._replace(angle=np.where(dark[:, None, None], np.nan, seen.angle), sun=np.where(dark[:, None], np.nan, seen.sun))
     keep = seen.has_field | seen.has_sun
     seen, sky = seen.take(keep), sky.take(keep)
     unit_T = float(np.median(np.linalg.norm(field_T, axis=1)))
-    inverse = np.linalg.inv(start.matrix)
-    unit = unit_T * abs(np.linalg.det(inverse)) ** (1 / 3)
-    first = np.zeros(len(prior))
-    first[:9] = (inverse * unit_T / unit - np.eye(3)).ravel()
-    first[9:12], first[12] = inverse @ start.zero_T / unit, start.shift_s
+    sphere = _sphere(seen, sky, prior[12])
+    unit = unit_T * abs(np.linalg.det(sphere.matrix)) ** (-1 / 3)
     model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
-    state = _State(first[None], model.triads(first)[None])
+
+    def begun(one: Start) -> _State:
+        inverse, first = np.linalg.inv(one.matrix), np.zeros(len(prior))
+        first[:9] = (inverse * unit_T / unit - np.eye(3)).ravel()
+        first[9:12], first[12] = inverse @ one.zero_T / unit, one.shift_s
+        return _State(first[None], model.triads(first)[None])
+
+    tried = [least_squares(model.linearise, _stepped, dense, begun(one), steps=STEPS, tolerance=1.0) for one in (sphere, start)]
+    state = min(tried, key=lambda one: one.system.cost[0]).state
     for _ in range(ROUNDS):
         solution = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE)
         state = solution.state._replace(attitude=solution.system.kept[0])
         before, model = model, model.with_scatter(state)
         if np.allclose(model.scatter, before.scatter, rtol=STEADY):
             break
-    return model.answer(state, first, unit)
+    return model.answer(state, unit)
+
+
+def _sphere(seen: Readings, sky: _Sky, sigma_s: float) -> Start:
+    """Zero and one scale for all axes by the field's strength alone, at the shift within three of its sigmas where they fit best:
+    r^2 = 2 r.z - z^2 + (B / scale)^2 is linear in z, z^2 and 1 / scale^2."""
+    use, best = seen.has_field, (np.inf, Start(np.eye(3), np.zeros(3)))
+    reading, some = seen.field[use], sky.take(seen.has_field)
+    size = float(np.median(np.linalg.norm(reading, axis=1)))
+    for shift in np.linspace(-3, 3, SHIFTS) * sigma_s:
+        strength = np.linalg.norm(some.at(shift, 0.0)[1], axis=1)
+        middle = float(np.median(strength))
+        design = np.column_stack([2 * reading / size, np.ones(len(reading)), (strength / middle) ** 2])
+        target = (reading**2).sum(axis=1) / size**2
+        found = np.linalg.lstsq(design, target, rcond=None)[0]
+        left = float(np.abs(design @ found - target).sum()) / max(found[4], 1e-9)  # in units of the field
+        if found[4] > 0 and left < best[0]:
+            scale = middle / size / np.sqrt(found[4])
+            best = left, Start(scale * np.eye(3), scale * size * found[:3], shift)
+    return best[1]
 
 
 def priors(vehicle: Vehicle, seen: Readings, orbit: Orbit) -> np.ndarray:
@@ -223,10 +251,6 @@ class _Sky:
 
     orbit: Orbit
     t_s: np.ndarray
-
-    @classmethod
-    def of(cls, orbit: Orbit, t_s: np.ndarray) -> _Sky:
-        return cls(orbit, t_s)
 
     def take(self, which: np.ndarray) -> _Sky:
         return replace(self, t_s=self.t_s[which])
@@ -410,7 +434,7 @@ class _Model:
             found.append(float(np.clip(old * np.sqrt(ratio), 1e-3, 100)))
         return replace(self, scatter=(found[0], found[1], found[2]))
 
-    def answer(self, state: _State, first: np.ndarray, unit: float) -> Calibration:
+    def answer(self, state: _State, unit: float) -> Calibration:
         unknown = state.unknown[0]
         _, scores, _, _ = self._scores(unknown, state.attitude[0])
         _, at, back = self._settled(unknown, state.attitude[0])

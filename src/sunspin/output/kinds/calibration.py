@@ -20,6 +20,7 @@ def calibration_summary(found: Any) -> Summary:
     written, left = [row for row in rows if row["written"]], [row for row in rows if not row["written"]]
     moved = sum(row["moved"] for row in written)
     lines = [f"{len(written)} keys of the vehicle file are determined; {moved} of them move by more than their sigma"]
+    lines = lines if written else ["No key of the vehicle file is determined by this telemetry"]
     lines += [f"  {row['text']}" for row in sorted(written, key=lambda row: not row["moved"])]
     if left:
         names = ", ".join(row["key"] for row in left)
