@@ -181,7 +181,7 @@ class _Grid(NamedTuple):
 
     shifts: np.ndarray
     prior: np.ndarray
-    along: float
+    along: float = 1.0
 
     @classmethod
     def of(cls, orbit: Orbit) -> _Grid:

@@ -159,6 +159,8 @@ def _readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
     if "panel" in telemetry.coords:
         found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
         sun, sigma = found["sun_B"].values, found["sigma_rad"].values
+    elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
+        sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)
     sigma = np.where(np.isfinite(sigma), sigma, 0.0) / np.sqrt(2)  # of each of two angles
     return readings(vehicle, telemetry, sun, sigma, MOST_SAMPLES)
 
