@@ -154,16 +154,23 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
     unit_T = float(np.median(np.linalg.norm(field_T, axis=1)))
     sphere = _sphere(seen, sky, prior[12])
     unit = unit_T * abs(np.linalg.det(sphere.matrix)) ** (-1 / 3)
-    model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
 
-    def begun(one: Start) -> _State:
+    def begun(one: Start, unit: float) -> tuple[_Model, _State]:
+        model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
         inverse, first = np.linalg.inv(one.matrix), np.zeros(len(prior))
         first[:9] = (inverse * unit_T / unit - np.eye(3)).ravel()
         first[9:12], first[12] = inverse @ one.zero_T / unit, one.shift_s
-        return _State(first[None], model.triads(first)[None])
+        return model, _State(first[None], model.triads(first)[None])
 
-    tried = [least_squares(model.linearise, _stepped, dense, begun(one), steps=STEPS, tolerance=1.0) for one in (sphere, start)]
-    state = min(tried, key=lambda one: one.system.cost[0]).state
+    tried = []
+    for one in (sphere, start):
+        model, state = begun(one, unit)
+        tried.append(least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=1.0))
+    best = min(tried, key=lambda one: one.system.cost[0]).state.unknown[0]
+    back = np.linalg.inv(np.eye(3) + best[:9].reshape(3, 3)) * unit_T / unit
+    again = Start(back, unit * back @ best[9:12], best[12])
+    unit = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
+    model, state = begun(again, unit)
     for _ in range(ROUNDS):
         solution = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE)
         state = solution.state._replace(attitude=solution.system.kept[0])
