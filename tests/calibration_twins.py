@@ -92,7 +92,7 @@ def make(seed: int, i: int, off: float = 1.0, gyro: bool = True) -> Twin:
     gyro_zero, gyro_scale = errors["gyro_zero"] * rng.normal(size=3), 1 + errors["gyro_scale"] * rng.normal()
     rates = gyro_scale * rate_B + gyro_zero + GYRO_SIGMA * rng.normal(size=(len(t), 3))
     truth |= {"gyro.zero": gyro_zero, "gyro.scale_rad_s": np.array([1 / gyro_scale])}
-    suite = Sensors(tuple(sensors), Gyro(("a", "b", "c"), 1.0, np.zeros(3), GYRO_SIGMA),
+    suite = Sensors(tuple(sensors), gyro=Gyro(("a", "b", "c"), 1.0, np.zeros(3), GYRO_SIGMA),
                     magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), FIELD_SIGMA_NT))  # fmt: skip
     vehicle = Vehicle("twin", gain_unit="W", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)],
                       telemetry=TelemetryForm(noise=POWER_SIGMA), sensors=suite)  # fmt: skip
@@ -121,15 +121,13 @@ def deviations(twin: Twin, found: xr.Dataset) -> dict[str, list[float]]:
 
 
 def judge(seed: int, i: int) -> dict[str, Any]:
-    """Deviations from the truth of sensors that are off; and of sensors that are not, with how many numbers are said to move."""
-    about: dict[str, Any] = {}
-    for what, off in (("off", 1.0), ("clean", 0.0)):
-        twin = make(seed, i, off)
-        elements = parse_elements("\n".join(twin.elements), "twin")
-        data = twin.telemetry
-        orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=twin.shift_sigma_s)
-        about[what] = deviations(twin, calibrate_sensors(twin.vehicle, data, orbit))
-    return about
+    """Deviations from the truth: of sensors that are off in twins with even numbers, of sensors that are not in the others."""
+    what, off = ("off", 1.0) if i % 2 == 0 else ("clean", 0.0)
+    twin = make(seed, i, off)
+    data = twin.telemetry
+    elements = parse_elements("\n".join(twin.elements), "twin")
+    orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=twin.shift_sigma_s)
+    return {what: deviations(twin, calibrate_sensors(twin.vehicle, data, orbit))}
 
 
 def kind_of(name: str) -> str:
