@@ -241,14 +241,14 @@ def _magnetometer(vehicle: Vehicle, made: Calibration) -> list[Key]:
 
     at = ("magnetometer",)
     keys = [
-        Key(at, "zero", part.zero, *_carried(made, zero), "field", n),
+        Key(at, "zero", part.zero, *_carried(made, zero), "reading", n),
         Key(at, "matrix", part.matrix.ravel(), *_carried(made, matrix), "1", n),
         Key(at, "scale_T", np.array([np.nan if part.scale_T is None else part.scale_T]), *_carried(made, scale), "T", n),
     ]  # fmt: skip
     known = all(np.all(key.sigma < NARROWER * key.prior) for key in keys)
     if part.noise is None:
         noise = np.array([made.noise_T]) / scale(made)
-        keys.append(Key(at, "noise", np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise, "field", n))
+        keys.append(Key(at, "noise", np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise, "reading", n))
     return [key._replace(together=known) for key in keys]
 
 
