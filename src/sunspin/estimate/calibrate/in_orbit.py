@@ -155,29 +155,33 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
     sphere = _sphere(seen, sky, prior[12])
     unit = unit_T * abs(np.linalg.det(sphere.matrix)) ** (-1 / 3)
 
-    def begun(one: Start, unit: float) -> tuple[_Model, _State]:
+    def fitted(one: Start, unit: float) -> tuple[_Model, _State]:
         model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
         inverse, first = np.linalg.inv(one.matrix), np.zeros(len(prior))
         first[:9] = (inverse * unit_T / unit - np.eye(3)).ravel()
         first[9:12], first[12] = inverse @ one.zero_T / unit, one.shift_s
-        return model, _State(first[None], model.triads(first)[None])
+        return _settled(model, _State(first[None], model.triads(first)[None]))
 
-    tried = []
+    found = []
     for one in (sphere, start):
-        model, state = begun(one, unit)
-        tried.append(least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=1.0))
-    best = min(tried, key=lambda one: one.system.cost[0]).state.unknown[0]
-    back = np.linalg.inv(np.eye(3) + best[:9].reshape(3, 3)) * unit_T / unit
-    again = Start(back, unit * back @ best[9:12], best[12])
-    unit = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
-    model, state = begun(again, unit)
+        unknown = fitted(one, unit)[1].unknown[0]
+        back = np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)) * unit_T / unit
+        own = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
+        model, state = fitted(Start(back, unit * back @ unknown[9:12], unknown[12]), own)
+        found.append((model.linearise(state).cost[0] + 3 * seen.has_field.sum() * np.log(own), model, state, own))
+    _, model, state, unit = min(found, key=lambda each: each[0])
+    return model.answer(state, unit)
+
+
+def _settled(model: _Model, state: _State) -> tuple[_Model, _State]:
+    """Unknowns and scatters fitted in turn."""
     for _ in range(ROUNDS):
         solution = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE)
         state = solution.state._replace(attitude=solution.system.kept[0])
         before, model = model, model.with_scatter(state)
         if np.allclose(model.scatter, before.scatter, rtol=STEADY):
             break
-    return model.answer(state, unit)
+    return model, state
 
 
 def _sphere(seen: Readings, sky: _Sky, sigma_s: float) -> Start:
