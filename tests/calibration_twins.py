@@ -23,7 +23,7 @@ from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.calibrate.sensors import calibrate_sensors
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
-from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors, SunSensor
+from sunspin.vehicle.sensors import Disturbance, Gyro, Magnetometer, Sensors, SunSensor
 from tle_twins import EPOCH, lines, sky
 
 SIDES = [[0, 1, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0]]
@@ -93,7 +93,8 @@ def make(seed: int, i: int, off: float = 1.0, gyro: bool = True) -> Twin:
     rates = gyro_scale * rate_B + gyro_zero + GYRO_SIGMA * rng.normal(size=(len(t), 3))
     truth |= {"gyro.zero": gyro_zero, "gyro.scale_rad_s": np.array([1 / gyro_scale])}
     suite = Sensors(tuple(sensors), gyro=Gyro(("a", "b", "c"), 1.0, np.zeros(3), GYRO_SIGMA),
-                    magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), FIELD_SIGMA_NT))  # fmt: skip
+                    magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), FIELD_SIGMA_NT),
+                    disturbance=Disturbance(acceleration_noise=1e-5, max_rate_rad_s=0.06))  # fmt: skip
     vehicle = Vehicle("twin", gain_unit="W", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)],
                       telemetry=TelemetryForm(noise=POWER_SIGMA), sensors=suite)  # fmt: skip
     variables = {
