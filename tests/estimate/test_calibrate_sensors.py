@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +39,8 @@ def calibrated(twin, monkeypatch, verdict=Verdict.FITS):
     return ss.calibrate_sensors(twin.vehicle, twin.telemetry, orbit)
 
 
-@pytest.mark.parametrize("off", [1.0, pytest.param(0.0, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("off", [1.0, 0.0])
 def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
     twin = few(off)
     found = calibrated(twin, monkeypatch)
@@ -52,6 +54,19 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
     assert found.attrs["field_residual_after_T"] < 3.5e-7 and " samples of twin.csv, 2021-03-" in found.attrs["source"]
     text = str(found.sunspin.summary())
     assert "magnetometer.zero = [" in text and "Shift along the track" in text
+
+
+def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch):
+    twin = make(1, 0, gyro=False)
+    sensors = replace(twin.vehicle.sensors, sun_sensors=())
+    data = twin.telemetry.drop_vars(["power_W", "panel", "sun_sensor_angle", "sun_sensor_y_turned"])
+    found = calibrated(twin._replace(vehicle=replace(twin.vehicle, sensors=sensors), telemetry=data), monkeypatch)
+    z = deviations(twin, found)
+    assert set(z) == {"magnetometer.zero", "magnetometer.matrix", "magnetometer.scale_T"}
+    assert np.abs(np.concatenate(list(z.values()))).max() < 4
+    matrix = found["value"].values[found["key"].values == "magnetometer.matrix"].reshape(3, 3)
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
+    assert "magnetometer.zero = [" in str(found.sunspin.summary())
 
 
 def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):

@@ -155,27 +155,27 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
     sphere = _sphere(seen, sky, prior[12])
     unit = unit_T * abs(np.linalg.det(sphere.matrix)) ** (-1 / 3)
 
-    def fitted(one: Start, unit: float) -> tuple[_Model, _State]:
+    def begun(one: Start, unit: float) -> tuple[_Model, _State]:
         model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
         inverse, first = np.linalg.inv(one.matrix), np.zeros(len(prior))
         first[:9] = (inverse * unit_T / unit - np.eye(3)).ravel()
         first[9:12], first[12] = inverse @ one.zero_T / unit, one.shift_s
-        return _settled(model, _State(first[None], model.triads(first)[None]))
+        return model, _State(first[None], model.triads(first)[None])
 
     found = []
     for one in (sphere, start):
-        unknown = fitted(one, unit)[1].unknown[0]
+        unknown = _settled(*begun(one, unit), rounds=2)[1].unknown[0]
         back = np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)) * unit_T / unit
         own = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
-        model, state = fitted(Start(back, unit * back @ unknown[9:12], unknown[12]), own)
+        model, state = _settled(*begun(Start(back, unit * back @ unknown[9:12], unknown[12]), own))
         found.append((model.linearise(state).cost[0] + 3 * seen.has_field.sum() * np.log(own), model, state, own))
     _, model, state, unit = min(found, key=lambda each: each[0])
     return model.answer(state, unit)
 
 
-def _settled(model: _Model, state: _State) -> tuple[_Model, _State]:
+def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model, _State]:
     """Unknowns and scatters fitted in turn."""
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         solution = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE)
         state = solution.state._replace(attitude=solution.system.kept[0])
         before, model = model, model.with_scatter(state)
@@ -346,10 +346,10 @@ class _Model:
         field = np.nan_to_num(self.seen.field - unknown[9:12]) @ np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)).T
         return _triad(field, sun) @ np.swapaxes(_triad(field_N, sun_N), -1, -2)
 
-    def _residuals(self, unknown: np.ndarray, attitude: np.ndarray, sky: tuple[np.ndarray, ...]) -> _At:
+    def _residuals(self, unknown: np.ndarray, attitude: np.ndarray, sky: tuple[np.ndarray, ...], whole: bool = True) -> _At:
         sun_N, field_N, by_shift = sky[:3]
         sun, field = turned(attitude, sun_N), turned(attitude, field_N)
-        n, d = len(sun), len(unknown)
+        n, d = len(sun), len(unknown) if whole else 0
         parts = [self._of_sensor(k, unknown, sun, d) for k in range(len(self.vehicle.sensors.sun_sensors))]
         e1, e2 = tangents(np.nan_to_num(self.seen.sun) + (~np.isfinite(self.seen.sun)) * [0.0, 0.0, 1.0])
         weight = 1 / (self.seen.sun_sigma * self.scatter[1])
@@ -358,11 +358,12 @@ class _Model:
         parts.append((value, by_turn, np.zeros((n, 2, d))))
         matrix = np.eye(3) + unknown[:9].reshape(3, 3)
         by_unknown = np.zeros((n, 3, d))
-        for i in range(3):
+        for i in range(3 if whole else 0):
             by_unknown[:, i, 3 * i : 3 * i + 3] = field
             by_unknown[:, i, 9 + i] = 1.0
-        along = turned(attitude, by_shift) @ matrix.T
-        by_unknown[:, :, 12], by_unknown[:, :, 13] = along, along * self.sky.days[:, None]
+        if whole:
+            along = turned(attitude, by_shift) @ matrix.T
+            by_unknown[:, :, 12], by_unknown[:, :, 13] = along, along * self.sky.days[:, None]
         value = field @ matrix.T + unknown[9:12] - self.seen.field
         parts.append(tuple(part / self.scatter[2] for part in (value, matrix @ cross_matrix(field), by_unknown)))
         read = self.read
@@ -383,8 +384,9 @@ class _Model:
             value[:, side] = (scale * true + unknown[place + side] - self.seen.angle[:, k, side]) * inverse
             by_sun = (high[:, None] * axis - wide[:, None] * sensor.normal_B) / np.maximum(high**2 + wide**2, 1e-6)[:, None]
             by_turn[:, side] = inverse * scale[:, None] * (by_sun[:, None] @ cross_matrix(sun))[:, 0]
-            by_unknown[np.arange(n), side, which] = true * inverse
-            by_unknown[:, side, place + side] = inverse
+            if d:
+                by_unknown[np.arange(n), side, which] = true * inverse
+                by_unknown[:, side, place + side] = inverse
         return value, by_turn, by_unknown
 
     def _sky(self, unknown: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -396,7 +398,7 @@ class _Model:
         """Attitudes that fit best, what is there, and the inverse of the turns' information (n, 3, 3)."""
         sky = self._sky(unknown)
         for _ in range(INNER):
-            at = self._residuals(unknown, attitude, sky)
+            at = self._residuals(unknown, attitude, sky, whole=False)
             back = np.linalg.inv(_information(at.by_turn))
             step = -turned(back, np.einsum("nri,nr->ni", at.by_turn, at.value))
             attitude = turn(attitude, np.clip(step, -0.5, 0.5))
