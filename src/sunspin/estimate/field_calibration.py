@@ -70,8 +70,7 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     for _ in range(check.ROUNDS):
         state = least_squares(model.linearise, check._stepped, dense, state, steps=3 * check.STEPS).state
         state = state._replace(scatter=model.scatter(state))
-    fitted = np.sqrt(len(size) / max(len(size) - 12, len(size) / 4))  # twelve unknowns follow the noise
-    scatter = np.maximum(fitted * state.scatter[0], [FEW_SCATTER if len(size) < FEW else 0.0, 0.0])
+    scatter = np.maximum(state.scatter[0], [FEW_SCATTER if len(size) < FEW else 0.0, 0.0])
     state = state._replace(scatter=scatter[None])
     by_strength, by_sun = model.residuals(state)[2:]
     moved = [(part[2] - part[0]) / 2 / strength for part in (every.strength, every.to_sun)]
