@@ -277,7 +277,8 @@ def _is_number(value: Any) -> bool:
 def _certificate(table: Any, change: Change) -> tuple[Any, str]:
     """What stands at a change's key, and its source; a law of friction as it is written."""
     found: list[Any] = []
-    node, source = table, ""
+    node: Any = table
+    source = ""
     for place in _places(change.key):
         if isinstance(node, list) and not place.startswith("[") and len(node) == 1:
             node = node[0]

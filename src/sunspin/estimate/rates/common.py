@@ -106,8 +106,10 @@ def with_common(
     """
     places = places_of(o, motion, clock)
     error = np.zeros((len(track.omega), places.n))
+    about = [attitude for term, _ in places.state if (attitude := term.begin(track)) is not None]
+    track = replace(track, attitude=about[0]) if about else track
     for term, place in places.sun:
-        attitude, error[:, place] = term.begin(track)
+        attitude, error[:, place] = term.begin(track, bool(about))
         track = replace(track, attitude=attitude)
     if clock is not None:
         error[:, -1] = first

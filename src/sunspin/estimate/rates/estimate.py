@@ -15,8 +15,10 @@ from sunspin.base.provenance import provenance
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
-from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
+from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
+from sunspin.estimate.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
@@ -29,7 +31,7 @@ from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.residuals import Fitted, residuals
-from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
+from sunspin.estimate.rates.seed import distinct, distinct_index, field_leads, guesses, out_of_field, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
@@ -107,6 +109,7 @@ def rates(
     gap_s: float | None = None,
     pass_id: int | None = None,
     environment: Environment | None = None,
+    calibration: FieldCalibration | None = None,
     torques: Sequence[str | Torque] = (),
     wirings: bool = False,
     effort: float = 1.0,
@@ -135,7 +138,13 @@ def rates(
     pass_id : int, optional
         Only this pass, counted from zero as in the result; default: all.
     environment : Environment, optional
-        What surrounds the body, on the telemetry's clock, with z of its N to the Sun (:func:`sunspin.environment.circular`).
+        What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
+        to the Sun (:func:`sunspin.environment.circular`). In an orbit the field, the shadow and the direction of the Earth's light
+        are known: a magnetometer, calibrated along the orbit, gives directions, and samples without a Sun count. The orbit is
+        believed; :func:`sunspin.estimate.orbit.judged_orbit` judges it before.
+    calibration : FieldCalibration, optional
+        Of the magnetometer along the orbit (:func:`sunspin.estimate.field_calibration.field_calibration`), by a longer file say;
+        default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
@@ -155,7 +164,8 @@ def rates(
     xarray.Dataset
         On `time` (all samples used; the search keeps 40 of a pass, the motion carries what it finds to the others), of each
         pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
-        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
+        magnetometer J2000, `attrs["frame_N"]` says which), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
         mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
@@ -170,19 +180,18 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
-    forces = acting(torques, environment)
-    _require_sun_along_z(environment)
-    o, why, source = observations(vehicle, telemetry, source)
+    local = _along_the_sun(environment)
+    forces = acting(torques, local)
+    orbit = local.orbit if isinstance(local, SunAlongZ) else None
+    calibration = calibration or (None if orbit is None else field_calibration(orbit, vehicle, telemetry))
+    o, why, source = observations(vehicle, telemetry, source, local, calibration)
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
     parts = [parts[k] for k in ids]
     sensors = vehicle.sensors
     rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
-    given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
+    given = _known_noise(vehicle, o, acceleration_noise)
     body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None, acting=forces)
-    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
-        low, high = NOISE_RANGE
-        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
@@ -195,7 +204,7 @@ def rates(
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
     tracks, cut = _searched(o, parts, motion, rate_max, spent)
     if not _torque_told(vehicle, o):
-        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
+        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise, o.freed().field_N)))
     ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
     with spent:
         spent.doing("errors in common")
@@ -207,6 +216,7 @@ def rates(
     cut = np.logical_or(cut, fewer) | judged.cut
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
+    result = _in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
     result = result.assign_attrs(
         late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
@@ -216,7 +226,7 @@ def rates(
         result.attrs["alike"] = alike
     if wirings and not result["fits"].values.all():
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
-            result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
+            result = _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques)
             if "wiring_doubt" not in result.attrs and may_go_on():
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
@@ -276,14 +286,15 @@ def _odd_sensor(
     return {"odd_sensor": f"{odd.hypothesis.what} the other readings fit: it does not see what they see"}
 
 
-def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
+def _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques) -> xr.Dataset:
     """The result with the wiring that fits the longest pass that does not fit as stated, or the sensor that is in its way."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
     times, first = np.unique(telemetry["time"].values, return_index=True)
     part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
-    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment}
+    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment,
+                               "calibration": calibration}  # fmt: skip
 
     def evidence(other: Vehicle, data: xr.Dataset) -> float:
         try:
@@ -306,6 +317,23 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     return result.assign_attrs(wiring_doubt=found.words)
 
 
+def _in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations) -> xr.Dataset:
+    """The result with the turn about the Sun and its sigma; where a magnetometer was used, with attitudes from J2000."""
+    best = [p.track.take(np.array([0])) for p in found]
+    sun, covariance = (np.concatenate(parts) for parts in zip(*((t.sun_B[0], t.covariance[0]) for t in best), strict=True))
+    sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
+    about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
+    result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
+        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s,
+        orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
+    )  # fmt: skip
+    if o.freed().field_N is None:
+        return result
+    attitude = Rotation.from_quat(result["B_from_N"].values).as_matrix() @ local.N_from_J2000(result["time"].values)
+    turned = ("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}
+    return result.assign(B_from_N=turned).assign_attrs(frame_N=J2000)
+
+
 def _asked_for(pass_id: int | None, count: int) -> list[int]:
     """Which of so many passes are estimated."""
     if pass_id is None:
@@ -315,17 +343,27 @@ def _asked_for(pass_id: int | None, count: int) -> list[int]:
     return [int(pass_id)]
 
 
-def _require_sun_along_z(environment: Environment | None) -> None:
+def _along_the_sun(environment: Environment | None) -> Environment | None:
+    """The environment in axes whose z is the Sun's direction."""
+    if isinstance(environment, Orbit):
+        return SunAlongZ(environment)
     sun = SUN_N if environment is None else environment.at(0.0).sun_N[0]
     if np.linalg.norm(sun - SUN_N) > 1e-6:
         raise InputError(sentence("rates needs an environment with z of its N to the Sun", got=f"the Sun at {np.round(sun, 3)}"))
+    return environment
 
 
-def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
-    """The vehicle's acceleration noise: another one where its dipole cannot be modelled, the field not being measured."""
+def _known_noise(vehicle: Vehicle, o: Observations, asked: float | None) -> float | None:
+    """The acceleration noise asked for, else the vehicle's: another one where its dipole cannot be modelled, the field not being
+    measured."""
     disturbance = vehicle.sensors.disturbance
     modelled = disturbance.dipole is None or _torque_told(vehicle, o)
-    return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+    stated = disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+    given = stated if asked is None else asked
+    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
+        low, high = NOISE_RANGE
+        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
+    return given
 
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
@@ -358,9 +396,11 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     for guess in guesses(o):
         if found and not may_go_on():
             break
-        track = _turned_about_sun(guess, search(guess, motion, rate_max), motion)
+        track = search(guess, motion, rate_max)
+        track = out_of_field(o, track, motion) if field_leads(o) else _turned_about_sun(guess, track, motion)
         order, weight = _ranked(track)
-        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * most_modes(o)] > LEAST_WEIGHT**2)))]))
+        heavy = weight[: max(2 * MAX_MODES, most_modes(o))] > LEAST_WEIGHT**2
+        found.append(track.take(order[: max(1, int(np.count_nonzero(heavy)))]))
     return joined(found)
 
 

@@ -15,6 +15,9 @@ from sunspin.vehicle import Vehicle
 FAMILIES = 6
 """Motions of which images are made, at most."""
 
+SAME_RAD = 0.2
+"""Directions from which a search starts that are nearer to an image of another are one."""
+
 OPPOSITE, SAME_SIGMAS = -0.9, 3.0
 """Cosine between the Suns of two motions that see it on opposite sides, at most, and how far (sigmas) the rates of one motion may
 be apart."""
@@ -23,6 +26,18 @@ be apart."""
 def images_of(o: Observations) -> np.ndarray:
     """Mirrors and turns (m, 3, 3) of the body that change nothing the Sun's sensor reads, the first of them none at all."""
     return o.of_sun[0].images() if len(o.of_sun) == 1 else np.eye(3)[None]
+
+
+def one_of_each(o: Observations, suns: np.ndarray) -> np.ndarray:
+    """Of directions (n, 3) those that are no images of others, where nothing but the Sun tells an image from its motion."""
+    images = images_of(o)
+    if len(images) == 1 or o.of_state or o.of_pairs or o.momentum.any():
+        return suns
+    chosen: list[np.ndarray] = []
+    for sun in suns:
+        if all((images @ sun @ other).max() < np.cos(SAME_RAD) for other in chosen):
+            chosen.append(sun)
+    return np.array(chosen)
 
 
 def imaged(track: Track, image: np.ndarray) -> Track:

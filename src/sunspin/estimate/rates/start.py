@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.estimate.rates.images import imaged, images_of
+from sunspin.estimate.rates.images import imaged, images_of, one_of_each
 from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.smooth import measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
@@ -122,7 +122,7 @@ def starts(
     """Directions of the Sun (K, 3) and rates (K, 3) at sample `index` from which the next sample may be reached, and how far
     (rad) the turn between the two may be from that of the nearest start. `trust`: take the gyro's word, where it decides."""
     dt = float(o.t_s[index + 1] - o.t_s[index])
-    suns = candidates(o, index)
+    suns = one_of_each(o, candidates(o, index))
     told = told_rates(o, index, rate_max)
     if trust and gyro_decides(o, index) and len(told):
         apart = max(2 * np.pi / ANGLES, 2 * rate_sigma(o, index) * dt)
