@@ -48,7 +48,7 @@ def test_a_cut_search_keeps_the_best_so_far_and_is_never_decided():
     power = np.maximum(ss.panel_power(SPHERE, run["sun_B"].values) + 0.02 * np.random.default_rng(1).normal(size=(4, 6)), 0)
     variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(4, dtype=np.uint8))}
     data = xr.Dataset(variables, {"time": t, "panel": list("abcdef")}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
-    setting = {"acceleration_noise": 1e-4, "max_rate_rad_s": 0.04}
+    setting = {"acceleration_noise": 1e-4, "max_rate_rad_s": 0.06}
     usual, cut = (ss.rates(SPHERE, data, effort=effort, **setting) for effort in (1.0, 1e-6))
     assert usual.attrs["cut_passes"] == 0 and usual["search_complete"].all() and "CUT" not in usual.attrs["verdict"]
     assert cut.attrs["cut_passes"] == 1 and not cut["search_complete"].any() and not cut["decided"].any()
