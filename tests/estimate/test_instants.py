@@ -1,6 +1,7 @@
 """Panels that are read in turn: `rates` reckons the light at each reading's instant, where the file says so."""
 
 import numpy as np
+import pytest
 import xarray as xr
 
 import sunspin as ss
@@ -17,6 +18,7 @@ def vehicle(stated):
     return Vehicle("cube", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]), gain_unit="W", panels=panels, telemetry=form)
 
 
+@pytest.mark.long
 def test_offsets_that_are_stated_mend_rates_that_would_be_wrong():
     """At 4 deg/s some panels are read 20 degrees late: unstated that is an error of 4 sigma, stated of less than two."""
     rng = np.random.default_rng(1)
