@@ -4,12 +4,18 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
+from sunspin.cli.changes import opened
 from sunspin.cli.common import Group
+from sunspin.cli.outcomes import _candidates, _scenario
 from sunspin.compute.identity import plain
+from sunspin.landing.outcomes import _own_scenario
+from sunspin.landing.scenario import case_scenario, paper_scenario
+from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
 from sunspin.philae import study
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
@@ -154,6 +160,27 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
 def test_a_command_refuses_what_it_cannot_use(words, said):
     result = command(*words)
     assert isinstance(result.exception, SunspinError) and said in str(result.exception)
+
+
+def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
+    axes = {f"omega_{axis}": [0.0, 0.1] for axis in "xyz"}
+    volume = xr.DataArray(np.arange(1.0, 9.0).reshape(2, 2, 2), axes, list(axes), "emd")
+    changed = with_changes("wheel.speed_rad_s=833").said["changes"]
+    scan = volume.to_dataset().assign_attrs(vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere")
+    write_netcdf(tmp_path / "scan.nc", scan)
+    for sets, words in ((("wheel.speed_rad_s=833",), ""), ((), "of another body than this run's: philae, wheel.speed_rad_s = 833")):
+        points, whose = _candidates(opened("philae", sets), tmp_path / "scan.nc", 1.1, (), False)
+        assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
+
+
+def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
+    craft = with_changes("wheel.speed_rad_s=833")
+    assert _scenario("philae", craft, {}, None).wheel_speed_rad_s == (833.0,)
+    assert _own_scenario(craft).wheel_speed_rad_s == (833.0,) and _own_scenario(OWN).wheel_speed_rad_s == (865.0,)
+    case = ss.load_case("philae", ["collision.restitution=0.2", "collision.damper=0.5", "study.lead_s=30"])
+    found = case_scenario(case)
+    assert (found.restitution, found.damper, found.lead_s) == (0.2, 0.5, 30.0)
+    assert paper_scenario(case).restitution == 0.2
 
 
 @pytest.mark.parametrize(("restitution", "damper"), [(0, 0), (1, 0), (0, 1), (0.4, 0.3), (1, 1)])

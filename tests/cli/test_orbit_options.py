@@ -24,9 +24,9 @@ def satellite(tmp_path, monkeypatch):
     return tmp_path
 
 
-def said(*words: str) -> str:
+def said(*words: str, command: str = "check") -> str:
     with pytest.raises(SunspinError) as error:
-        CliRunner().invoke(cli, ["check", *words], catch_exceptions=False)
+        CliRunner().invoke(cli, [command, *words], catch_exceptions=False)
     return str(error.value)
 
 
@@ -37,6 +37,10 @@ def test_wrong_elements_are_one_sentence(satellite):
     assert said("vehicle.toml", "telemetry.csv", "--omm", "none.xml").startswith("none.xml: the file of elements cannot be read")
     assert said("vehicle.toml", "--tle", "my.tle") == "elements are compared with telemetry; give TELEMETRY too"
     assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith("a shift along the track needs elements")
+    text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle", command="rates")
+    assert text.startswith("bad.tle, line 1: the checksum")
+    text = said("vehicle.toml", "telemetry.csv", "--tle", "my.tle", "--no-orbit", command="rates")
+    assert text.startswith("--no-orbit says not to use an orbit")
 
 
 def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(satellite, monkeypatch):

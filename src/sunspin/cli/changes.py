@@ -51,7 +51,7 @@ class Changeable(click.Command):
         return getattr(self.callback, "uses", ())
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if "list" in args:
+        if any(word in ("list", "--set=list") for word in args):
             given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
             if "list" in given.get("sets", ()):
                 _print_list(str(given.get("vehicle") or "philae"), self.uses, bool(given.get("as_json")))
@@ -62,7 +62,7 @@ class Changeable(click.Command):
 def set_options(*uses: str, short: tuple[str, ...] = ()) -> Callable:
     """--set and some of its short names; `uses`: keys of the assumptions, or tables of them, that the command uses."""
 
-    def decorate(command: Callable) -> Callable:
+    def decorate(command: Any) -> Callable:
         for name in reversed(short):
             _, value, about = SHORT[name]
             command = click.option(f"--{name.replace('_', '-')}", metavar=value, help=about)(command)
@@ -70,7 +70,7 @@ def set_options(*uses: str, short: tuple[str, ...] = ()) -> Callable:
             "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change an assumption for this run, by its key in the "
             "vehicle file: KEY=VALUE, KEY*=FACTOR or KEY+=STEP; `--set list` shows what can be set. Repeatable.",
         )(command)  # fmt: skip
-        setattr(command, "uses", uses)  # noqa: B010 - a function has no such attribute by its type
+        vars(command)["uses"] = uses
         return command
 
     return decorate
@@ -103,12 +103,14 @@ def opened(vehicle: Any, sets: tuple[str, ...], *uses: str) -> Opened:
 
 def _print_list(vehicle: str, uses: tuple[str, ...], as_json: bool) -> None:
     """Key, value, unit and source of all that the command can change."""
-    from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
+    from sunspin.vehicle.assumptions import LEFT_OUT, AssumptionsFile, assumptions_table
     from sunspin.vehicle.changes import settings, shown
     from sunspin.vehicle.file import VehicleFile, vehicle_table
 
     found = settings(vehicle_table(vehicle), VehicleFile)
-    found += [one for one in settings(assumptions_table(), AssumptionsFile) if one.key in uses or one.key.partition(".")[0] in uses]
+    for one in settings(assumptions_table(), AssumptionsFile):
+        if one.key in uses or one.key.partition(".")[0] in uses:
+            found.append(one._replace(source=LEFT_OUT.get(one.key, one.source)))
     if as_json:
         click.echo(json.dumps([one._asdict() for one in found], indent=1))
         return

@@ -103,6 +103,17 @@ def field(text: str) -> dict[str, Any]:
     return {"kind": "field", "t_s": t, "value": [x, y, z], "angle_rad": angle, "sigma": sigma}
 
 
+def period(text: str, epoch_utc: str | None) -> Any:
+    """SECONDS+-SIGMA@TIME of a period seen."""
+    from sunspin.estimate.posterior.period import Period
+
+    value, _, rest = text.partition("+-")
+    sigma, _, when = rest.partition("@")
+    if not (value and sigma and when):
+        raise InputError(sentence("--period takes SECONDS+-SIGMA@TIME", got=text, do="for example --period 13.0+-0.5@15:50"))
+    return Period(next(iter(times(when, epoch_utc))), *numbers(f"{value},{sigma}", "--period", 2))
+
+
 def times(text: str, epoch_utc: str | None) -> dict[float, str]:
     """s from the epoch -> what was asked for, in order of time."""
     from sunspin.vehicle.timeline import utc_seconds

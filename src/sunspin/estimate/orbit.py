@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.environment.elements import Elements, parse_elements, read_elements
-from sunspin.environment.orbit import Orbit, in_orbit
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.ephemeris import read_orbit
+from sunspin.environment.orbit import Orbit, Source, in_orbit
+from sunspin.estimate.orbit_check import OrbitCheck, Verdict, check_orbit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.parts import Orbit as Stated
 
 
 def elements_of(
     vehicle: Vehicle, path: Path | str | None = None, shift_sigma_s: float | None = None
-) -> tuple[Elements, ...] | None:
-    """The element sets of a file (TLE, OMM), else those of the vehicle file; None without either.
+) -> tuple[Source, ...] | None:
+    """The element sets of a file (TLE, OMM), or its table of positions (OEM, CSV, SPK), else the elements of the vehicle file; None
+    without any.
 
     Raises
     ------
@@ -25,7 +30,7 @@ def elements_of(
     """
     stated = vehicle.orbit or Stated()
     if path is not None:
-        return read_elements(path)
+        return read_orbit(path)
     if stated.tle:
         return parse_elements("\n".join(stated.tle), f"[orbit] of {vehicle.name}")
     if shift_sigma_s is not None:
@@ -49,3 +54,23 @@ def orbit_of(
         shift_sigma_s=stated.shift_sigma_s if shift_sigma_s is None else shift_sigma_s,
         clock_s=stated.clock_s, clock_sigma_s=stated.clock_sigma_s,
     )  # fmt: skip
+
+
+def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Orbit | None, OrbitCheck, str]:
+    """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit_check`), and what follows, in words.
+
+    Elements that fit get the shift that was found, with its sigma; where the telemetry cannot tell, they stay as they were;
+    refused ones are None: no answer may rest on them.
+    """
+    found = check_orbit(orbit, vehicle, telemetry)
+    if found.verdict is Verdict.REFUSED:
+        why = found.verdict.value.split(":")[0]
+        return None, found, f"the orbit is NOT USED: {why} (`sunspin check` with the same elements says more)"
+    if found.verdict is Verdict.UNDECIDED:
+        sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+        along = f"{orbit.shift_s:+.0f} +- {sigma:.0f} s along the track"
+        return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it"
+    # the shift found is that of place and clock together, of which the data determine the sum
+    rest = float(np.sqrt(max(found.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
+    known = replace(orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s))
+    return known, found, f"the orbit is used: its elements fit, {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypedDict
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -128,21 +128,9 @@ def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
         after_s=60.0 * published["duration_after_collision"].value,
         collision_speed_m_s=published["collision_speed"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
-        **blow_of(case),
+        restitution=case.assumptions.collision.restitution,
+        damper=case.assumptions.collision.damper,
     )
-
-
-class Blow(TypedDict):
-    """What is assumed of a blow, as `Scenario` and :func:`sunspin.impact` take it."""
-
-    restitution: float
-    damper: float
-
-
-def blow_of(case: Case) -> Blow:
-    """What the case assumes of the blow."""
-    blow = case.assumptions.collision
-    return {"restitution": blow.restitution, "damper": blow.damper}
 
 
 def times_of(timeline: Timeline | None) -> dict[str, float]:
@@ -177,7 +165,8 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
         wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
         collision_speed_m_s=published["kernel_speed_before"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
-        lead_s=times["lead_s"], before_s=times["before_s"], after_s=times["after_s"], **blow_of(case),
+        lead_s=times["lead_s"], before_s=times["before_s"], after_s=times["after_s"],
+        restitution=case.assumptions.collision.restitution, damper=case.assumptions.collision.damper,
     )  # fmt: skip
 
 

@@ -185,11 +185,11 @@ def _pass(a: dict[str, Any], b: dict[str, Any]) -> Iterator[Moved]:
     if a.get("utc_at") == b.get("utc_at"):
         for axis in "xyz":
             values = [float(one[f"omega_{axis}_deg_s"]) for one in best]
-            sigma = float(np.linalg.norm([float(one[f"sigma_{axis}_deg_s"]) for one in best]))
+            sigma = _together([float(one[f"sigma_{axis}_deg_s"]) for one in best])
             yield _sigmas(f"{name} omega_{axis}", f"rate about {axis} at {a.get('utc_at')}", values, "deg/s", sigma, words)
             words = []
     values = [float(one["speed_median_deg_s"]) for one in best]
-    half = float(np.linalg.norm([float(one["speed_high_deg_s"]) - float(one["speed_low_deg_s"]) for one in best])) / 2
+    half = _together([(float(one["speed_high_deg_s"]) - float(one["speed_low_deg_s"])) / 2 for one in best])
     yield _sigmas(f"{name} speed", "angular speed of the likeliest motion", values, "deg/s", half / INTERVAL_SIGMAS, words)
     weights = [float(one["weight"]) for one in best]
     yield _moved(
@@ -221,7 +221,7 @@ def _posterior(a: dict[str, Any], b: dict[str, Any], *folders: Path) -> Iterator
         labels = [f"_{axis}" for axis in "xyz"] if values[0].shape[1] == 3 else [f"_{i}" for i in range(values[0].shape[1])]
         for k, label in enumerate(labels if values[0].shape[1] > 1 else [""]):
             low, middle, high = (np.array([np.quantile(each[:, k], q) for each in values]) for q in (0.159, 0.5, 0.841))
-            sigma = float(np.hypot(*((high - low) / 2)))
+            sigma = _together((high - low) / 2)
             about = str(mine[name].attrs.get("long_name", "")) or f"median of {name}"
             unit_text = "" if unit == "1" else unit
             yield _sigmas(f"{name}{label}", about, list(map(float, middle)), unit_text, sigma, words)
@@ -244,6 +244,11 @@ def _draws(path: Path) -> xr.Dataset:
 
 
 # -------------------------------------------------------------------------------------------------------------------------- shared
+
+
+def _together(sigmas: list[float] | np.ndarray) -> float:
+    """The sigma of a difference."""
+    return float(np.sqrt(np.sum(np.square(sigmas))))
 
 
 def _sigmas(name: str, what: str, values: list[float], unit: str, sigma: float, words: list[str]) -> Moved:

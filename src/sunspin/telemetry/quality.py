@@ -70,6 +70,8 @@ LIMITED_SCALE = 2.0
 CLEAN_SCALE = 0.06
 """Relative uncertainty of the scale of a sample in full Sun: cell temperature and spread of gains."""
 
+LATE = "dropped: a late or repeated frame (time does not increase)"
+STALE = "dropped: repeats the sample before it to the last digit (stale frame)"
 BELOW_FULL = "down-weighted: below full Sun, so the battery and not the Sun sets the current, or a dead panel is lit"
 IDLE = "dropped: far below full Sun, so the battery alone sets which panel gives the current"
 BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was left out"
@@ -196,11 +198,11 @@ def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.
     empty = ~np.isfinite(value).any(axis=1)
     why[empty] = "dropped: no panel has a number"
     late = (flag & 4) != 0
-    why[late] = "dropped: a late or repeated frame (time does not increase)"
+    why[late] = LATE
     same = np.zeros(len(value), dtype=bool)
     same[1:] = np.all(value[1:] == value[:-1], axis=1) & (np.nan_to_num(value[1:]) > 0).any(axis=1)
     same &= _finely_quantised(value)
-    why[same & (why == "")] = "dropped: repeats the sample before it to the last digit (stale frame)"
+    why[same & (why == "")] = STALE
     return empty | late | same, why
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +16,14 @@ from sunspin.base.provenance import provenance
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
-from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
+from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
+from sunspin.estimate.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
+from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
 from sunspin.estimate.rates.clock import lateness, suspected
-from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
+from sunspin.estimate.rates.common import LOOSER, Clock, Common, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
@@ -29,7 +33,7 @@ from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.residuals import Fitted, residuals
-from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
+from sunspin.estimate.rates.seed import distinct, distinct_index, field_leads, guesses, out_of_field, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
@@ -43,8 +47,10 @@ from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import NARROWER, answers, misfit
 from sunspin.estimate.wiring import Better, better
+from sunspin.solve.rotations import turn_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
+from sunspin.vehicle.timeline import utc_after
 
 MAX_MODES = 6
 """Modes reported for each pass."""
@@ -71,6 +77,9 @@ DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
 
+NAMED = 0.05
+"""Another model of the motion is named where the one as stated holds less of the weight."""
+
 MOST_LATE = 0.1
 """A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
 
@@ -81,7 +90,8 @@ SUSPECTED = "the data alone, not counted"
 class Pass(NamedTuple):
     """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
     smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3);
-    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`."""
+    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`; `model`: the hypothesis that holds most
+    of the weight, and how much of it."""
 
     index: np.ndarray
     kept: np.ndarray
@@ -90,11 +100,13 @@ class Pass(NamedTuple):
     mean: np.ndarray
     mean_sigma: np.ndarray
     residual: dict[str, np.ndarray]
+    model: tuple[str, float] = (AS_READ, 1.0)
 
     def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
         """The modes `order` with these weights."""
         left = {name: part[order] for name, part in self.residual.items()}
-        return Pass(self.index, self.kept, self.track.take(order), weight, self.mean[order], self.mean_sigma[order], left)
+        mean, sigma = self.mean[order], self.mean_sigma[order]
+        return Pass(self.index, self.kept, self.track.take(order), weight, mean, sigma, left, self.model)
 
 
 def rates(
@@ -107,6 +119,7 @@ def rates(
     gap_s: float | None = None,
     pass_id: int | None = None,
     environment: Environment | None = None,
+    calibration: FieldCalibration | None = None,
     torques: Sequence[str | Torque] = (),
     wirings: bool = False,
     effort: float = 1.0,
@@ -135,7 +148,13 @@ def rates(
     pass_id : int, optional
         Only this pass, counted from zero as in the result; default: all.
     environment : Environment, optional
-        What surrounds the body, on the telemetry's clock, with z of its N to the Sun (:func:`sunspin.environment.circular`).
+        What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
+        to the Sun (:func:`sunspin.environment.circular`). In an orbit the field, the shadow and the direction of the Earth's light
+        are known: a magnetometer, calibrated along the orbit, gives directions, and samples without a Sun count. The orbit is
+        believed; :func:`sunspin.estimate.orbit.judged_orbit` judges it before.
+    calibration : FieldCalibration, optional
+        Of the magnetometer along the orbit (:func:`sunspin.estimate.field_calibration.field_calibration`), by a longer file say;
+        default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
@@ -155,12 +174,15 @@ def rates(
     xarray.Dataset
         On `time` (all samples used; the search keeps 40 of a pass, the motion carries what it finds to the others), of each
         pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
-        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
+        magnetometer J2000, `attrs["frame_N"]` says which), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
         mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
-        `passes.csv` (:func:`sunspin.estimate.passes.table`); `misfit` (pass_id, sensor, figure) of the best mode. On `sample`:
-        `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
+        `passes.csv` (:func:`sunspin.estimate.passes.table`); `model`, `model_weight`: the hypothesis of the motion
+        (:mod:`sunspin.estimate.rates.alternatives`) and its weight, NaN where the effort left none for others; `misfit` (pass_id,
+        sensor, figure) of the best mode.
+        On `sample`: `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
         `sensors_late_sigma_s`; `wiring_doubt`, where another wiring or a sensor left out would make a pass fit.
 
     Raises
@@ -170,19 +192,18 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
-    forces = acting(torques, environment)
-    _require_sun_along_z(environment)
-    o, why, source = observations(vehicle, telemetry, source)
+    local = _along_the_sun(environment)
+    forces = acting(torques, local)
+    orbit = local.orbit if isinstance(local, SunAlongZ) else None
+    calibration = calibration or (None if orbit is None else field_calibration(orbit, vehicle, telemetry))
+    o, why, source = observations(vehicle, telemetry, source, local, calibration)
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
     parts = [parts[k] for k in ids]
     sensors = vehicle.sensors
     rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
-    given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
+    given = _known_noise(vehicle, o, acceleration_noise)
     body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None, acting=forces)
-    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
-        low, high = NOISE_RANGE
-        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
@@ -195,18 +216,20 @@ def rates(
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
     tracks, cut = _searched(o, parts, motion, rate_max, spent)
     if not _torque_told(vehicle, o):
-        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
+        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise, o.freed().field_N)))
     ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
     with spent:
         spent.doing("errors in common")
         if given is None:
             motion = replace(motion, noise=refined(ready, motion))
         clock, late = _clock(sensors.clock, ready, motion)
-        each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent)
+        others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
+        each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others)
     found, walk = link(o, each, motion)
     cut = np.logical_or(cut, fewer) | judged.cut
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
+    result = _in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
     result = result.assign_attrs(
         late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
@@ -216,7 +239,7 @@ def rates(
         result.attrs["alike"] = alike
     if wirings and not result["fits"].values.all():
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
-            result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
+            result = _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques)
             if "wiring_doubt" not in result.attrs and may_go_on():
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
@@ -239,14 +262,15 @@ def _searched(
 
 def _all_finished(
     o: Observations, wholes: list[np.ndarray], parts: list[np.ndarray], tracks: list[tuple[Observations, Track]], motion: Motion,
-    clock: Clock | None, rate_max: float, begin: float, spent: Effort,
+    clock: Clock | None, rate_max: float, begin: float, spent: Effort, others: Others,
 ) -> tuple[list[Pass], list[bool]]:
     """All passes `finished`, and where only some of the modes were, the effort being spent."""
     found, fewer = [], []
     for k, (whole, part, (_, track)) in enumerate(zip(wholes, parts, tracks, strict=True)):
         spent.doing(f"fit of pass {k + 1} of {len(parts)}")
         fewer.append(len(track.omega) > FEW_MODES and not may_go_on())
-        found.append(finished(o, whole, part, track.take(slice(FEW_MODES)) if fewer[-1] else track, motion, clock, rate_max, begin))
+        track = track.take(slice(FEW_MODES)) if fewer[-1] else track
+        found.append(finished(o, whole, part, track, motion, clock, rate_max, begin, others if may_go_on() else None))
     spent.close()
     return found, fewer
 
@@ -276,14 +300,15 @@ def _odd_sensor(
     return {"odd_sensor": f"{odd.hypothesis.what} the other readings fit: it does not see what they see"}
 
 
-def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
+def _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques) -> xr.Dataset:
     """The result with the wiring that fits the longest pass that does not fit as stated, or the sensor that is in its way."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
     times, first = np.unique(telemetry["time"].values, return_index=True)
     part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
-    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment}
+    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment,
+                               "calibration": calibration}  # fmt: skip
 
     def evidence(other: Vehicle, data: xr.Dataset) -> float:
         try:
@@ -306,6 +331,26 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     return result.assign_attrs(wiring_doubt=found.words)
 
 
+def _clock_time(epoch_utc: str | None, t_s: float) -> str:
+    """A time (s) as a person says it."""
+    return f"{t_s:.0f} s" if epoch_utc is None else utc_after(t_s, epoch_utc)[11:19]
+def _in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations) -> xr.Dataset:
+    """The result with the turn about the Sun and its sigma; where a magnetometer was used, with attitudes from J2000."""
+    best = [p.track.take(np.array([0])) for p in found]
+    sun, covariance = (np.concatenate(parts) for parts in zip(*((t.sun_B[0], t.covariance[0]) for t in best), strict=True))
+    sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
+    about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
+    result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
+        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s,
+        orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
+    )  # fmt: skip
+    if o.freed().field_N is None:
+        return result
+    attitude = Rotation.from_quat(result["B_from_N"].values).as_matrix() @ local.N_from_J2000(result["time"].values)
+    turned = ("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}
+    return result.assign(B_from_N=turned).assign_attrs(frame_N=J2000)
+
+
 def _asked_for(pass_id: int | None, count: int) -> list[int]:
     """Which of so many passes are estimated."""
     if pass_id is None:
@@ -315,17 +360,27 @@ def _asked_for(pass_id: int | None, count: int) -> list[int]:
     return [int(pass_id)]
 
 
-def _require_sun_along_z(environment: Environment | None) -> None:
+def _along_the_sun(environment: Environment | None) -> Environment | None:
+    """The environment in axes whose z is the Sun's direction."""
+    if isinstance(environment, Orbit):
+        return SunAlongZ(environment)
     sun = SUN_N if environment is None else environment.at(0.0).sun_N[0]
     if np.linalg.norm(sun - SUN_N) > 1e-6:
         raise InputError(sentence("rates needs an environment with z of its N to the Sun", got=f"the Sun at {np.round(sun, 3)}"))
+    return environment
 
 
-def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
-    """The vehicle's acceleration noise: another one where its dipole cannot be modelled, the field not being measured."""
+def _known_noise(vehicle: Vehicle, o: Observations, asked: float | None) -> float | None:
+    """The acceleration noise asked for, else the vehicle's: another one where its dipole cannot be modelled, the field not being
+    measured."""
     disturbance = vehicle.sensors.disturbance
     modelled = disturbance.dipole is None or _torque_told(vehicle, o)
-    return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+    stated = disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+    given = stated if asked is None else asked
+    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
+        low, high = NOISE_RANGE
+        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
+    return given
 
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
@@ -358,7 +413,8 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     for guess in guesses(o):
         if found and not may_go_on():
             break
-        track = _turned_about_sun(guess, search(guess, motion, rate_max), motion)
+        track = search(guess, motion, rate_max)
+        track = out_of_field(o, track, motion) if field_leads(o) else _turned_about_sun(guess, track, motion)
         order, weight = _ranked(track)
         heavy = weight[: max(2 * MAX_MODES, most_modes(o))] > LEAST_WEIGHT**2
         found.append(track.take(order[: max(1, int(np.count_nonzero(heavy)))]))
@@ -394,27 +450,75 @@ def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max:
 
 def finished(
     every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
-    rate_max: float, begin: float,
+    rate_max: float, begin: float, others: Others | None = None,
 ) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
-    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
+    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them; with what else may have
+    moved the body counted in, if `others` are to be tried."""
     plain = every.take(kept)
     o = plain.freed()
-    common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
-    if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
+    fit = settled(o, track, motion, clock, begin)
+    if len(motion.body.errors) and fit.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
-        common = other if other.track.cost.min() < common.track.cost.min() else common
-    if common is not None:  # with their common errors two hypotheses may have become one
-        common = common.take(distinct_index(common.track, o.t_s))
-    fit = Fitted.of(o, track, common, motion, clock)
-    between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
-    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
-    if common is not None:
-        track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
-    whole = between.filled(track, motion)
-    left = residuals(every.take(index).freed(), np.searchsorted(index, kept), whole, fit)
-    order, weight = _ranked(track)
-    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), sigma, left).take(order, weight / weight.sum())
+        fit = other if other.track.cost.min() < fit.track.cost.min() else fit
+    fit = fit.take(distinct_index(fit.track, o.t_s))  # with their common errors two hypotheses may have become one
+    stated = weighed(Hypothesis(AS_READ, every.take(index), np.searchsorted(index, kept), motion, clock), fit)
+    trials = [stated] if others is None else alternatives(stated, others)
+    groups = counted(trials)
+    used = sorted({i for group in groups for i, _ in group.members})
+    heads = {group.members[0][0] for group in groups}
+    each = {i: completed(trials[i], stated.hypothesis, index, kept, i in heads) for i in used}
+    modes = [mixed([each[i].take(np.array([k]), np.ones(1)) for i, k in group.members], group.weights) for group in groups]
+    shares = [(trials[i].hypothesis.what, float(w)) for one in groups for (i, _), w in zip(one.members, one.weights, strict=True)]
+    found = stacked(modes)._replace(model=(AS_READ, np.nan) if others is None else likeliest(shares))
+    return found.take(np.arange(len(modes)), np.array([group.weights.sum() for group in groups]))
+
+
+def completed(trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndarray, whole_story: bool = True) -> Pass:
+    """A trial's modes with their sigmas, at all samples, with residuals of sensors as good as stated if the `whole_story` is asked
+    for."""
+    one, fit, o = trial.hypothesis, trial.fit, trial.hypothesis.fitted()
+    between = Dense.of(one.o, np.arange(len(one.o)), one.kept, fit.seen, one.motion)
+    track, sigma = with_spread(o, one.motion, between.mean_map(), fit, one.clock)
+    whole = between.filled(replace(track, attitude=fit.seen.attitude, omega=fit.seen.omega))
+    left = {}
+    if whole_story:
+        left = residuals(stated.o.freed(), one.kept, whole, Fitted(o, fit.track, fit.error, one.motion, one.clock))
+    hidden = sum(term.hidden_variance(np.diff(o.t_s)) for term in o.of_motion)
+    whole.covariance[..., 3:, 3:] += hidden * np.eye(3)
+    whole = replace(whole, log_weight=trial.log_evidence)
+    weight = np.exp(trial.log_evidence - trial.best)
+    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), np.sqrt(sigma**2 + hidden / len(o)), left)
+
+
+def mixed(members: list[Pass], weights: np.ndarray) -> Pass:
+    """One motion that several hypotheses lead to: as the heaviest has it, with what the others are off counted in its sigmas."""
+    head = members[0]
+    covariance, variance = np.zeros_like(head.track.covariance), np.zeros_like(head.mean_sigma)
+    for one, share in zip(members, weights / weights.sum(), strict=True):
+        turned = turn_between(head.track.attitude, one.track.attitude)
+        off = np.concatenate([turned, one.track.omega - head.track.omega], axis=-1)
+        covariance += share * (one.track.covariance + off[..., :, None] * off[..., None, :])
+        variance += share * (one.mean_sigma**2 + (one.mean - head.mean) ** 2)
+    log_weight = np.logaddexp.reduce([one.track.log_weight for one in members])
+    track = replace(head.track, covariance=covariance, log_weight=log_weight)
+    return head._replace(track=track, mean_sigma=np.sqrt(variance))
+
+
+def stacked(modes: list[Pass]) -> Pass:
+    """All of a pass's modes."""
+    first = modes[0]
+    left = {name: np.concatenate([one.residual[name] for one in modes]) for name in first.residual}
+    weight, mean, sigma = (np.concatenate([getattr(one, name) for one in modes]) for name in ("weight", "mean", "mean_sigma"))
+    return Pass(first.index, first.kept, joined([one.track for one in modes]), weight, mean, sigma, left)
+
+
+def likeliest(shares: list[tuple[str, float]]) -> tuple[str, float]:
+    """Of what hypotheses say, each with a weight, what is named, and its weight: the model as stated unless that is improbable."""
+    total = {AS_READ: 0.0}
+    for what, weight in shares:
+        total[what] = total.get(what, 0.0) + weight
+    return (AS_READ, total[AS_READ]) if total[AS_READ] > NAMED else max(total.items(), key=lambda one: one[1])
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -470,6 +574,8 @@ def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[b
     return table(rows, epoch_utc) | {
         "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
         "sensor": names, "figure": ["readings", "beyond", "chance"],
+        "model": ("pass_id", [p.model[0] for p in found], {"long_name": "what holds most of the weight of all that was tried"}),
+        "model_weight": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
     }  # fmt: skip
 
 
@@ -548,6 +654,8 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if other := sum(one != AS_READ for one in result["model"].values):
+        text += f"; in {other} the motion is not that of the model as stated: what it may be is named"
     text += _left_open(result, fits & unique, fits & ~unique)
     if cut := result.attrs["cut_passes"]:
         text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"

@@ -14,11 +14,12 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 import xarray as xr
 
+from sunspin.environment import Surroundings
 from sunspin.estimate.terms import gains
 from sunspin.estimate.terms.earth_light import EarthLight, faint, pairs_differing
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
 from sunspin.solve.rotations import cross_matrix, seen_turned
-from sunspin.telemetry.quality import panel_quality
+from sunspin.telemetry.quality import LATE, LIMITED_SCALE, STALE, panel_quality
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.protocol import PanelResponse, sphere
@@ -31,6 +32,12 @@ BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 """Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
 
 
+LEAST_LIT, DARK = 0.01, 0.03
+"""Part of the Sun's disc below which it is down; and what panels read in the shadow beside their noise, as a share of full Sun:
+zeros of converters."""
+
+UNUSABLE = ("dropped: no panel has a number", LATE, STALE)
+"""What `panel_quality` says of samples that say nothing, in the shadow either."""
 AVERAGED = np.polynomial.legendre.leggauss(3)
 """Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
 
@@ -62,11 +69,13 @@ class Panels(SunTerm):
     in common that are considered, and of those that are estimated. `scale` (n), `scale_sigma` (n): the factor of all powers of a
     sample and its relative uncertainty. `earth_share`: how much of full Sun a panel gets that looks at the Earth, where no fit
     estimates it; for those that do, `earth`, and `whole` (power, sigma, scale_sigma): what was read beside it, and how well.
+    `lit` (n): the part of the Sun that is up; `earth_N` (n, 3): the Earth's light where an orbit knows it, in full Suns;
+    `dark_sigma` (n, n_panel): of readings in the Earth's shadow.
     """
 
     name: ClassVar[str] = "panels"
     called: ClassVar[str] = "Sun"
-    per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma")
+    per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma", "lit", "dark_sigma")
 
     power: np.ndarray
     sigma: np.ndarray
@@ -80,7 +89,10 @@ class Panels(SunTerm):
     whole: tuple[np.ndarray, np.ndarray, np.ndarray]
     names: tuple[str, ...]
     instants: Instants
+    lit: np.ndarray
+    dark_sigma: np.ndarray
     earth: EarthLight | None = None
+    earth_N: np.ndarray | None = None
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Self, np.ndarray]:
@@ -89,11 +101,13 @@ class Panels(SunTerm):
         errors = gains.errors(vehicle, quality)
         known = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion determines the gains
         power, scale_sigma = signals(telemetry), quality["scale_sigma"].values
+        dark_sigma = np.hypot(quality.attrs["noise"], DARK * quality.attrs["full_sun"] * quality["gain"].values)
+        shown = np.isfinite(power) & ~quality["dead"].values & ~np.isin(quality["why"].values, UNUSABLE)[:, None]
         made = cls(
             power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.input_gains,
             errors[: len(errors) * known], errors[len(errors) * known :], quality["scale"].values, scale_sigma,
             quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.input_names,
-            Instants.of(vehicle),
+            Instants.of(vehicle), np.ones(len(power)), np.where(shown, dark_sigma, np.inf),
         )  # fmt: skip
         return made._differing(), quality["why"].values.astype(object)
 
@@ -104,16 +118,33 @@ class Panels(SunTerm):
         power, sigma = pairs_differing(self.response.facing_B, self.full, *self.whole[:2], self.power, self.sigma)
         return replace(self, power=power, sigma=sigma, scale_sigma=np.hypot(self.scale_sigma, self.earth_share))
 
+    def placed(self, here: Surroundings) -> Self:
+        """With the Sun up or down, and the Earth's light where it is known. In the shadow panels must be dark, and say no more;
+        where the shift of the orbit leaves open whether the Sun is up, the sample's brightness is free."""
+        made = self if here.albedo_light_N is None else replace(self, earth_N=here.albedo_light_N)
+        if here.lit is None or here.lit_sigma is None:
+            return made
+        dark = here.lit + here.lit_sigma < LEAST_LIT
+        open_ = ~dark & (here.lit - here.lit_sigma < 1 - LEAST_LIT)
+        power, sigma, scale_sigma = self.whole
+        free = np.maximum(self.scale_sigma, LIMITED_SCALE), np.maximum(scale_sigma, LIMITED_SCALE)
+        return replace(
+            made, lit=np.where(dark, 0.0, 1.0), sigma=np.where(dark[:, None], self.dark_sigma, self.sigma),
+            scale_sigma=np.where(open_, free[0], self.scale_sigma),
+            whole=(power, np.where(dark[:, None], self.dark_sigma, sigma), np.where(open_, free[1], scale_sigma)),
+        )  # fmt: skip
+
     def take(self, index: np.ndarray | slice) -> Self:
         power, sigma, scale_sigma = (part[index] for part in self.whole)
         earth = None if self.earth is None else self.earth.take(index)
-        return replace(super().take(index), whole=(power, sigma, scale_sigma), earth=earth)
+        known = None if self.earth_N is None else self.earth_N[index]
+        return replace(super().take(index), whole=(power, sigma, scale_sigma), earth=earth, earth_N=known)
 
     def present(self) -> np.ndarray:
         return np.any(np.isfinite(self.sigma), axis=1)
 
     def informs(self) -> np.ndarray:
-        return self.present()
+        return self.present() & (self.lit > 0)
 
     @property
     def full(self) -> np.ndarray:
@@ -147,6 +178,10 @@ class Panels(SunTerm):
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None]))
 
+    def coarser(self, factor: float) -> Self:
+        power, sigma, scale_sigma = self.whole
+        return replace(self, sigma=factor * self.sigma, whole=(power, factor * sigma, scale_sigma))
+
     def forgiving(self) -> Self:
         if not len(self.gain_unknowns):
             return self
@@ -171,13 +206,13 @@ class Panels(SunTerm):
         free = np.concatenate([self.gain_unknowns, self.gain_errors])
         return replace(
             self, power=power, sigma=sigma, scale_sigma=scale_sigma, gain_unknowns=free, gain_errors=free[:0], earth_share=0.0,
-            earth=EarthLight.prior(t_s, self.earth_share, self.full),
+            earth=EarthLight.prior(t_s, self.earth_share, self.full, self.earth_N),
         )  # fmt: skip
 
     def unknowns(self) -> tuple[Unknown, ...]:
         return (*gains.unknowns(self.gain_unknowns), *(() if self.earth is None else self.earth.unknowns(self.names)))
 
-    def begin(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    def begin(self, seen: Seen, turned: bool = False) -> tuple[np.ndarray, np.ndarray]:
         error = np.zeros((len(seen.omega), len(self.unknowns())))
         if self.earth is None:
             return seen.attitude, error
@@ -188,7 +223,7 @@ class Panels(SunTerm):
             trial[:, held:] = lit
             return normal(self, Seen(turned, seen.omega), trial)[2].sum(axis=1)
 
-        attitude, error[:, held:] = self.earth.begin(seen.attitude, cost)
+        attitude, error[:, held:] = self.earth.begin(seen.attitude, cost, turned)
         return attitude, error
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
@@ -214,6 +249,7 @@ class Panels(SunTerm):
         free = self.gain_unknowns if error is not None else self.gain_unknowns[:0]
         gain = self.gain if error is None else (self.gain + error[:, : len(free)] @ free)[:, None]
         light, to_turn = self._over_time(seen, gain)
+        light, to_turn = light * self.lit[:, None], to_turn * self.lit[:, None, None]
         parts = [to_turn, (light / gain)[..., None] * free.T]
         if self.earth is not None and error is not None:
             lit = error[:, len(free) :]

@@ -4,6 +4,7 @@ A fit is a list of terms. Each is asked by the same methods, so that what a sens
 
 - `take`: the same for some samples; `present`, `informs`, `points`, `readings`: at which samples it says what.
 - `wider`, `forgiving`, `guesses`, `directions`, `images`, `rates`, `rate_sigma`: what the search needs, which knows no unknowns.
+- `placed`: the same where the surroundings are known, by an orbit.
 - `freed`, `unknowns`, `begin`: what is estimated beside the motion, in units of its prior sigma.
 - `residuals` (of samples), `between` and `gained` (of neighbours), `pushes` (of the motion): in sigmas, with derivatives.
 - `considered`: what is not estimated and counts in the result's error; `unrelated`: what a fit without it owes.
@@ -20,7 +21,7 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from sunspin.environment import unknown
+from sunspin.environment import Surroundings, unknown
 from sunspin.vehicle.response.protocol import sphere
 
 SUN_N = unknown().at(0.0).sun_N[0]
@@ -101,6 +102,10 @@ class Term:
         """The same trusted no further than its common errors, which the search holds at what the vehicle file says."""
         return self
 
+    def coarser(self, factor: float) -> Self:
+        """The same with sigmas so many times those stated."""
+        raise NotImplementedError("readings at a sample can be worse than stated")
+
     def guesses(self) -> list[Self]:
         """What is searched."""
         return [self.forgiving()]
@@ -113,7 +118,11 @@ class Term:
         """rad/s to which they do so without doubt about whole turns."""
         return np.inf
 
-    def freed(self, t_s: np.ndarray) -> Self:
+    def placed(self, here: Surroundings) -> Self:
+        """The same in surroundings at its samples, in a frame with z to the Sun."""
+        return self
+
+    def freed(self, t_s: np.ndarray) -> Term:
         """The same with what is estimated of it, of a pass at these times (n)."""
         return self
 
@@ -165,8 +174,9 @@ class SunTerm(Term):
         """Mirrors and turns (m, 3, 3) of the body that change no reading, or little, the first of them none at all."""
         return np.eye(3)[None]
 
-    def begin(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
-        """Attitudes (K, n, 3, 3) and unknowns (K, u), in sigmas, from which a fit begins."""
+    def begin(self, seen: Seen, turned: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Attitudes (K, n, 3, 3) and unknowns (K, u), in sigmas, from which a fit begins; `turned`: the turn about the Sun is that
+        of N, by another sensor."""
         return seen.attitude, np.zeros((len(seen.omega), len(self.unknowns())))
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
@@ -177,6 +187,10 @@ class SunTerm(Term):
 @dataclass(frozen=True)
 class StateTerm(Term):
     """Reads attitude or rate at a sample: derivatives (K, n, m, 6 + u) are to turn, rate and the unknowns."""
+
+    def begin(self, seen: Seen) -> np.ndarray | None:
+        """Attitudes (K, n, 3, 3) from which a fit begins, where it says the turn about the Sun; else None."""
+        return None
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
         """As those of a `SunTerm`."""
@@ -207,11 +221,23 @@ class PairTerm(Term):
 
 @dataclass(frozen=True)
 class MotionTerm(Term):
-    """Moves the body."""
+    """Moves the body, over the intervals `dt` (n - 1) between samples: by what is estimated, or as noise."""
 
     def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
-        """What one sigma of each unknown adds to turn and rate over the intervals `dt` (n - 1), (K, n - 1, 6, u)."""
-        raise NotImplementedError("every term of the motion pushes")
+        """What one sigma of each unknown adds to turn and rate (K, n - 1, 6, u)."""
+        return np.zeros((*seen.omega[:, 1:].shape[:2], 6, 0))
+
+    def acceleration_noise(self, dt: np.ndarray) -> np.ndarray:
+        """White angular acceleration (n - 1), rad/s^1.5, beside that of the motion."""
+        return np.zeros(len(dt))
+
+    def rate_noise(self) -> float:
+        """White noise of the rate, rad s^-0.5: the attitude wanders, the rate between samples does not."""
+        return 0.0
+
+    def hidden_variance(self, dt: np.ndarray) -> float:
+        """Variance (rad2/s2) of the rate at an instant about that of the fit."""
+        return 0.0
 
 
 def normal(term: SunTerm | StateTerm, seen: Seen, error: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

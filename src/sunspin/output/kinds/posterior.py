@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sunspin.estimate.posterior.period import period_sentences
 from sunspin.estimate.posterior.predict import intervals
 from sunspin.estimate.posterior.prior_widths import prior_sentences
 from sunspin.estimate.posterior.verdict import summary as main_numbers
@@ -45,6 +46,12 @@ def posterior_summary(tree: Any) -> Summary:
         widths = json.loads(tree.attrs["prior_widths"])
         numbers["prior_widths"] = widths["told"]
         lines += [f"  {said}" for said in prior_sentences(**widths)]
+    if "period" in tree.children:
+        seen = tree["period"].to_dataset()
+        lines += [f"  {said}" for said in period_sentences(seen)]
+        numbers["period"] = {"told": bool(seen.attrs["told"]), "effective_draws": float(seen.attrs["effective_draws"])} | {
+            name: seen[name].values.tolist() for name in ("probability", "region_weight", "rate_quantile")
+        }
     if "predictions" in tree.children:
         predicted = predictions_summary(tree["predictions"].to_dataset())
         return Summary(numbers | predicted, lines + predicted.lines)

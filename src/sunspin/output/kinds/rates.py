@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
 from sunspin.output.kinds.rate_words import clock_of, rate_at
 from sunspin.output.text import digits_of
 from sunspin.vehicle.timeline import utc_after
+
+AS_STATED = "as stated"
+"""The model of a pass that nothing was added to."""
 
 READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
 """Variables of telemetry of which residuals are drawn."""
@@ -66,6 +70,8 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     numbers |= {"speed_deg_s": [rate.low, rate.mean, rate.high], "at_s": rate.at_s, "omega_at_deg_s": rate.omega.tolist()}
     best = f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
     best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
+    if numbers.get("model", AS_STATED) != AS_STATED:
+        best += f"  likeliest: {numbers['model']} (weight {numbers['model_weight']:.2f})"
     return numbers, f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}"
 
 
@@ -114,7 +120,8 @@ def rates_tables(result: Any, folder: Path, _: Beside) -> None:
         columns[f"sun_{axis}_B"] = result["sun_B"].values[:, k]
     for k, part in enumerate("xyzw"):
         columns[f"q_{part}_B_from_N"] = result["B_from_N"].values[:, k]
-    head = f"# time_s from {result.attrs.get('epoch_utc')}; best motion of each pass; body axes; N: z to the Sun, local\n"
+    frame = "z to the Sun, local" if result.attrs.get("frame_N") == SUN_Z_LOCAL else result.attrs.get("frame_N")
+    head = f"# time_s from {result.attrs.get('epoch_utc')}; best motion of each pass; body axes; N: {frame}\n"
     text = synthetic_label(result) + head + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
     write_whole(folder / "rates.csv", lambda part: part.write_text(text, "utf-8"))
     write_passes(result, folder, result)
