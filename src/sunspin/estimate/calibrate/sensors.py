@@ -130,6 +130,9 @@ def _shaped(numbers: np.ndarray) -> Any:
 
 def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[list[Key], Vehicle]:
     """Gains by the brightness of samples, and the vehicle with them."""
+    if vehicle.channels:
+        notes.append("gains of panels: an input that panels share does not tell the gain of each")
+        return [], vehicle
     quality = panel_quality(vehicle, telemetry)
     stated, gain = vehicle.panel_gains, quality["gain"].values
     if not np.isfinite(quality.attrs["spread"]):
