@@ -139,9 +139,11 @@ def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[
     prior = prior_sigmas(vehicle) * stated
     key = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     count = int((quality["use"].values == 0).sum())
-    one = [np.array([part]) for part in (stated, gain, sigma, prior)]
-    keys = [Key(("panel", panel.name), key, *(part[0, k : k + 1] for part in one), vehicle.gain_unit or "1", count)
-            for k, panel in enumerate(vehicle.panels)]  # fmt: skip
+    unit = vehicle.gain_unit or "1"
+    keys = []
+    for k, panel in enumerate(vehicle.panels):
+        own = slice(k, k + 1)
+        keys.append(Key(("panel", panel.name), key, stated[own], gain[own], sigma[own], prior[own], unit, count))
     return keys, with_gains(vehicle, gain / stated)
 
 
