@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError, MotionError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
@@ -281,7 +281,7 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: b
     assert gyro is not None
     try:
         found = rates(vehicle, telemetry.drop_vars("gyro_B"), progress=progress)
-    except InputError as error:
+    except (InputError, MotionError) as error:
         notes.append(f"gyro: not determined, as without it there are no rates: {error}")
         return []
     fit = fit_gyro(gyro, telemetry, found)
