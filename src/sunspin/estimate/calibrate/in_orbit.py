@@ -310,7 +310,7 @@ class _Model:
     sky: _Sky
     unit_T: float
     precision: np.ndarray
-    scatter: tuple[float, float, float] = (1.0, 1.0, 0.05)
+    scatter: tuple[float, float, float] = (0.5, 1.0, 0.02)
 
     @property
     def kinds(self) -> np.ndarray:
