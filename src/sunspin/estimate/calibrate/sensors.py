@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError, MotionError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
@@ -142,9 +142,11 @@ def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[
     prior = prior_sigmas(vehicle) * stated
     key = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     count = int((quality["use"].values == 0).sum())
-    one = [np.array([part]) for part in (stated, gain, sigma, prior)]
-    keys = [Key(("panel", panel.name), key, *(part[0, k : k + 1] for part in one), vehicle.gain_unit or "1", count)
-            for k, panel in enumerate(vehicle.panels)]  # fmt: skip
+    unit = vehicle.gain_unit or "1"
+    keys = []
+    for k, panel in enumerate(vehicle.panels):
+        own = slice(k, k + 1)
+        keys.append(Key(("panel", panel.name), key, stated[own], gain[own], sigma[own], prior[own], unit, count))
     return keys, with_gains(vehicle, gain / stated)
 
 
@@ -282,7 +284,7 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: b
     assert gyro is not None
     try:
         found = rates(vehicle, telemetry.drop_vars("gyro_B"), progress=progress)
-    except InputError as error:
+    except (InputError, MotionError) as error:
         notes.append(f"gyro: not determined, as without it there are no rates: {error}")
         return []
     fit = fit_gyro(gyro, telemetry, found)
