@@ -139,9 +139,9 @@ def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[
     prior = prior_sigmas(vehicle) * stated
     key = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     count = int((quality["use"].values == 0).sum())
-    one = [np.array([part]) for part in (stated, gain, sigma, prior)]
-    keys = [Key(("panel", panel.name), key, *(part[0, k : k + 1] for part in one), vehicle.gain_unit or "1", count)
-            for k, panel in enumerate(vehicle.panels)]  # fmt: skip
+    unit, at = vehicle.gain_unit or "1", [slice(k, k + 1) for k in range(len(stated))]
+    keys = [Key(("panel", panel.name), key, stated[k], gain[k], sigma[k], prior[k], unit, count)
+            for panel, k in zip(vehicle.panels, at, strict=True)]  # fmt: skip
     return keys, with_gains(vehicle, gain / stated)
 
 
