@@ -74,11 +74,11 @@ class Readings(NamedTuple):
 
     @property
     def has_sun(self) -> np.ndarray:
-        return np.asarray(np.isfinite(self.angle[..., 0]).any(axis=1) | np.isfinite(self.sun).all(axis=1))
+        return np.any(np.isfinite(self.angle[..., 0]), axis=1) | np.all(np.isfinite(self.sun), axis=1)
 
     @property
     def has_field(self) -> np.ndarray:
-        return np.asarray(np.isfinite(self.field).all(axis=1))
+        return np.all(np.isfinite(self.field), axis=1)
 
     def take(self, which: np.ndarray) -> Readings:
         return Readings(*(part[which] for part in self))

@@ -142,11 +142,9 @@ def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[
     prior = prior_sigmas(vehicle) * stated
     key = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     count = int((quality["use"].values == 0).sum())
-    unit = vehicle.gain_unit or "1"
-    keys = []
-    for k, panel in enumerate(vehicle.panels):
-        own = slice(k, k + 1)
-        keys.append(Key(("panel", panel.name), key, stated[own], gain[own], sigma[own], prior[own], unit, count))
+    unit, at = vehicle.gain_unit or "1", [slice(k, k + 1) for k in range(len(stated))]
+    keys = [Key(("panel", panel.name), key, stated[k], gain[k], sigma[k], prior[k], unit, count)
+            for panel, k in zip(vehicle.panels, at, strict=True)]  # fmt: skip
     return keys, with_gains(vehicle, gain / stated)
 
 
