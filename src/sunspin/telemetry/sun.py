@@ -61,7 +61,8 @@ def is_reconstructed(status: Any) -> np.ndarray:
 
 
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
-    """The lit patterns that geometry allows and from which a direction follows: three independent normals, no rule against."""
+    """The lit patterns that geometry allows and from which a direction follows: three panels that look in
+    independent directions, no rule against."""
     patterns = lit_patterns(vehicle)
     found = _pattern_statuses(vehicle, [tuple(name in pattern for name in vehicle.panel_names) for pattern in patterns])
     return frozenset(pattern for pattern, (status, _) in zip(patterns, found, strict=True) if status in RECONSTRUCTED)
