@@ -14,7 +14,7 @@ TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
 # as many workers as cores, four at most
 SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: help reproduce test test-all test-slow docs bench calibrate long other-pythons lint contracts style types lock clean
+.PHONY: help reproduce test test-all test-slow docs bench calibrate validate-real long other-pythons lint contracts style types lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
@@ -24,6 +24,7 @@ help:
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
 	@echo "make calibrate   is the posterior right? 170 twins of Philae into $(OUT)/calibration, about 20 min; resumable"
+	@echo "make validate-real  rates of real satellites against what was withheld, where SUNSPIN_DATA has them (docs/real-data.md)"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
 
@@ -51,10 +52,10 @@ style: $(READY)
 	$(BIN)/ruff check --no-cache src tests bench docs examples validation
 
 types: $(READY)
-	$(BIN)/basedpyright
+	$(BIN)/ty check
 
-# The checker of types keeps one core busy, so the other one meanwhile reads the documents; after the tests only the page that
-# shows what they have reached is read again. Tests beside the checker took longer: 9 min 13 s in place of 7 min 39 s.
+# One core reads the documents while the other one checks all else that runs no test; after the tests only the page that shows
+# what they have reached is read again.
 test: $(READY)
 	@$(MAKE) --no-print-directory -j2 --output-sync=target types contracts style docs
 	$(TESTS) $(SPREAD)
@@ -91,6 +92,10 @@ calibrate: $(READY)
 	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 20 --kind known
 	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 10 --kind shadow --kind dead --kind jitter --kind swapped --kind wheel_off
 	$(BIN)/python docs/calibration_figure.py $(OUT)/calibration $(OUT)/calibration/calibration.png
+
+# writes the page anew; needs other people's data
+validate-real: $(READY)
+	$(BIN)/python -m validation real
 
 lock:
 	rm -rf .lock-env && "$(PYTHON)" -m venv .lock-env

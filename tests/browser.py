@@ -20,6 +20,7 @@ from typing import Any
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
+    "--disable-gpu-compositing", "--disable-gpu-rasterization",
     "--remote-debugging-pipe", "--no-first-run", "--disable-extensions", "--disable-component-update",
     "--disable-background-networking",
     "--disable-sync", "--hide-scrollbars", "--mute-audio", "--window-size=1280,900",

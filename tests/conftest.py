@@ -22,6 +22,14 @@ def data_dir() -> Path:
     return folder
 
 
+@pytest.fixture
+def undrawn(monkeypatch) -> None:
+    """Results are saved without the files of their figures, which take longer than all else; the figures are still made."""
+    from sunspin.output import figures
+
+    monkeypatch.setattr(figures, "save", lambda figure, folder, name: [folder / f"{name}.png"])
+
+
 def kernel_cache() -> Path:
     """Compiled kernels of tests: one folder of this user beside the program's own, so that they are compiled once a machine.
 

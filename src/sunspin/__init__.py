@@ -35,11 +35,13 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.dynamics.propagate import propagate as propagate
     from sunspin.landing.outcomes import outcomes as outcomes
     from sunspin.landing.scenario import Scenario as Scenario
+    from sunspin.output.compare import compare as compare
     from sunspin.philae.twin import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
     from sunspin.philae.coverage_results import coverage as coverage, worth as worth
     from sunspin.vehicle import (
         Antenna as Antenna,
+        Channel as Channel,
         Friction as Friction,
         HullPart as HullPart,
         Leg as Leg,
@@ -61,6 +63,7 @@ _HOME = {
     "Leg": "sunspin.vehicle",
     "HullPart": "sunspin.vehicle",
     "Antenna": "sunspin.vehicle",
+    "Channel": "sunspin.vehicle",
     "load_vehicle": "sunspin.vehicle",
     "read_telemetry": "sunspin.telemetry.reader",
     "panel_power": "sunspin.vehicle.response.panels",
@@ -82,6 +85,7 @@ _HOME = {
     "twin": "sunspin.philae.twin",
     "outcomes": "sunspin.landing.outcomes",
     "Scenario": "sunspin.landing.scenario",
+    "compare": "sunspin.output.compare",
     "reproduce": "sunspin.philae.reproduction",
     "coverage": "sunspin.philae.coverage_results",
     "worth": "sunspin.philae.coverage_results",

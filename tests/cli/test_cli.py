@@ -43,7 +43,7 @@ def test_help_lists_every_command_and_each_has_an_example():
     text = process("--help")
     for command in COMMANDS:
         assert command in text
-        assert f"sunspin {command}" in process(command, "--help")
+        assert f"sunspin {command}" in sunspin(command, "--help").out
 
 
 def test_help_does_not_import_the_heavy_libraries():

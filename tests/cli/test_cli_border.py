@@ -127,7 +127,7 @@ def test_a_folder_of_other_results_is_refused_before_the_work(sunspin, tmp_path,
     refused(sunspin("scan", *files, "--out", tmp_path / "mine"), "not empty", "--out")
 
 
-def test_results_of_the_same_command_are_replaced(sunspin, tmp_path):
+def test_results_of_the_same_command_are_replaced(sunspin, undrawn, tmp_path):
     for duration in (10, 20):
         assert sunspin("simulate", "philae", *START, f"--duration={duration}", "--out", tmp_path / "run")[0] == 0
     import xarray as xr

@@ -6,6 +6,8 @@ import pytest
 import xarray as xr
 from test_cli import sunspin
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def test_philae_to_files(tmp_path):
     out = tmp_path / "out"

@@ -50,7 +50,7 @@ def smaller(words: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name not in ELSEWHERE])
-def test_examples_run_in_the_folder_that_init_makes(name, tmp_path, monkeypatch):
+def test_examples_run_in_the_folder_that_init_makes(name, undrawn, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner = CliRunner()
     if name != "init":

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
+from sunspin.estimate import orbit_check
 
 TLE = """1 25544U 98067A   26001.50000000  .00010000  00000-0  10000-3 0  9999
 2 25544  51.6400 120.0000 0006000  30.0000  40.0000 15.49000000    03
@@ -23,9 +24,9 @@ def satellite(tmp_path, monkeypatch):
     return tmp_path
 
 
-def said(*words: str) -> str:
+def said(*words: str, command: str = "check") -> str:
     with pytest.raises(SunspinError) as error:
-        CliRunner().invoke(cli, ["check", *words], catch_exceptions=False)
+        CliRunner().invoke(cli, [command, *words], catch_exceptions=False)
     return str(error.value)
 
 
@@ -36,9 +37,14 @@ def test_wrong_elements_are_one_sentence(satellite):
     assert said("vehicle.toml", "telemetry.csv", "--omm", "none.xml").startswith("none.xml: the file of elements cannot be read")
     assert said("vehicle.toml", "--tle", "my.tle") == "elements are compared with telemetry; give TELEMETRY too"
     assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith("a shift along the track needs elements")
+    text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle", command="rates")
+    assert text.startswith("bad.tle, line 1: the checksum")
+    text = said("vehicle.toml", "telemetry.csv", "--tle", "my.tle", "--no-orbit", command="rates")
+    assert text.startswith("--no-orbit says not to use an orbit")
 
 
-def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(satellite):
+def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(satellite, monkeypatch):
+    monkeypatch.setattr(orbit_check, "COPIES", 10)
     words = ["check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"]
     done = CliRunner().invoke(cli, words, catch_exceptions=False)
     assert "Orbit of satellite 25544: the telemetry cannot tell these elements from others" in done.output
@@ -48,4 +54,4 @@ def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_f
     (satellite / "vehicle.toml").write_text(text, "utf-8")
     done = CliRunner().invoke(cli, [*words[:3], "--json"], catch_exceptions=False)
     orbit = json.loads(done.output)["orbit"]
-    assert orbit["satellite"] == 25544 and orbit["verdict"] == "undecided" and orbit["copies"] == 50
+    assert orbit["satellite"] == 25544 and orbit["verdict"] == "undecided" and orbit["copies"] == 10

@@ -16,6 +16,8 @@ import satellites
 from corrupted import BYTES, CELLS
 from sunspin import cli
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 MAKERS = {
     "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=30),
     "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng, n=24),

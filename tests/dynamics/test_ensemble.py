@@ -143,7 +143,7 @@ def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
     centres = (np.arange(256 * 8) + 0.5) / (128 * 8) - 1
     for i in range(len(rows)):
         speeds = rows.wheel_speed_rad_s[i] if n_wheels else None
-        track = ss.propagate(vehicle, rows.omega_B[i], FIRST_SUN, speeds, np.linspace(0, 600, 60_001), rtol=1e-9)
+        track = ss.propagate(vehicle, rows.omega_B[i], FIRST_SUN, speeds, np.linspace(0, 600, 20_001), rtol=1e-9)
         z = track["sun_B"].values[:, 2]
         assert wasserstein_distance(centres, z, np.repeat(result.hist[i], 8).astype(float)) / 2 < 1.5e-3
 

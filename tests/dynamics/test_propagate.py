@@ -89,7 +89,7 @@ def test_a_stuck_wheel_has_no_known_past():
 
 
 @pytest.mark.evidence("propagate", "verified", "invariants |H|, |r| and H.r, none to three wheels with friction")
-@pytest.mark.parametrize("n_wheels", [0, 1, 2, 3])
+@pytest.mark.parametrize("n_wheels", [0, 1, pytest.param(2, marks=pytest.mark.long), 3])
 def test_invariants_hold_to_1e_12(n_wheels, reached):
     rng = np.random.default_rng(n_wheels)
     vehicle = random_vehicle(rng, n_wheels, dry=0.005, viscous=1e-4)

@@ -10,7 +10,8 @@ import pytest
 import sunspin as ss
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
-from sunspin.estimate.orbit import orbit_of
+from sunspin.estimate import orbit_check
+from sunspin.estimate.orbit import judged_orbit, orbit_of
 from sunspin.estimate.orbit_check import Verdict, check_orbit
 from sunspin.vehicle.parts import Orbit
 from tle_twins import make, turned
@@ -21,6 +22,23 @@ def twin():
     return make(1, 1)
 
 
+@pytest.fixture
+def few_copies(monkeypatch):
+    """Right elements are refused once in 20 times at most, and not in 50; enough where wrong ones are clearly wrong."""
+    monkeypatch.setattr(orbit_check, "COPIES", 20)
+
+
+@pytest.fixture(scope="module")
+def judged(twin):
+    """The right elements as they are used, and what is said of them."""
+    return judged_orbit(orbit(twin), *twin[:2])
+
+
+@pytest.fixture(scope="module")
+def fits(judged):
+    return judged[1]
+
+
 def orbit(twin, by_deg=0.0, **options):
     _, data, given, about = twin
     elements = parse_elements("\n".join((given[0], turned(given[1], by_deg))), "twin")
@@ -28,9 +46,10 @@ def orbit(twin, by_deg=0.0, **options):
     return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, **options)
 
 
-def test_right_elements_fit_and_their_shift_is_found(twin):
-    vehicle, data, _, about = twin
-    found = check_orbit(orbit(twin), vehicle, data)
+def test_right_elements_fit_and_their_shift_is_found(twin, judged):
+    used, found, _ = judged
+    about = twin[3]
+    assert used.shift_s == found.shift_s and np.hypot(used.shift_sigma_s, used.clock_sigma_s) < 1.01 * found.shift_sigma_s
     assert found.verdict is Verdict.FITS and found.better <= 1 and found.turn_times < 1.3 and found.mistaken < 0.01
     assert abs(found.shift_s - about["ahead_s"]) < 4 * found.shift_sigma_s < 0.7 * about["sigma_s"]
     assert found.samples["field"] == about["samples"] and found.strength_residual_T < 6e-7 and found.angle_residual_rad < 0.04
@@ -39,13 +58,14 @@ def test_right_elements_fit_and_their_shift_is_found(twin):
     np.testing.assert_allclose(scale, 1e-9, rtol=0.1)  # readings are in nT
 
 
-def test_elements_of_another_plane_are_refused(twin):
+def test_elements_of_another_plane_are_refused(twin, few_copies):
     vehicle, data, _, _ = twin
-    found = check_orbit(orbit(twin, by_deg=70.0), vehicle, data)
+    used, found, words = judged_orbit(orbit(twin, by_deg=70.0), vehicle, data)
     assert found.verdict is Verdict.REFUSED and found.turn_times > 1.3
+    assert used is None and words.startswith("the orbit is NOT USED: the elements do not fit the telemetry")
 
 
-def test_a_clock_off_by_an_hour_is_named(twin):
+def test_a_clock_off_by_an_hour_is_named(twin, few_copies):
     vehicle, data, given, about = twin
     late = data.assign_attrs(epoch_utc=_earlier(data.attrs["epoch_utc"], 3600))
     elements = parse_elements("\n".join(given), "twin")
@@ -54,10 +74,10 @@ def test_a_clock_off_by_an_hour_is_named(twin):
     assert found.verdict is Verdict.REFUSED and found.clock_behind_s == 3600
 
 
-def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin):
+def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin, fits, few_copies):
     vehicle, data, _, _ = twin
     found = check_orbit(orbit(twin), vehicle, data.assign(field_B=-data["field_B"]))
-    assert found.sign_turned and not check_orbit(orbit(twin), vehicle, data).sign_turned
+    assert found.sign_turned and not fits.sign_turned
 
 
 def _earlier(epoch_utc: str, seconds: float) -> str:
@@ -67,8 +87,9 @@ def _earlier(epoch_utc: str, seconds: float) -> str:
 def test_few_data_leave_it_open_and_the_shift_as_it_was(twin):
     vehicle, data, _, about = twin
     few = data.isel(time=slice(0, 12))
-    found = check_orbit(orbit(twin), vehicle, few)
-    assert found.verdict is Verdict.UNDECIDED
+    given = orbit(twin)
+    used, found, words = judged_orbit(given, vehicle, few)
+    assert found.verdict is Verdict.UNDECIDED and used is given and "the telemetry cannot judge it" in words
     dark = check_orbit(orbit(twin, shift_sigma_s=30.0), vehicle, data.drop_vars("field_B").isel(time=slice(0, 25)))
     assert dark.verdict is Verdict.UNDECIDED and dark.matrix is None and np.isnan(dark.strength_residual_T)
     assert 10 < dark.shift_sigma_s < 45

@@ -140,7 +140,7 @@ def test_noise_on_dark_panels_does_not_brighten_the_sun():
     assert brightness(twin.vehicle, data) == pytest.approx(float(twin.telemetry.attrs["truth_scale"]), rel=0.1)
 
 
-@pytest.mark.parametrize("i", [8, 149])
+@pytest.mark.parametrize("i", [pytest.param(8, marks=pytest.mark.long), 149])
 def test_motions_once_lost_are_found(i):
     """8: of a family that the first three samples leave, one member seemed to fit to a tenth of the noise; 149: see above."""
     found = strange_twins.judge(strange_twins.make(0, i, TURNS), 1)

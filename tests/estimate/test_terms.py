@@ -72,7 +72,7 @@ def test_every_unknown_stands_once_in_one_list():
     places = places_of(o, Motion(Body.of(craft()), 1e-5, 0.1), None)
     kinds = [one.kind for one in places.unknowns]
     assert kinds[:4] == ["gyro_zero"] * 3 + ["gyro_scale"] and kinds.count("field_drift") == 6
-    assert len({one.name for one in places.unknowns}) == places.count
+    assert len({one.name for one in places.unknowns}) == places.n
     assert places.unknowns[0].sigma == pytest.approx(1e-3) and places.unknowns[3].sigma == pytest.approx(0.01, rel=1e-6)
     assert all(one.scope == "pass" for one in places.unknowns)
 

@@ -11,22 +11,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 
 from browser import HOSTILE, Browser, found
 from shared_folder import shared_folder
+from sunspin.output import figures
+from sunspin.output.figures import inline
 from sunspin.philae import carries, motions, published_lines, reproduction
 from sunspin.philae import study as rp
 from sunspin.telemetry.case import load_case
 
 
+def roughly(figure: Figure) -> Figure:
+    """A figure of which nothing is moved out of the way of anything else, which takes as long as to draw it."""
+    figure.set_layout_engine("none")
+    return figure
+
+
 @contextmanager
 def small() -> Iterator[None]:
-    """A study of few motions and runs, without drawn figures and the slowest part that the page does not draw."""
+    """A study of few motions and runs, without files of figures and the slowest parts that the page does not draw."""
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in (
             (motions, "SPREAD_MOTIONS", 4), (motions, "COLLISIONS", 40), (published_lines, "LINE_POINTS", 3),
             (carries, "SHUFFLES", 3), (rp, "LEAST_RUNS", 40), (rp, "LANDING_RUNS", 1),
-            (rp, "PARTS", tuple(part for part in rp.PARTS if part.name != "precession")), (reproduction, "draw", lambda *_: []),
+            (rp, "PARTS", tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity"))),
+            (reproduction, "draw", lambda *_: []), (inline, "lay_out", roughly),
         ):  # fmt: skip
             patch.setattr(module, name, value)
         yield
@@ -70,7 +80,8 @@ TWINS = 30
 
 @pytest.fixture(scope="session")
 def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Results of the commands for a user's own vehicle, whose name and panels are hostile, and their pages."""
+    """Results of the commands for a user's own vehicle, whose name and panels are hostile, and their pages; of figures `sun` alone
+    writes files, and they and the pages of all others are drawn roughly: figures have tests of their own."""
     from sunspin.cli import cli
 
     def make(root: Path) -> None:
@@ -79,6 +90,9 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         def sunspin(*arguments: str) -> None:
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(sys, "argv", ["sunspin", *arguments])  # kept with the results as the line that repeats them
+                if arguments[0] != "sun" and arguments[1] != str(root / "sun"):
+                    patch.setattr(figures, "save", lambda figure, folder, name: [folder / f"{name}.png"])
+                    patch.setattr(inline, "lay_out", roughly)
                 done = run.invoke(cli, arguments, catch_exceptions=False)
             assert done.exit_code == 0, done.output
 

@@ -8,9 +8,16 @@ from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.cli import cli
+from sunspin.output.report.rows import STATEMENT
 from sunspin.philae import reproduction
+from sunspin.philae import study as rp
 
 CASE = ss.load_case("philae")
+
+
+@pytest.fixture(scope="module")
+def summary(study: Path) -> dict:
+    return json.loads((study / "summary.json").read_text("utf-8"))
 
 
 def test_the_telemetry_used_is_written_to_copy_and_change(study: Path):
@@ -49,9 +56,8 @@ def test_another_body_takes_the_place_of_philae(tmp_path):
     assert reproduction._inputs(case, path)[1]["file"] == "heavy.toml"
 
 
-def test_the_summary_has_the_public_form(study: Path):
+def test_the_summary_has_the_public_form(summary):
     """API: the keys of each figure, null where nothing is judged, and the counts."""
-    summary = json.loads((study / "summary.json").read_text("utf-8"))
     assert {"version", "seed", "synthetic_telemetry", "seconds", "headline", "chain", "figures"} <= set(summary)
     assert {"agree", "differ", "uninformative"} <= set(summary["counts"])
     keys = {"id", "what", "published", "ours", "low", "high", "prior_low", "prior_high", "unit", "tolerance", "agrees", "kind",
@@ -63,3 +69,31 @@ def test_the_summary_has_the_public_form(study: Path):
             assert row["agrees"] is None, row["id"]
         if row["depends"] == "data":
             assert row["prior_low"] is None and row["informative"], row["id"]
+
+
+def test_figures_that_were_put_in_are_told_apart_and_neither_agree_nor_differ(summary):
+    put_in = {row["id"] for row in summary["figures"] if row["kind"] == "put_in"}
+    assert {"delta_mean", "delta_max", "descent_rate_cubic", "samples_after_collision", "spin_down_coefficients"} <= put_in
+    assert put_in == set(rp.PUT_IN) | set(rp.PUT_IN_ALWAYS)
+    assert all(row["agrees"] is None and row["holds"] is not None for row in summary["figures"] if row["kind"] == "put_in")
+    assert not {"wheel_stop", "rate_at_touchdown_min", "line_L1_distance", "descent_behind"} & put_in
+
+
+def test_only_informative_tests_agree_or_differ(summary):
+    for row in summary["figures"]:
+        if row["depends"] == "candidates":
+            assert row["chain"] == "scan" and row["prior_low"] is not None and row["prior_high"] is not None, row["id"]
+    here = summary["counts"]
+    assert here["agree"] + here["differ"] < 15
+    judged = [row for row in summary["figures"] if row["agrees"] is not None]
+    assert sum(c["agree"] + c["differ"] for c in (here, here["without_telemetry"], here["paper"])) == len(judged)
+    assert {row["kind"] for row in summary["figures"] if row["id"].startswith(STATEMENT)} == {"arithmetic"}
+
+
+def test_no_tolerance_admits_anything(summary):
+    """A tolerance of half of the figure or more would pass nearly whatever this run found."""
+    loose = set()
+    for row in summary["figures"]:
+        if row["agrees"] and row["tolerance"] and isinstance(row["ours"], float) and isinstance(row["published"], float):
+            loose |= {row["id"]} if row["tolerance"] >= abs(row["published"]) / 2 else set()
+    assert not loose

@@ -57,8 +57,12 @@ def secretive(text: str) -> bool:
     return SECRET in text or base64.b64encode(PNG).decode()[:40] in text
 
 
-@pytest.mark.parametrize("name", READ)
-@pytest.mark.parametrize("way", ["symbolic", "relative", "chain", "folder"])
+WAYS = ("symbolic", "relative", "chain", "folder")
+ONE_READER = ("trajectory.nc", "telemetry.nc")
+"""Opened as `rates.nc` is."""
+
+
+@pytest.mark.parametrize(("name", "way"), [(name, way) for name in READ for way in WAYS[: 1 if name in ONE_READER else None]])
 def test_no_link_leads_out_of_the_folder(name, way, folder):
     secret = outside(folder.parent, name)
     if way == "folder":

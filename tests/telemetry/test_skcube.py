@@ -1,15 +1,19 @@
 """skCUBE, June 2017, real telemetry: the decoder, the currents against the Sun sensors, rates against the gyro."""
 
+import csv
 import importlib.util
+import json
 import struct
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import sunspin as ss
-from sunspin.telemetry.decoders.skcube import ADCS, ADCS_COLUMNS, adcs_csv, decode_beacons, unescape
+from sunspin.cli.files import decode
+from sunspin.telemetry.decoders.skcube import KINDS, beacons_csv, decode_beacons, unescape
 
 FREE_S = 219_600
 """The coils were off from the pass of 25 June 20:13 UTC on: seconds after the first beacon of the file."""
@@ -20,26 +24,72 @@ def frame(kind, fields):
     return content.replace(b"\xdb", b"\xdb\xdd").replace(b"\xc0", b"\xdb\xdc")
 
 
+TYPE = {"CDHS": 1, "ADCS": 2, "COM": 3, "PWR": 5}
+
+
+def numbers(kind):
+    """Fields of a beacon, each another."""
+    return list(range(len(KINDS[kind].columns)))
+
+
 def test_the_decoder_undoes_the_escapes_and_counts_what_it_cannot_read(tmp_path):
-    numbers = list(range(len(ADCS_COLUMNS)))
-    numbers[2] = -16320  # C0 40 in two bytes, little endian: an escape inside a field
+    adcs, form = numbers("ADCS"), KINDS["ADCS"].form
+    adcs[2] = -16320  # C0 40 in two bytes, little endian: an escape inside a field
     raw = tmp_path / "raw.zip"
     with zipfile.ZipFile(raw, "w") as archive:
-        archive.writestr("1498201375_OM3KAA__skCUBE.gsr", frame(2, ADCS.pack(*numbers)))
-        archive.writestr("1498201376_OM3KAA__skCUBE.gsr", frame(2, ADCS.pack(*numbers)[:20]))
+        archive.writestr("1498201375_OM3KAA__skCUBE.gsr", frame(2, form.pack(*adcs)))
+        archive.writestr("1498201376_OM3KAA__skCUBE.gsr", frame(2, form.pack(*adcs)[:20]))
         archive.writestr("1498201377_OM3KAA__skCUBE.gsr", frame(1, b"whatever"))
         archive.writestr("1498201378_OM3KAA__skCUBE.gsr", b"")
+        archive.writestr("1498201379_OM3KAA__skCUBE.gsr", frame(4, b"\x01\x02"))
         archive.writestr("notes.txt", b"no beacon")
     beacons = decode_beacons(raw)
-    assert beacons.adcs == [(1498201375, "OM3KAA", tuple(numbers))]
-    assert beacons.kinds == {"ADCS": 2, "CDHS": 1, "too short": 1}
-    assert sum(beacons.unread.values()) == 2
-    assert adcs_csv(beacons).splitlines()[0].startswith("unix_s_rx,station,adcsMode")
+    assert beacons.rows["ADCS"] == [(1498201375, "OM3KAA", tuple(adcs))]
+    assert beacons.kinds == {"ADCS": 1, "other": 1} and sum(beacons.unread.values()) == 4
+    assert beacons_csv(beacons, "ADCS").splitlines()[0].startswith("unix_s_rx,station,adcsMode")
+    assert beacons_csv(beacons, "other").splitlines() == ["unix_s_rx,station,frame", "1498201379,OM3KAA,040102"]
+
+
+@pytest.mark.parametrize("form", ["csv", "page", "lines"])
+def test_every_kind_of_beacon_of_a_satnogs_export_is_written(form, tmp_path):
+    beacons = {kind: bytes(16) + bytes([TYPE[kind]]) + KINDS[kind].form.pack(*numbers(kind)) for kind in KINDS}
+    times = [f"2017-06-23 07:02:5{k}" for k in range(len(KINDS))]
+    objects = [{"timestamp": t.replace(" ", "T") + "Z", "frame": one.hex().upper(), "observer": "OM3KAA"}
+               for t, one in zip(times, beacons.values(), strict=True)]  # fmt: skip
+    text = {"csv": "".join(f"{t}|{one.hex().upper()}\n" for t, one in zip(times, beacons.values(), strict=True)),
+            "page": json.dumps({"next": None, "results": objects}), "lines": "\n".join(map(json.dumps, objects))}  # fmt: skip
+    raw = tmp_path / "export"
+    raw.write_text(text[form])
+    done = CliRunner().invoke(decode, [str(raw), "--out", str(tmp_path / "out"), "--json"], catch_exceptions=False)
+    assert json.loads(done.stdout)["frames"] == dict.fromkeys(KINDS, 1)
+    for k, kind in enumerate(KINDS):
+        with open(tmp_path / "out" / f"skcube_{kind.lower()}.csv", encoding="utf-8") as file:
+            (row,) = csv.DictReader(file)
+        assert float(row.pop("unix_s_rx")) == 1498201370 + k and row.pop("station") == ("" if form == "csv" else "OM3KAA")
+        assert row == {name: str(n) for name, n in zip(KINDS[kind].columns, numbers(kind), strict=True)}
+
+
+HOSTILE = {
+    "not hexadecimal": '{"timestamp": "2017-06-23T07:02:55Z", "frame": "xyz"}',
+    "no frames": '[{"timestamp": "2017-06-23T07:02:55Z"}]',
+    "a broken line": "2017-06-23 07:02:55|00FF\nnonsense\n",
+    "not JSON": '{"timestamp": ',
+}
+
+
+@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
+def test_a_damaged_export_is_a_sentence(text, tmp_path):
+    raw = tmp_path / "export"
+    raw.write_text(text)
+    with pytest.raises(ss.TelemetryError, match="export") as told:
+        decode_beacons(raw)
+    assert "\n" not in str(told.value)
 
 
 def test_unescape():
     assert unescape(b"\x01\xdb\xdc\x02\xdb\xdd\xdb") == b"\x01\xc0\x02\xdb\xdb"
-    assert ADCS.size == struct.calcsize("<BBhhh") + 6 * 5 + 32 + 8
+    assert KINDS["ADCS"].form.size == struct.calcsize("<BBhhh") + 6 * 5 + 32 + 8
+    assert all(len(kind.form.unpack(bytes(kind.form.size))) == len(kind.columns) for kind in KINDS.values())
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off"])
@@ -57,11 +107,11 @@ def test_a_file_that_is_no_zip_is_a_sentence(content, tmp_path):
 @pytest.mark.real_data
 def test_the_decoder_gives_the_published_table_number_by_number(data_dir, reached):
     beacons = decode_beacons(data_dir / "skcube" / "skcube_raw_23_27_june.zip")
-    assert len(beacons.adcs) == 252 and not beacons.unread
-    ours = adcs_csv(beacons).splitlines()
+    assert beacons.kinds == {"ADCS": 252, "CDHS": 265, "COM": 301} and set(beacons.unread) == {"too short for a beacon"}
+    ours = beacons_csv(beacons, "ADCS").splitlines()
     theirs = (data_dir / "skcube" / "skcube_adcs.csv").read_text().splitlines()[: len(ours)]
     assert ours == theirs
-    reached("beacons equal in every number", len(beacons.adcs))
+    reached("beacons equal in every number", len(beacons.rows["ADCS"]))
 
 
 @pytest.fixture(scope="module")

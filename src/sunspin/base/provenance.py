@@ -17,6 +17,9 @@ def version() -> str:
 
 
 def provenance(kind: str, telemetry: Any = None, **said: Any) -> dict[str, Any]:
-    """The attributes of a result: `kind`, what it takes over from the telemetry's attributes, `said`, the version."""
+    """The attributes of a result: `kind`, what it takes over from the telemetry's attributes, `said`, the version.
+
+    What is said of a vehicle is its `said`: name, and what was changed in its file.
+    """
     given = getattr(telemetry, "attrs", {})
     return {"kind": kind, **{key: given[key] for key in CARRIED if key in given}, **said, "sunspin_version": version()}

@@ -1,4 +1,4 @@
-"""Files with rows and columns: CSV, Parquet or NetCDF in, text cells out, or one sentence on what is wrong.
+"""Files with rows and columns: CSV, JSON lines, Parquet or NetCDF in, text cells out, or one sentence on what is wrong.
 
 Cells stay text until the vehicle file has said what they are, so that an error can name the line and show what stands there.
 """
@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.json_rows import json_rows
 from sunspin.base.untrusted import read_bytes
 
 MAX_FILE_BYTES = 500_000_000
@@ -33,6 +34,13 @@ DELIMITERS = ",;\t"
 
 DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+\s*)$")
 """A number as written where the semicolon parts the columns."""
+
+
+RAW_FRAME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\|[0-9A-Fa-f]+(\|[^|]*)*")
+"""A line of SatNOGS DB's export of raw frames, which has no header."""
+
+FRAME_COLUMNS = ("timestamp", "frame", "observation_id", "observer")
+"""Its columns, named as in the same data base's JSON; the last two are in later exports."""
 
 
 class Table(NamedTuple):
@@ -70,7 +78,27 @@ def _from_text(content: bytes, where: str) -> Table:
         raise TelemetryError(sentence("the file is empty", do="a CSV with a header and one row per sample", where=where))
     if "\0" in text:
         raise TelemetryError(sentence("the file holds binary data", do="save it as CSV in UTF-8", where=where))
-    return _split(text, where, hashlib.sha256(content).hexdigest())
+    sha256 = hashlib.sha256(content).hexdigest()
+    if text.lstrip()[0] in "{[":
+        return Table(*json_rows(text, where, MAX_COLUMNS, MAX_CELLS), [], sha256)
+    lines = text.splitlines()
+    if RAW_FRAME.fullmatch(lines[0].strip()):
+        return _raw_frames(lines, where, sha256)
+    return _split(text, where, sha256)
+
+
+def _raw_frames(lines: list[str], where: str, sha256: str) -> Table:
+    rows, numbers = [], []
+    for number, line in enumerate(lines, 1):
+        cells = line.strip().split("|")
+        if not RAW_FRAME.fullmatch(line.strip()) or len(cells) > len(FRAME_COLUMNS):
+            if not line.strip():
+                continue
+            what = "a line of raw frames is a time, a bar and the frame in hexadecimal digits"
+            raise TelemetryError(sentence(what, got=line[:60], do="remove the line", where=f"{where}, line {number}"))
+        rows.append(cells + [""] * (len(FRAME_COLUMNS) - len(cells)))
+        numbers.append(number)
+    return Table(list(FRAME_COLUMNS), rows, numbers, [], sha256)
 
 
 def _split(text: str, where: str, sha256: str) -> Table:

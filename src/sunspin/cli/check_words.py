@@ -57,7 +57,7 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     lines = [f"  {n:6d}  {text}" for text, n in why.items()]
     if dead:
         lines.append(f"  panel {', '.join(dead)} never reads anything: dead, or never in the Sun; left out")
-    gain, sigma = quality["gain"].values / craft.panel_gains, quality["gain_sigma"].values / craft.panel_gains
+    gain, sigma = quality["gain"].values / craft.input_gains, quality["gain_sigma"].values / craft.input_gains
     names = [str(name) for name in quality["panel"].values]
     summary["gains"] = {name: [float(g), float(s)] for name, g, s in zip(names, gain, sigma, strict=True)}
     summary["gains_from"] = quality.attrs["gains_from"]
@@ -68,14 +68,15 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
         lines.append(f"  gains: {quality.attrs['gains_from']}")
     lines.append(f"  light on dark faces: up to {quality.attrs['albedo']:.0%} of full Sun")
     counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
-    lines.append(f"  faces lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too")
+    lit = "inputs" if craft.channels else "faces"
+    lines.append(f"  {lit} lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too")
     return summary, lines
 
 
 def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
     from sunspin.telemetry.sun import signals
 
-    floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.panel_gains
+    floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
     return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)
 
 

@@ -32,15 +32,15 @@ COMMANDS = {
     "outcomes": "sunspin.cli.outcomes:outcomes",
     "report": "sunspin.cli.report:report_page",
     "export": "sunspin.cli.export:export",
-    "compare": "sunspin.cli.export:compare",
+    "compare": "sunspin.cli.compare:compare",
 }
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
 SECTIONS = {
-    "Your satellite": ("init", "check", "sun", "rates", "posterior", "report", "export"),
+    "Your satellite": ("init", "check", "sun", "rates", "posterior", "report", "export", "compare"),
     "Motions": ("simulate", "scan", "outcomes"),
     "Philae": ("reproduce", "coverage", "worth"),
-    "Data of others": ("decode", "compare"),
+    "Data of others": ("decode",),
 }
 """How --help groups the commands; one that is in no group comes last."""
 
@@ -59,7 +59,7 @@ SUMMARIES = {
     "outcomes": "What a motion leads to: collision, landing, wheel strategies.",
     "report": "A results folder as one page to look into.",
     "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
-    "compare": "Rates against somebody's SPICE attitude kernels.",
+    "compare": "What moved between two results; or rates against SPICE kernels.",
 }
 
 WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."

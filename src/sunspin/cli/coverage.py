@@ -7,19 +7,21 @@ from pathlib import Path
 
 import click
 
+from sunspin.cli.changes import Changeable, asked, set_options
 from sunspin.cli.common import on_terminal, output_options, report, run_options
 
 
-@click.command()
+@click.command(cls=Changeable)
 @click.option("--twins", type=click.IntRange(10, 1_000_000), default=400, show_default=True, help="Synthetic rebounds per kind.")
 @click.option("--confidence", type=click.FloatRange(0, 1, min_open=True, max_open=True), default=0.9, show_default=True,
               help="Of the region whose threshold on EMD is looked for.")
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
 @click.option("--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps finished twins; the same command resumes.")
+@set_options("study.lead_s", "study.mask", short=("friction",))
 @output_options()
 @run_options
-def coverage(twins, confidence, factor, coarser, store, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
+def coverage(twins, confidence, factor, coarser, store, sets, friction, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
     """Coverage of the paper's method: it is repeated on synthetic rebounds whose truth is known.
 
     How far the lines move from one data set to the next, how often the truth lies in the near-minimum set, which threshold
@@ -35,9 +37,11 @@ def coverage(twins, confidence, factor, coarser, store, out, as_json, quiet, see
 
     summary = run(
         out, twins, confidence=confidence, factor=factor, coarser=coarser, seed=seed, store=store, workers=workers,
-        progress=on_terminal(quiet),
+        progress=on_terminal(quiet), changes=asked(sets, ("study.lead_s", "study.mask"), friction=friction),
     )  # fmt: skip
-    lines = [*summary["sentences"], *(f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in summary["figures"])]
+    changed = (f"Changed for this run: {line}" for line in summary["changes"])
+    figures = (f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in summary["figures"])
+    lines = [*changed, *summary["sentences"], *figures]
     report(summary, lines + ([f"Results: {summary['folder']}"] if summary["folder"] else []), as_json, quiet)
 
 

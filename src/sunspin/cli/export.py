@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
-from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import output_options, report
 
 FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
@@ -57,39 +55,3 @@ def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
     why = "; its z axis points to the Sun, the turn about it is arbitrary and another in each pass" if local else ""
     lines = [f"{len(attitude.t_s)} attitudes in {len(attitude.parts())} segments, frame {attitude.frame}{why}"]
     report(summary, [*lines, *(f"  {path}" for path in paths)], as_json, quiet)
-
-
-@click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.argument("kernels", nargs=-1, required=True)
-@click.option("--frame", required=True, help="The body's frame in the kernels, for example ROS_LANDER.")
-@click.option("--base", default="J2000", show_default=True, help="An inertial frame of the kernels.")
-@click.option("--epoch", help="UTC of time zero, where the results have none.")
-@output_options(out=False)
-def compare(folder, kernels, frame, base, epoch, as_json, quiet) -> None:
-    """Compare the rates of a results folder with somebody's SPICE attitude kernels (C-kernel, frames, clock, leap seconds).
-
-    \b
-    Example, for those who have ESA's kernels of Philae:
-      sunspin compare RESULTS LATT_EME2LDR_SDL_V1_0.BC ROS_V38.TF LANDER_170904_STEP.TSC naif0012.tls --frame ROS_LANDER
-    """
-    from datetime import timedelta
-
-    from sunspin.output.export import attitude_of, read_results
-    from sunspin.output.export.ck import ephemeris_time, kernel_rates
-
-    data, _ = read_results(folder)
-    attitude = attitude_of(data, None, epoch)
-    et = np.array([ephemeris_time(attitude.epoch + timedelta(seconds=float(t))) for t in attitude.t_s])
-    theirs = kernel_rates(list(kernels), frame, base, et)
-    covered = np.isfinite(theirs).all(axis=1)
-    if not covered.any():
-        raise InputError(sentence("the kernels do not cover any of these times", got=f"{attitude.utc(0)} to {attitude.utc(-1)}"))
-    difference = np.degrees(attitude.omega_B[covered] - theirs[covered])
-    speed = np.degrees(np.linalg.norm(attitude.omega_B[covered], axis=1) - np.linalg.norm(theirs[covered], axis=1))
-    summary = {"samples": len(et), "covered": int(covered.sum()), "rms_deg_s": np.sqrt((difference**2).mean(axis=0)).tolist(),
-               "rms_speed_deg_s": float(np.sqrt((speed**2).mean()))}  # fmt: skip
-    shown = ", ".join(f"{value:.4g}" for value in summary["rms_deg_s"])
-    lines = [f"{summary['covered']} of {len(et)} times covered; rms difference of the rates ({shown}) deg/s in body axes, "
-             f"of their size {summary['rms_speed_deg_s']:.4g} deg/s"]  # fmt: skip
-    report(summary, lines, as_json, quiet)

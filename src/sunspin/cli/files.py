@@ -111,6 +111,13 @@ def _about_vehicle(craft: Any) -> tuple[dict[str, Any], list[str]]:
         lines.append(
             f"  the Sun can light {summary['lit_patterns']} sets of panels; {summary['reconstructible']} of them give a direction"
         )
+    if craft.channels:
+        about = [f"{one.name} ({'the largest' if one.reads == 'largest' else 'the sum'} of {', '.join(one.panels)})"
+                 for one in craft.channels]  # fmt: skip
+        summary["channels"] = {one.name: list(one.panels) for one in craft.channels}
+        copies = len(craft.response_in().images)
+        alike = f", so that {copies} directions fit a sample alike" if copies > 1 else ""
+        lines.append(f"  inputs of several panels: {'; '.join(about)}; which of them is lit is not told{alike}")
     bare = summary["without_source"]
     if bare:
         shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
@@ -128,13 +135,14 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
     samples = read_telemetry(path, craft)
     time, flag = samples["time"].values, samples["flag"].values
     gaps = intervals(samples)
+    spread = [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None
     summary: dict[str, Any] = {
         "file": str(path),
         "samples": int(time.size),
         "synthetic": bool(samples.attrs["synthetic"]),
         "epoch_utc": str(samples.attrs["epoch_utc"]),
         "span_s": float(np.ptp(time)) if time.size else 0.0,
-        "interval_s": [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None,
+        "interval_s": spread,
         "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
     }
     kind = "synthetic sample" if summary["synthetic"] else "sample"
@@ -142,8 +150,8 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
     lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"]
     if time.size and round(float(time[0])):
         lines.append(f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample")
-    if gaps.size:
-        lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*summary["interval_s"]))
+    if spread:
+        lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*spread))
     for key, text in (("rows_sorted", "put in the order of time"), ("rows_merged", "repeats merged")):
         if key in samples.attrs:
             summary[key] = int(samples.attrs[key])
@@ -196,22 +204,28 @@ def _counted(n: int, noun: str) -> str:
 
 @click.command()
 @click.argument("raw", type=click.Path(path_type=Path))
+@click.option("--decoder", type=click.Choice(["skcube"]), default="skcube", show_default=True, help="Whose frames these are.")
 @output_options(default="skcube")
-def decode(raw: Path, out: Path, as_json: bool, quiet: bool) -> None:
-    """Decode raw beacons of skCUBE (a folder or zip of frames, as published) into skcube_adcs.csv.
+def decode(raw: Path, decoder: str, out: Path, as_json: bool, quiet: bool) -> None:
+    """Decode raw beacons of skCUBE, a table for each kind of beacon: skcube_adcs.csv, skcube_pwr.csv and so on.
+
+    RAW is a folder or zip of frames as the collector publishes them, or an export of frames from SatNOGS DB (CSV or JSON). Beacons
+    of a kind whose fields are not published are written in hexadecimal digits, to skcube_other.csv.
 
     \b
     Example:
       sunspin decode skcube_raw_23_27_june.zip --out skcube
     """
     from sunspin.output.folder import results_folder, write_whole
-    from sunspin.telemetry.decoders.skcube import adcs_csv, decode_beacons
+    from sunspin.telemetry.decoders.skcube import beacons_csv, decode_beacons
 
     beacons = decode_beacons(raw)
     folder = results_folder(out, "decode")
-    target = write_whole(folder / "skcube_adcs.csv", lambda part: part.write_text(adcs_csv(beacons), "utf-8"))
-    kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(beacons.kinds.items()))
-    lines = [f"Frames: {kinds}", *(f"  {n:6d}  not read: {why}" for why, n in beacons.unread.items())]
-    lines.append(f"{len(beacons.adcs)} attitude beacons: {target}")
-    summary = {"frames": beacons.kinds, "unread": beacons.unread, "attitude_beacons": len(beacons.adcs), "file": str(target)}
-    report(summary, lines, as_json, quiet)
+    files: dict[str, str] = {}
+    for kind in beacons.rows:
+        text, target = beacons_csv(beacons, kind), folder / f"{decoder}_{kind.lower()}.csv"
+        files[kind] = str(write_whole(target, lambda part, text=text: part.write_text(text, "utf-8")))
+    lines = [f"{n:6d}  {kind} beacons: {files[kind]}" for kind, n in beacons.kinds.items()]
+    lines += [f"{n:6d}  not read: {why}" for why, n in beacons.unread.items()]
+    attitude = {"attitude_beacons": beacons.kinds.get("ADCS", 0), "file": files.get("ADCS")}
+    report({"frames": beacons.kinds, "unread": beacons.unread, "files": files, **attitude}, lines, as_json, quiet)

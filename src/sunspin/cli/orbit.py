@@ -28,12 +28,47 @@ def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: fl
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
         return {}, []
-    from sunspin.environment.elements import nearest
     from sunspin.estimate.orbit_check import check_orbit
 
-    time = samples["time"].values
-    one = nearest(orbit.elements, orbit.instants(time).middle)
-    found, notes = check_orbit(orbit, craft, samples), orbit.notes(time)
+    one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
+    found = check_orbit(orbit, craft, samples)
+    return {"orbit": _summary(one, found, notes)}, _lines(one, found, notes)
+
+
+def orbit_used(
+    craft: Any, samples: Any, elements: Path | None, shift_sigma: float | None, none: bool
+) -> tuple[Any, Any, dict[str, Any], list[str]]:
+    """The orbit that the telemetry allows to use (None: no), the magnetometer's calibration along it, and summary and lines on the
+    orbit; nothing where there are no elements."""
+    from sunspin.base.errors import InputError, sentence
+    from sunspin.estimate.field_calibration import field_calibration
+    from sunspin.estimate.orbit import judged_orbit, orbit_of
+
+    if none:
+        if elements is not None or shift_sigma is not None:
+            raise InputError(sentence("--no-orbit says not to use an orbit, and elements or their shift are given", do="give one"))
+        return None, None, {}, []
+    orbit = orbit_of(craft, samples, elements, shift_sigma)
+    if orbit is None:
+        return None, None, {}, []
+    one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
+    used, found, words = judged_orbit(orbit, craft, samples)
+    summary = _summary(one, found, notes) | {"used": used is not None}
+    calibration = None if used is None else field_calibration(used, craft, samples)
+    return used, calibration, {"orbit": summary}, [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
+
+
+def _nearest(orbit: Any, samples: Any) -> Any:
+    from sunspin.environment.elements import nearest
+
+    return nearest(orbit.elements, orbit.instants(samples["time"].values).middle)
+
+
+def _named(one: Any) -> str:
+    return f"{one.name} ({one.number})" if one.name else f"satellite {one.number}"
+
+
+def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
     summary = {
         "satellite": one.number, "name": one.name, "verdict": found.verdict.name.lower(), "copies": found.copies,
         "better_copies": found.better, "copies_expected_better_by_chance": found.mistaken,
@@ -46,14 +81,13 @@ def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: fl
     }  # fmt: skip
     if found.matrix is not None and found.zero is not None:
         summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
-    return {"orbit": summary}, _lines(one, found, notes)
+    return summary
 
 
 def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     import numpy as np
 
-    named = f"{one.name} ({one.number})" if one.name else f"satellite {one.number}"
-    lines = [f"Orbit of {named}: {found.verdict.value}", *(f"  {note}" for note in notes)]
+    lines = [f"Orbit of {_named(one)}: {found.verdict.value}", *(f"  {note}" for note in notes)]
     if hours := round(found.clock_behind_s / 3600):
         side = "behind" if hours > 0 else "ahead of"
         lines.append(f"  they would fit if the telemetry's clock were {abs(hours)} h {side} UTC")

@@ -10,12 +10,13 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.cli.changes import Changeable, Opened, opened, set_options
 from sunspin.cli.common import claim, deliver, on_terminal, output_options, run_options
 from sunspin.cli.values import numbers
 from sunspin.cli.values import vertical as read_vertical
 
 
-@click.command()
+@click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.option("--strategy", "strategies", multiple=True, help="What the wheels are told: off (at the touchdown), held, brake, "
               "after_rest (held until the lander rests) or delay:SECONDS (off that much later); may be given several times. "
@@ -39,11 +40,13 @@ from sunspin.cli.values import vertical as read_vertical
               "--condition reads the kernel (or set SUNSPIN_DATA); without it the facts that come with the case are used.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed; the same command resumes.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786 or `local`.")
+@click.option("--printed-lines", is_flag=True, help="Take the lines that the paper prints, though this body is another.")
+@set_options("study.lead_s", "collision")
 @output_options()
 @run_options
 def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed, lead, before, after, collision_speed,
              landing_speed, vertical, best_delay, condition, data,
-             store, scheduler, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
+             store, scheduler, printed_lines, sets, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
     """What a tumbling motion leads to: collision, first contact, antenna, rest, for one or more wheel strategies.
 
     A built-in case (philae) knows its times, speeds and, as candidates, its published lines. For another vehicle give at
@@ -59,23 +62,26 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     from sunspin.landing.strategies import best_delay as search
     from sunspin.landing.strategies import compare, compared
     from sunspin.philae.collision_told import against_kernel
-    from sunspin.vehicle import load_vehicle
 
-    craft = load_vehicle(vehicle)
+    made = opened(vehicle, sets, "study.lead_s", "collision")
+    craft, assumed = made.craft, made.assumptions
     wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
     given = {
-        "lead_s": lead, "before_s": before, "after_s": after, "landing_speed_m_s": landing_speed,
+        "lead_s": assumed.study.lead_s if lead is None else lead, "before_s": before, "after_s": after,
+        "landing_speed_m_s": landing_speed,
         "wheel_speed_rad_s": numbers(wheel_speed, "--wheel-speed") if wheel_speed else None,
         "sun_B": numbers(sun_B, "--sun", 3) if sun_B else None, "vertical": read_vertical(vertical),
+        "restitution": assumed.collision.restitution, "damper": assumed.collision.damper,
     }  # fmt: skip
     scenario = _scenario(vehicle, craft, {key: value for key, value in given.items() if value is not None}, collision_speed)
-    candidates = _candidates(craft, scan, factor, omega)
+    candidates, whose = _candidates(made, scan, factor, omega, printed_lines)
     claim(out, "outcomes")
-    options = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
+    options: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
     table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
     best = search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options) if best_delay else None
     also, lines, drawings = against_kernel(craft.name, next(iter(found.values())), data) if condition else ({}, (), ())
-    deliver(compared(table, found, best), out, as_json, quiet, vehicle, also=also, lines=lines, drawings=drawings)
+    tree, also = made.mark(compared(table, found, best)), {**also, "candidates_from": whose}
+    deliver(tree, out, as_json, quiet, made.file, also=also, lines=[f"Candidates: {whose}", *lines], drawings=drawings)
 
 
 def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float | None):
@@ -89,7 +95,7 @@ def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is not None and case.timeline is not None:
         return replace(case_scenario(replace(case, timeline=timeline or case.timeline)), **given)
-    given = times_of(timeline) | given
+    given = dict[str, Any](times_of(timeline)) | given
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in given:
             raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))
@@ -97,18 +103,41 @@ def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float
     return Scenario(**known | given)
 
 
-def _candidates(craft, scan: Path | None, factor: float, omega: tuple[str, ...]) -> np.ndarray:
-    if scan is not None and omega:
-        raise InputError(sentence("candidates come from --scan or from --omega", do="give one of them"))
+def _candidates(
+    made: Opened, scan: Path | None, factor: float, omega: tuple[str, ...], printed_lines: bool
+) -> tuple[np.ndarray, str]:
+    """Candidate rates (m, 3) in rad/s, and in words where they come from and whose they are."""
+    if (scan is not None) + bool(omega) + printed_lines > 1:
+        raise InputError(sentence("candidates come from --scan, from --omega or from --printed-lines", do="give one of them"))
     if omega:
-        return np.array([numbers(text, "--omega", 3) for text in omega])
+        return np.array([numbers(text, "--omega", 3) for text in omega]), "as given"
     if scan is not None:
-        from sunspin.estimate.scan.chosen import stored_near_minimum
+        from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 
-        return stored_near_minimum(scan, factor)
-    from sunspin.philae.rebound import published_candidates
+        of, mine = stored_vehicle(scan), made.craft.said
+        other = "" if of == mine else f"; of another body than this run's: {_told(of)}, here {_told(mine)}"
+        return stored_near_minimum(scan, factor), f"the near-minimum set of {scan.name}{other}"
+    return _printed(made.craft, printed_lines)
+
+
+def _told(said: dict[str, str]) -> str:
+    return ", ".join([said.get("vehicle", "a vehicle without a name"), *said.get("changes", "as in its file").splitlines()])
+
+
+def _printed(craft: Any, anyway: bool) -> tuple[np.ndarray, str]:
+    """The lines that the paper prints, of the case's own body; of another only where they are asked for."""
+    from sunspin.philae.rebound import moves_and_sees_alike, published_candidates
     from sunspin.telemetry.case import case_names, load_case
 
-    if craft.name in case_names() and "line_L1" in load_case(craft.name).published:
-        return published_candidates(load_case(craft.name))
-    raise InputError(sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc"))
+    case = load_case(craft.name) if craft.name in case_names() else None
+    if case is None or "line_L1" not in case.published:
+        raise InputError(sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc"))
+    alike = moves_and_sees_alike(craft, case.vehicle)
+    if not alike and not anyway:
+        raise InputError(
+            sentence(
+                "the printed lines were found for another body, wheel or panels than these", got=_told(craft.said),
+                do="scan these with the same --set and give --scan scan.nc, give --omega, or keep the lines with --printed-lines",
+            )
+        )  # fmt: skip
+    return published_candidates(case), "the lines that the paper prints" + ("" if alike else ", which are those of another body")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.cli.changes import Changeable, opened, set_options
 from sunspin.cli.common import (
     claim,
     data_option,
@@ -18,10 +18,10 @@ from sunspin.cli.common import (
     output_options,
     run_options,
 )
-from sunspin.cli.values import field, observation, prior, times
+from sunspin.cli.values import field, observation, period, prior, times
 
 
-@click.command()
+@click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
 @click.option("--from", "begin", type=float, help="Use samples from this time on, s from the epoch.")
@@ -38,15 +38,19 @@ from sunspin.cli.values import field, observation, prior, times
               help="What the wheels do in this stretch.")
 @click.option("--predict", help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
               "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.")
+@click.option("--period", "periods", multiple=True, metavar="S+-SIGMA@TIME", help="A period seen from outside, such as "
+              "13.0+-0.5@15:50 (s; UTC or s from the epoch): of the precession, the spin or their sum. The draws are weighted by "
+              "it beside the posterior, with what it decides. Repeatable.")
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @device_option
+@set_options()
 @output_options()
 @run_options
 @data_option
-def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, draws, store, device, out,
-              as_json, quiet, seed, workers, data) -> None:  # fmt: skip
+def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, periods, draws, store,
+              device, sets, out, as_json, quiet, seed, workers, data) -> None:  # fmt: skip
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
@@ -59,29 +63,33 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
     """
     from sunspin.estimate.posterior.estimate import posterior as run
+    from sunspin.estimate.posterior.period import with_periods
     from sunspin.landing.afterwards import with_predictions
     from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
-    from sunspin.vehicle import load_vehicle
 
-    craft = load_vehicle(vehicle)
-    samples = _own(vehicle) if telemetry is None else read_telemetry(find_telemetry(telemetry, data), craft)
+    file, craft, _, _ = opened(vehicle, sets)
+    samples = read_telemetry(_own(vehicle) if telemetry is None else find_telemetry(telemetry, data), craft)
     seen = [observation("rate", text, 1) for text in rates] + [observation("gyro", text, 3) for text in gyros]
     seen += [field(text) for text in fields]
     asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
+    evidence = [period(text, samples.attrs.get("epoch_utc")) for text in periods]
     claim(out, "posterior")
     tree = run(
         craft, samples, dict(prior(text) for text in priors), seed, begin_s=begin, end_s=end, phase=phase, observations=seen,
         wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet), device=device,
     )  # fmt: skip
+    if evidence:
+        with_periods(craft, tree, evidence)
     if asked is not None:
         with_predictions(craft, tree, asked, seed, timeline_of(vehicle))
-    deliver(tree, out, as_json, quiet, vehicle, samples)
+    deliver(tree, out, as_json, quiet, file, samples)
 
 
-def _own(name: str) -> Any:
-    from sunspin.telemetry.case import case_names, load_case
+def _own(name: str) -> Path:
+    from sunspin.telemetry.case import case_telemetry
 
-    if name not in case_names():
+    path = case_telemetry(name)
+    if path is None:
         raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
-    return load_case(name).telemetry
+    return path

@@ -9,6 +9,8 @@ import click
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
+from sunspin.cli.orbit import orbit_options, orbit_used
+from sunspin.cli.values import effort as effort_given
 from sunspin.cli.values import numbers
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
@@ -30,17 +32,29 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
 @click.option("--from", "begin", help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.")
 @click.option("--to", "end", help="Use samples up to this time, likewise.")
 @click.option("--no-wirings", is_flag=True, help="Where a pass does not fit, do not try other wirings of panels and sensors.")
+@orbit_options
+@click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
+@click.option("--effort", type=float, callback=effort_given, default=1.0, show_default=True, help="How much may be computed, in "
+              "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
+              "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
+              "says so and is never decided.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
-          no_wirings, without) -> None:  # fmt: skip
+          no_wirings, elements, shift_sigma, no_orbit, effort, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
     images; of each pass it is said whether one motion is left, which components are informed, and whether it fits. With --out,
     writes passes.csv (a row for each motion of each pass), rates.csv (a row for each sample), rates.nc, rates.png and rates.svg.
 
+    With orbital elements (--tle, --omm, or [orbit] in the vehicle file) shadow, Earth's light and magnetic field are known. The
+    telemetry first judges the elements, as `sunspin check` does; refused ones are not used, which is said. A magnetometer is
+    then calibrated with the whole file and gives directions, samples without a Sun count, and attitudes are those from J2000.
+    Elements of a sister satellite, or old ones, need --tle-shift-sigma: how far off along the track they may be, in s.
+
     \b
-    Example:
+    Examples:
+      sunspin rates vehicle.toml telemetry.csv --tle my.tle
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
     from sunspin.cli.check_words import doubts
@@ -52,14 +66,17 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     used = _between(samples, begin, end).drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
     claim(out, "rates")
+    orbit, calibration, orbit_summary, orbit_lines = orbit_used(craft, samples, elements, shift_sigma, no_orbit)
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
-        acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings,
+        acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings, environment=orbit, calibration=calibration,
+        effort=effort,
         progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)
     doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}
-    deliver(result, out, as_json, quiet, vehicle, samples, also=doubted, lines=[line for line in lines if "WRONG UNIT" in line])
+    lines = [*(line for line in lines if "WRONG UNIT" in line), *orbit_lines]
+    deliver(result, out, as_json, quiet, vehicle, samples, also=doubted | orbit_summary, lines=lines)
 
 
 def _between(samples: Any, begin: str | None, end: str | None) -> Any:

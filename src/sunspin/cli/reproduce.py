@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
+from sunspin.cli.changes import SHORT, Changeable, asked, set_options
 from sunspin.cli.common import on_terminal, output_options, report, run_options
 
 
-@click.command()
+@click.command(cls=Changeable)
 @output_options(default="results")
 @run_options
 @click.option("--telemetry", type=click.Path(path_type=Path), help="Panel powers to use in the place of the synthetic ones. Start "
@@ -24,8 +25,10 @@ from sunspin.cli.common import on_terminal, output_options, report, run_options
 @click.option(
     "--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only: a quick look."
 )
+@set_options("study", "collision", short=tuple(SHORT))
 def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | None, telemetry: Path | None, vehicle: Path | None,
-              candidates: str, calibrate: int | None, coarser: int) -> None:  # fmt: skip
+              candidates: str, calibrate: int | None, coarser: int, sets: tuple[str, ...],
+              **short: str | None) -> None:  # fmt: skip
     """Run the whole Philae study: every figure and table of the paper, and where the paper contradicts itself.
 
     Every conclusion follows from the telemetry given. That which comes with the package is synthetic (the flown one is not public)
@@ -35,15 +38,17 @@ def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | N
     Examples:
       sunspin reproduce --out results
       sunspin reproduce --telemetry mine.csv --candidates posterior --out mine
+      sunspin reproduce --set wheel.speed_rad_s=833 --set 'body.inertia_kg_m2[2][2]*=0.9' --friction printed --out what-if
     """
     from sunspin.philae.reproduction import reproduce as run
 
     written = run(
         out, telemetry, vehicle=vehicle, candidates=candidates, calibrate=calibrate, seed=seed, workers=workers, coarser=coarser,
-        progress=on_terminal(quiet),
+        changes=asked(sets, ("study", "collision"), **short), progress=on_terminal(quiet),
     )  # fmt: skip
     told = written.summary
     lines = [
+        *(f"Changed for this run: {line}" for line in told["changes"]),
         f"What this file can carry: {told['carries']}",
         "Telemetry: " + ("synthetic (made from published facts)" if told["synthetic_telemetry"] else "measured"),
         *(f"  {row['what']}: {_short(row)}" for row in told["figures"] if row["id"] in SHOWN),

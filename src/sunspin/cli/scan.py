@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.cli.changes import Changeable, opened, set_options
 from sunspin.cli.common import (
     WHEEL_MODE,
     claim,
@@ -21,7 +22,7 @@ from sunspin.cli.common import (
 from sunspin.cli.values import grid, numbers
 
 
-@click.command()
+@click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.argument("telemetry")
 @click.option("--from", "begin", type=float, default=None, help="First time to use, s of the file's clock.")
@@ -45,11 +46,12 @@ from sunspin.cli.values import grid, numbers
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
               "on this machine. Needs pip install \"sunspin[cluster]\".")
+@set_options("study.mask", "study.target_weights")
 @output_options()
 @run_options
 @data_option
 def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, threshold,
-         direction_error, n_lines, store, scheduler, device, out, as_json, quiet, seed, workers,
+         direction_error, n_lines, store, scheduler, device, sets, out, as_json, quiet, seed, workers,
          data) -> None:  # fmt: skip
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
@@ -63,14 +65,16 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     """
     from sunspin.estimate.scan.chosen import with_chosen
     from sunspin.estimate.scan.volume import scan as run_scan
-    from sunspin.estimate.scan.window import directions_within
+    from sunspin.estimate.scan.window import directions_within, target_weights
     from sunspin.telemetry.reader import read_telemetry
-    from sunspin.vehicle import load_vehicle
 
-    craft = load_vehicle(vehicle)
+    made = opened(vehicle, sets, "study.mask", "study.target_weights")
+    craft, study = made.craft, made.assumptions.study
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     track = directions_within(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
+    if metric == "E" and made.assumptions.changes:
+        raise InputError(sentence("mask and target weights are those of EMD", got="--metric E", do="leave one of them out"))
     target = track if metric == "E" else track["sun_B"].values[:, 2]
     x, y, z = grid(omega_x, "--omega-x"), grid(omega_y, "--omega-y"), grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
@@ -79,9 +83,10 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     volume = run_scan(
         craft, target, track["sun_B"].values[0], x, y, z, speeds or None, float(track["time"].values[-1]),
         wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
-        device=device, progress=on_terminal(quiet),
+        device=device, progress=on_terminal(quiet), mask=None if study.mask == "everywhere" else study.mask,
+        weights=None if metric == "E" else target_weights(study.target_weights, track["time"].values),
     )  # fmt: skip
+    found = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
     deliver(
-        with_chosen(volume, samples, factor, threshold, n_lines, seed), out, as_json, quiet, vehicle, samples, {"seed": seed},
-        main="scan.nc",
+        found, out, as_json, quiet, made.file, samples, {"seed": seed}, main="scan.nc",
     )  # fmt: skip

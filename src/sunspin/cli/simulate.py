@@ -6,6 +6,7 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.cli.changes import Changeable, opened, set_options
 from sunspin.cli.common import WHEEL_MODE, claim, deliver, output_options
 from sunspin.cli.values import numbers
 
@@ -16,7 +17,7 @@ MAX_ANGLE_RAD, SECONDS_PER_RAD = 1e6, 4e-6
 """How far a trajectory may turn (a day at 10 rad/s), and the time that takes: beyond, a slip of units is likelier than a wish."""
 
 
-@click.command()
+@click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.option("--omega", required=True, help="Body rate at the start, rad/s: x,y,z.")
 @click.option("--sun", "sun_B", required=True, help="Unit vector to the Sun at the start, body axes: x,y,z.")
@@ -25,8 +26,9 @@ MAX_ANGLE_RAD, SECONDS_PER_RAD = 1e6, 4e-6
 @click.option("--step", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Output step in s.")
 @click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
 @click.option("--stopped-at", type=float, help="When a wheel at rest had stopped, s (to run backward).")
+@set_options()
 @output_options()
-def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, out, as_json, quiet) -> None:
+def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, sets, out, as_json, quiet) -> None:
     """One trajectory: body rates, the Sun in body axes, wheel speeds, attitude, wheel events.
 
     With --out, writes trajectory.nc.
@@ -36,9 +38,8 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
       sunspin simulate philae --omega 0.1,0,0 --sun 0.1959,0.5690,0.7986 --duration 2760 --out run
     """
     from sunspin.dynamics.propagate import propagate
-    from sunspin.vehicle import load_vehicle
 
-    craft = load_vehicle(vehicle)
+    vehicle, craft, _, _ = opened(vehicle, sets)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     t = _times(duration, step)
     start = numbers(omega, "--omega", 3), numbers(sun_B, "--sun", 3)

@@ -17,6 +17,13 @@ MAX_GRID = 100_000
 """Values of one axis of a scan's grid."""
 
 
+def effort(_: click.Context, parameter: click.Parameter, given: float) -> float:
+    """A positive number, or infinity."""
+    if not given > 0:
+        raise InputError(sentence(f"{parameter.opts[0]} must be a positive number or inf", got=given, do="1 is the usual effort"))
+    return given
+
+
 def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
     """Refuse numbers that are infinite, none, or beyond all measure."""
     name = parameter.opts[0]
@@ -94,6 +101,17 @@ def field(text: str) -> dict[str, Any]:
     """T,X,Y,Z,ANGLE,SIGMA of a magnetic direction."""
     t, x, y, z, angle, sigma = numbers(text, "--field", 6)
     return {"kind": "field", "t_s": t, "value": [x, y, z], "angle_rad": angle, "sigma": sigma}
+
+
+def period(text: str, epoch_utc: str | None) -> Any:
+    """SECONDS+-SIGMA@TIME of a period seen."""
+    from sunspin.estimate.posterior.period import Period
+
+    value, _, rest = text.partition("+-")
+    sigma, _, when = rest.partition("@")
+    if not (value and sigma and when):
+        raise InputError(sentence("--period takes SECONDS+-SIGMA@TIME", got=text, do="for example --period 13.0+-0.5@15:50"))
+    return Period(next(iter(times(when, epoch_utc))), *numbers(f"{value},{sigma}", "--period", 2))
 
 
 def times(text: str, epoch_utc: str | None) -> dict[float, str]:

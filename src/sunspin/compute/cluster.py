@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
@@ -41,7 +41,7 @@ SETTLE_S = 2
 
 
 @contextmanager
-def on_cluster(function: RowFunction, scheduler: Any, n_workers: int) -> Iterator[Place]:
+def on_cluster(function: RowFunction, scheduler: Any, n_workers: int) -> Generator[Place]:
     """A Dask cluster as a place for pieces; what is opened for it is closed with it."""
     with ExitStack() as stack:
         client = _connect(scheduler, n_workers, stack)
@@ -108,7 +108,7 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
 
 
 @contextmanager
-def local_cluster(n_workers: int) -> Iterator[LocalCluster]:
+def local_cluster(n_workers: int) -> Generator[LocalCluster]:
     """Worker processes of one thread each on this machine, to be reached from this machine only.
 
     Their logs are silent: what goes wrong in a row comes back with its result, and a worker whose heartbeat meets a cluster

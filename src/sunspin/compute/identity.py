@@ -25,9 +25,12 @@ SMALL = 16
 
 
 def plain(value: Any) -> Any:
-    """Data as JSON knows it: large arrays become their shape, type and SHA-256, small ones lists, data classes objects."""
+    """Data as JSON knows it: large arrays become their shape, type and SHA-256, small ones lists, data classes objects, without
+    their fields `unsaid` where those say nothing: newer ones, whose absence keeps the identity that stored results have."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        beside, unsaid = (getattr(value, name, ()) for name in ("beside", "unsaid"))
+        said = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in beside}
+        return {name: plain(item) for name, item in said.items() if name not in unsaid or item}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -9,7 +9,7 @@ the run was killed and resumed.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -208,7 +208,7 @@ def _run(place: Place, rows: np.ndarray | None, pieces: Iterator[Piece], take: _
 
 
 @contextmanager
-def _place(function: RowFunction, scheduler: Any, n_workers: int) -> Iterator[Place]:
+def _place(function: RowFunction, scheduler: Any, n_workers: int) -> Generator[Place]:
     """Where the pieces run; what is opened for it here is closed with it."""
     if isinstance(scheduler, Executor):
         yield Place(scheduler, SLOTS * n_workers, function)

@@ -13,7 +13,7 @@ import fcntl
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -109,7 +109,8 @@ class RowStore:
     def _array(self, group: zarr.Group, name: str, shape: tuple, chunks: tuple, dtype: str) -> zarr.Array:
         chunks = tuple(max(size, 1) for size in chunks)
         names = ["row" if name != DONE else "record", *(f"{name}_{i}" for i in range(1, len(shape)))]
-        form = {"shape": shape, "chunks": chunks, "dtype": dtype, "fill_value": 0, "compressors": None, "dimension_names": names}
+        form: dict[str, Any] = {"shape": shape, "chunks": chunks, "dtype": dtype, "fill_value": 0}
+        form |= {"compressors": None, "dimension_names": names}
         if not (self.path / name / "zarr.json").exists():  # new, or killed while it was made
             return group.create_array(name, **form)
         array = group[name]
@@ -199,7 +200,7 @@ def _cannot_write(path: Path, error: OSError) -> OutputError:
 
 
 @contextmanager
-def open_store(path: Any, function: RowFunction, chunk: int, out: Values) -> Iterator[tuple[RowStore, list[Piece]]]:
+def open_store(path: Any, function: RowFunction, chunk: int, out: Values) -> Generator[tuple[RowStore, list[Piece]]]:
     """Open or make the store of a function's rows and read what it has into `out`; gives it and the ranges not yet done.
 
     Raises `InputError`, and changes nothing, where the path is something else, of other inputs, damaged or in use.
@@ -299,7 +300,7 @@ def _create(folder: Path, wanted: Mapping[str, Any], chunk: int) -> RowStore:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def _locked(folder: Path) -> Generator[None]:
     """Hold the store alone; the kernel lets go of it when the process ends, however it ends.
 
     The lock is inside an array's folder, where readers of the group do not take it for a part of the data.

@@ -7,6 +7,11 @@ inertial spin (friction has no time to act), one whose motor holds its speed tur
 
 with B the inertia less the axial inertia of the wheels that are not held. Elimination leaves K F = -(v + omega x l)
 with the symmetric positive definite K = 1/m - [l] B^-1 [l], [l] the matrix of l x.
+
+Two numbers go beyond the paper. With a restitution e the impulse is 1 + e times this, and the point leaves at -e times the velocity
+at which it came (of the blow's energy 1 - e^2 is lost). With a damper d the landing gear yields along the body's z, as Philae's
+does: a share d of the impulse is replaced by the one without a component along z that stops the point in x and y alone. Both lose
+energy for any e and d from 0 to 1: it is a convex function of F, and is lost at both ends.
 """
 
 from __future__ import annotations
@@ -32,6 +37,9 @@ def impact(
     velocity_B: npt.ArrayLike,
     leg: str | int | npt.ArrayLike,
     wheel_mode: str | Sequence[str] = "coast",
+    *,
+    restitution: float = 0.0,
+    damper: float = 0.0,
 ) -> xr.Dataset:
     """State after the end of a leg hits the ground and sticks for an instant (paper, eqs. 8-11).
 
@@ -51,6 +59,10 @@ def impact(
     wheel_mode : "coast", "brake" or "hold", or one per wheel
         "hold": the motor keeps the wheel's speed through the blow, and may do work. Else the wheel keeps its inertial
         spin.
+    restitution : float
+        Speed at which the point leaves over that at which it came, 0 (it sticks, as in the paper) to 1.
+    damper : float
+        Share of the blow that a landing gear yielding along z takes: 0 (rigid legs, as in the paper) to 1.
 
     Returns
     -------
@@ -75,19 +87,30 @@ def impact(
             sentence("the leading shapes of rate, velocity, leg and wheel speed differ", got=shapes)
         ) from None
     inverse = np.linalg.inv(free_inertia(vehicle, [not h for h in held]))
-    impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip)
+    for name, value in (("restitution", restitution), ("damper", damper)):
+        if not 0 <= value <= 1:
+            raise InputError(sentence(f"{name} must be a share between 0 and 1", got=value))
+    impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip, damper)
+    impulse = impulse if restitution == 0 else (1 + restitution) * impulse
     kick = np.cross(tip, impulse) @ inverse
     turned = [np.zeros(kick.shape[:-1]) if h else -kick @ w.axis_B for w, h in zip(vehicle.wheels, held, strict=True)]
     speeds_after = speeds + (np.stack(turned, axis=-1) if turned else 0.0)
     return _dataset(vehicle, batch, omega + kick, velocity + impulse / vehicle.require_mass(), impulse, speeds_after)
 
 
-def _impulse(inverse: np.ndarray, mass: float, omega: np.ndarray, velocity: np.ndarray, tip: np.ndarray) -> np.ndarray:
-    """F (..., 3) in N s from K F = -(v + omega x l)."""
+def _impulse(
+    inverse: np.ndarray, mass: float, omega: np.ndarray, velocity: np.ndarray, tip: np.ndarray, damper: float
+) -> np.ndarray:
+    """F (..., 3) in N s from K F = -(v + omega x l); with a damper, mixed with that of x and y alone."""
     lever = cross_matrix(tip)
     mobility = np.eye(3) / mass - lever @ inverse @ lever
     contact_velocity = velocity + np.cross(omega, tip)
-    return -np.linalg.solve(mobility, contact_velocity[..., None])[..., 0]
+    rigid = -np.linalg.solve(mobility, contact_velocity[..., None])[..., 0]
+    if damper == 0:
+        return rigid
+    across = -np.linalg.solve(mobility[..., :2, :2], contact_velocity[..., :2, None])[..., 0]
+    yielding = np.concatenate([across, np.zeros((*across.shape[:-1], 1))], axis=-1)
+    return (1 - damper) * rigid + damper * yielding
 
 
 def _vectors(value: npt.ArrayLike, name: str) -> np.ndarray:
@@ -153,5 +176,5 @@ def _dataset(vehicle, batch, omega, velocity, impulse, speeds) -> xr.Dataset:
             "impulse_B": ((*runs, "axis"), np.broadcast_to(impulse, (*batch, 3)).copy(), {"units": "N s"}),
         },
         coords={"axis": ["x", "y", "z"], "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_)},
-        attrs=provenance("impact", vehicle=vehicle.name, source="paper, eqs. 8-11: inelastic sticking impact at one point"),
+        attrs=provenance("impact", **vehicle.said, source="paper, eqs. 8-11: inelastic sticking impact at one point"),
     )

@@ -416,8 +416,8 @@ def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
             "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=provenance("trajectory") | {
-            "vehicle": vehicle.name, "rtol": rtol, "frame_N": BODY_AT_START if environment is None else environment.frame_N,
+        attrs=provenance("trajectory", **vehicle.said) | {
+            "rtol": rtol, "frame_N": BODY_AT_START if environment is None else environment.frame_N,
             "source": "paper, eqs. 3-7; Taylor integration by heyoka",
         },
     )

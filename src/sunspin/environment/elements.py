@@ -112,7 +112,7 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
     begin = text.lstrip()[:1]
     if begin == "<":
         found = [_from_omm(fields, where) for fields in _xml(text, where)]
-    elif begin in ("[", "{") and begin:
+    elif begin in ("[", "{"):
         found = [_from_omm(fields, where) for fields in _json(text, where)]
     elif "MEAN_MOTION" in text.split("\n", 1)[0]:
         found = [_from_omm(fields, where) for fields in csv.DictReader(io.StringIO(text.strip()))]

@@ -19,7 +19,6 @@ from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, lit
 from sunspin.environment.surroundings import Surroundings
-from sunspin.solve.rotations import tangents
 
 SUN_SIGMA_RAD = 1e-5
 """ERFA's Sun, parallax of the orbit included."""
@@ -100,6 +99,7 @@ class Orbit:
             albedo_light_N=here[2],
             albedo_sigma=np.hypot(np.linalg.norm(light_sigma, axis=1),
                                   REFLECTIVITY_SIGMA / REFLECTIVITY * np.linalg.norm(here[2], axis=1)),
+            field_along_N=(sides[1][1] - sides[0][1]) / 2,
         )  # fmt: skip
 
     def notes(self, t_s: npt.ArrayLike) -> list[str]:
@@ -112,22 +112,38 @@ class Orbit:
 
 @dataclass(frozen=True)
 class SunAlongZ:
-    """An orbit's environment in axes whose z is the Sun's direction at t = 0, as `rates` wants it: `N_from_J2000` (3, 3)."""
+    """An orbit's environment in axes whose z is the Sun's direction at each time, as `rates` wants it, their x at right angles to
+    the Earth's axis. They turn in space with the Sun, by 2e-7 rad/s, which is left out wherever N stands still."""
 
     orbit: Orbit
-    N_from_J2000: tuple[tuple[float, ...], ...]
     frame_N: str = SUN_Z_LOCAL
 
     @classmethod
     def of(cls, orbit: Orbit) -> SunAlongZ:
-        sun = orbit.at(0.0).sun_N
-        first, second = tangents(sun)
-        return cls(orbit, tuple(tuple(row) for row in np.stack([first[0], second[0], sun[0]]).tolist()))
+        return cls(orbit)
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
-        here, matrix = self.orbit.at(t_s), np.array(self.N_from_J2000)
-        vectors = ("sun_N", "field_N", "nadir_N", "nadir_turn_N", "albedo_light_N")
-        return replace(here, **{name: getattr(here, name) @ matrix.T for name in vectors})
+        here = self.orbit.at(t_s)
+        matrix = _along_z(here.sun_N)
+        vectors = {name: getattr(here, name) for name in VECTORS}
+        return replace(here, **{name: turned(matrix, vector) for name, vector in vectors.items() if vector is not None})
+
+    def N_from_J2000(self, t_s: npt.ArrayLike) -> np.ndarray:
+        """Matrices (n, 3, 3) from J2000 to these axes."""
+        when = self.orbit.instants(t_s)
+        to_sun = sun_J2000_m(when) - self.orbit.states(when)[0]
+        return _along_z(to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True))
+
+
+VECTORS = ("sun_N", "field_N", "field_along_N", "nadir_N", "nadir_turn_N", "albedo_light_N")
+"""What of the surroundings has components in N."""
+
+
+def _along_z(sun: np.ndarray) -> np.ndarray:
+    """Matrices (n, 3, 3) to axes with z along directions (n, 3) that are never those of the Earth's axis."""
+    first = np.cross([0.0, 0.0, 1.0], sun)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(sun, first), sun], axis=1)
 
 
 def turned(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -17,7 +17,8 @@ class Surroundings:
     `nadir_N` (n, 3) unit, and `nadir_turn_N` (n, 3) the rate (rad/s) at which it turns in N, None where it stands;
     `earth_radius_rad` (n) of the Earth's disc; `albedo_light_N` (n, 3) in parts of full Sun, from where it comes. Sigmas (n):
     `sun_sigma_rad` and `nadir_sigma_rad` of directions, `field_sigma_T` of the vector, `lit_sigma`, and `albedo_sigma` of the light
-    as a vector; that of the disc's radius is less than 1e-3 of it.
+    as a vector; that of the disc's radius is less than 1e-3 of it. `field_along_N` (n, 3) T: the part of the field's error that all
+    times share, what one sigma along the track changes.
     """
 
     sun_N: np.ndarray
@@ -32,6 +33,7 @@ class Surroundings:
     field_sigma_T: np.ndarray | None = None
     nadir_sigma_rad: np.ndarray | None = None
     albedo_sigma: np.ndarray | None = None
+    field_along_N: np.ndarray | None = None
 
 
 class Environment(Protocol):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.environment.elements import Elements, parse_elements, read_elements
 from sunspin.environment.orbit import Orbit, in_orbit
+from sunspin.estimate.orbit_check import OrbitCheck, Verdict, check_orbit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.parts import Orbit as Stated
 
@@ -49,3 +52,23 @@ def orbit_of(
         shift_sigma_s=stated.shift_sigma_s if shift_sigma_s is None else shift_sigma_s,
         clock_s=stated.clock_s, clock_sigma_s=stated.clock_sigma_s,
     )  # fmt: skip
+
+
+def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Orbit | None, OrbitCheck, str]:
+    """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit_check`), and what follows, in words.
+
+    Elements that fit get the shift that was found, with its sigma; where the telemetry cannot tell, they stay as they were;
+    refused ones are None: no answer may rest on them.
+    """
+    found = check_orbit(orbit, vehicle, telemetry)
+    if found.verdict is Verdict.REFUSED:
+        why = found.verdict.value.split(":")[0]
+        return None, found, f"the orbit is NOT USED: {why} (`sunspin check` with the same elements says more)"
+    if found.verdict is Verdict.UNDECIDED:
+        sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+        along = f"{orbit.shift_s:+.0f} +- {sigma:.0f} s along the track"
+        return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it"
+    # the shift found is that of place and clock together, of which the data determine the sum
+    rest = float(np.sqrt(max(found.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
+    known = replace(orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s))
+    return known, found, f"the orbit is used: its elements fit, {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track"

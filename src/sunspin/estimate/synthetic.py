@@ -87,7 +87,7 @@ def _scale(truth: Truth, vehicle: Vehicle) -> float:
         noise = vehicle.telemetry.noise
         if vehicle.gain_unit is not None or noise is None:
             return 1.0
-        return noise / (NOISE_OF_LARGEST * float(vehicle.panel_gains.max()))
+        return noise / (NOISE_OF_LARGEST * float(vehicle.input_gains.max()))
     if not (np.isfinite(truth.scale) and truth.scale > 0):
         raise InputError(sentence("the scale of a twin must be positive", got=truth.scale))
     return float(truth.scale)

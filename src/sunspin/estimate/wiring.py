@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.estimate.effort import may_go_on
 from sunspin.vehicle import Vehicle
 
 CLEARLY = 10.0
@@ -70,18 +71,21 @@ Run = Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
 
 
 def of_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> Iterator[Wiring]:
-    """Each pair of panels exchanged, each panel reversed."""
+    """Each pair of inputs exchanged, each panel that has one of its own reversed."""
     name = next((name for name in ("power_W", "current_A") if name in telemetry), None)
     if name is None:
         return
     value = telemetry[name].values
-    panels = vehicle.panel_names
+    panels = vehicle.input_names
     for a, b in combinations(range(len(panels)), 2):
         other = value.copy()
         other[:, [a, b]] = value[:, [b, a]]
         data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
         yield Wiring(f"the columns of panels {panels[a]} and {panels[b]} exchanged", vehicle, data)
+    alone = {one.panels[0] for one in vehicle.inputs if len(one.panels) == 1}
     for k, one in enumerate(vehicle.panels):
+        if k not in alone:
+            continue
         turned = tuple(replace(p, normal_B=-p.normal_B) if i == k else p for i, p in enumerate(vehicle.panels))
         yield Wiring(f"panel {one.name} looking the other way", replace(vehicle, panels=turned), telemetry)
 
@@ -121,7 +125,7 @@ def better(
     """
     culprit = None
     for name in SENSORS:
-        if name in telemetry and np.isfinite(telemetry[name].values).any():
+        if name in telemetry and np.isfinite(telemetry[name].values).any() and may_go_on():
             motion = run(vehicle, telemetry.drop_vars(name))
             if motion is None or not _fits(motion):
                 continue
@@ -137,7 +141,7 @@ def better(
     stated = evidence(vehicle, telemetry)
     if not np.isfinite(stated):
         return None
-    gains = np.array([evidence(one.vehicle, one.telemetry) - stated for one in others])
+    gains = np.array([evidence(one.vehicle, one.telemetry) - stated if may_go_on() else -np.inf for one in others])
     best = int(np.argmax(gains))
     if not gains[best] > CLEARLY or not _fits(run(others[best].vehicle, others[best].telemetry)):
         return None

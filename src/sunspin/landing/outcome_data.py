@@ -105,8 +105,7 @@ def _with_shape(result: xr.Dataset, vehicle: Vehicle, shape: Shape | None) -> xr
 
 def _attrs(rows: Any) -> dict[str, Any]:
     vehicle, scenario = rows.vehicle, rows.scenario
-    return provenance("outcomes") | {
-        "vehicle": vehicle.name,
+    return provenance("outcomes", **vehicle.said) | {
         "seed": rows.seed,
         "strategy": rows.strategy.name,
         "schedule": json.dumps(plain(rows.strategy.schedule)),

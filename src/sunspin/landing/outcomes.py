@@ -170,13 +170,15 @@ class OutcomeRows:
         return _without(out, bad)
 
     def _collide(self, before: k.Rows, draw: dict[str, np.ndarray], out: dict[str, np.ndarray]) -> k.Rows:
-        """The state after a sticking impact of a leg drawn at random (paper, eqs. 8-11)."""
+        """The state after the impact of a leg drawn at random (paper, eqs. 8-11: it sticks)."""
         s = self.scenario
         leg = (draw["leg"] * len(self.vehicle.legs)).astype(int)
         axis = np.tile(s.collision_axis_B, (len(leg), 1))
         velocity = s.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"])
         mode = command_at(self.strategy.schedule, s.collision_s)
-        hit = impact(self.vehicle, before.omega_B, before.wheel_speed_rad_s, velocity, leg, mode)
+        hit = impact(
+            self.vehicle, before.omega_B, before.wheel_speed_rad_s, velocity, leg, mode, restitution=s.restitution, damper=s.damper
+        )
         out["leg"][:] = leg
         out["velocity_change"][:] = np.linalg.norm(hit["impulse_B"].values, axis=1) / self.vehicle.require_mass()
         out["speed_after"][:] = np.linalg.norm(hit["velocity_B"].values, axis=1)
@@ -368,7 +370,7 @@ def outcomes(
     rows = OutcomeRows(
         vehicle, scenario, sc.strategy_of(vehicle, strategy), candidates_of(vehicle, candidates, scenario), int(n), int(seed)
     )
-    options = {"workers": workers, "store": store, "scheduler": scheduler, "progress": progress, "chunk": chunk}
+    options: dict[str, Any] = {"workers": workers, "store": store, "scheduler": scheduler, "progress": progress, "chunk": chunk}
     return dataset(rows, ensemble(rows, label="runs", **options))
 
 

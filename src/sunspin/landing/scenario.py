@@ -41,6 +41,7 @@ class Scenario:
         `collision_axis_B`; None: no collision.
     landing_speed_m_s : speed at the landing; its angle to the ground's normal follows from a plane of any direction being
         hit in proportion to the area it shows (cosine law), see `STEEPEST_SINE`.
+    restitution, damper : of the collision, see :func:`sunspin.impact`.
     vertical : how the ground's normal at the landing is drawn, as a direction fixed in space, body axes at the touchdown.
         "legs_down": any for which the ends of legs were the lowest points at the touchdown; "any"; a number: within this
         angle (rad) of the opposite of the legs' mean direction (of z without legs); three numbers: this one. The turning of
@@ -57,6 +58,8 @@ class Scenario:
     collision_speed_m_s: float | None = None
     collision_axis_B: tuple[float, ...] = (0.0, 0.0, -1.0)
     landing_speed_m_s: float = 0.2
+    restitution: float = 0.0
+    damper: float = 0.0
     vertical: Any = "legs_down"
     orbiter: Any = "above_horizon"
 
@@ -79,6 +82,9 @@ class Scenario:
         self._check_times_and_speeds()
 
     def _check_times_and_speeds(self) -> None:
+        for name in ("restitution", "damper"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(sentence(f"{name} must be a share between 0 and 1", got=getattr(self, name)))
         for name in ("before_s", "lead_s"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(sentence(f"{name} must be zero or a positive time in s", got=getattr(self, name)))
@@ -122,6 +128,8 @@ def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
         after_s=60.0 * published["duration_after_collision"].value,
         collision_speed_m_s=published["collision_speed"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
+        restitution=case.assumptions.collision.restitution,
+        damper=case.assumptions.collision.damper,
     )
 
 
@@ -148,6 +156,8 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     if case.timeline is None or "kernel_speed_before" not in case.published:
         raise InputError(sentence(f"case {case.name!r} knows of no landing", do="give a Scenario of your own"))
     published, times = case.published, {key: case.timeline.seconds(*ends) for key, ends in TIMES.items()}
+    if case.assumptions.study.lead_s is not None:
+        times["lead_s"] = case.assumptions.study.lead_s
     if rebound is not None:
         times |= {"lead_s": rebound.lead_s, "before_s": rebound.window_s}
     return Scenario(
@@ -156,6 +166,7 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
         collision_speed_m_s=published["kernel_speed_before"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
         lead_s=times["lead_s"], before_s=times["before_s"], after_s=times["after_s"],
+        restitution=case.assumptions.collision.restitution, damper=case.assumptions.collision.damper,
     )  # fmt: skip
 
 

@@ -39,7 +39,11 @@ class Result:
 
     def summary(self) -> Summary:
         """The main numbers as a dict of plain data; printed, the sentences that the command line prints."""
-        return self._kind.summary(self._data)
+        found, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
+        if changed:
+            found["changes"] = changed.splitlines()
+            found.lines[:0] = [f"Changed for this run: {line}" for line in found["changes"]]
+        return found
 
     def plot(self, name: str | None = None, *, telemetry: xr.Dataset | None = None) -> Any:
         """A figure of the result.

@@ -67,7 +67,8 @@ def against(case: Case, tree: Any, coarser: int = 1, workers: int | None = None,
     measured_z = rebound["sun_B"].values[is_reconstructed(rebound["status"]), 2]
     emd = rb.scan_against(case, measured_z, coarser, workers, progress)
     step = coarser * float(case.published["scan_step"].value)
-    factors = {f"EMD < {case.published['near_minimum_factor'].value:g} EMD_min": case.published["near_minimum_factor"].value}
+    factor = case.assumptions.study.near_minimum_factor
+    factors = {f"EMD < {factor:g} EMD_min": factor}
     known = coverage.shipped(case)
     for prior, twins in () if known is None else known.twins.items():
         factor = twins.threshold(coverage.CONFIDENCE, relative=True)[0]

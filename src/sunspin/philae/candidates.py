@@ -195,7 +195,7 @@ class Scanned:
 
 def scanned(rebound: rb.Rebound, table: Table) -> Scanned:
     """Compare every motion of a table with the z components of the rebound's directions."""
-    return Scanned(rebound, table, np.where(table.outcome == k.Outcome.FINE, table.distances(rebound.z), np.inf))
+    return Scanned(rebound, table, np.where(table.outcome == k.Outcome.FINE, table.distances(rebound.z, rebound.weights), np.inf))
 
 
 def compute(
@@ -232,7 +232,7 @@ def compute(
         return _with_runs(rebound, name, chain, about, start.take(index), speeds[index], seed, cell_rad_s=cell)
 
     box = of("box", source, "the whole scanned box: what was possible before the data", np.ones(len(speeds), dtype=bool))
-    factor = float(case.published["near_minimum_factor"].value)
+    factor = case.assumptions.study.near_minimum_factor
     recipe = of("recipe", "scan", f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest",
                 scan.emd < factor * scan.smallest)  # fmt: skip
     share, verdict = float("nan"), ""
@@ -241,7 +241,7 @@ def compute(
         level = found.factor()[0]
         inside = scan.emd < level * scan.smallest
         held = f"{inside.mean():.0%} of the scanned box"
-        about = f"the {CONFIDENCE:.0%} set of the scan: EMD below {level:.3g} times the smallest, {held}"
+        about = f"the {case.assumptions.study.confidence:.0%} set of the scan: EMD below {level:.3g} times the smallest, {held}"
         chosen, share = of("set", source, about, inside), float(inside.mean())
     elif source == "posterior":
         chosen, box, verdict = _from_posterior(rebound, seed, workers, progress)

@@ -14,11 +14,11 @@ import numpy as np
 from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
+from sunspin.estimate.scan.mask import allows
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
-from sunspin.philae.coverage import CONFIDENCE, check_confidence
+from sunspin.philae.coverage import check_confidence
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle
@@ -57,6 +57,7 @@ class ComponentRows:
     vehicle: Vehicle
     states: k.Rows
     duration_s: float
+    mask: k.Mask | None
 
     outputs = {"hist": ("float32", (3, BINS))}
 
@@ -65,12 +66,13 @@ class ComponentRows:
         return len(self.states)
 
     def identity(self) -> dict[str, Any]:
-        return {**code(), "rows": "histograms of all components", "vehicle": plain(self.vehicle), "duration_s": self.duration_s}
+        return {**code(), "rows": "histograms of all components", "vehicle": plain(self.vehicle), "duration_s": self.duration_s,
+                "mask": plain(self.mask)}  # fmt: skip
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         t = np.arange(STEP_S, self.duration_s + STEP_S / 2, STEP_S)
         track = k.run_rows(self.vehicle, self.states.take(index), t, direction_error=DIRECTION_ERROR).sun_B
-        seen = allows(reconstructible_mask(self.vehicle), track)
+        seen = np.ones(track.shape[:-1], dtype=bool) if self.mask is None else allows(self.mask, track)
         place = np.clip(((track + 1) * BINS / 2).astype(int), 0, BINS - 1)
         number = np.broadcast_to(np.arange(len(index))[:, None], seen.shape)[seen] * BINS
         count = [np.bincount(number + place[..., axis][seen], minlength=len(index) * BINS) for axis in range(3)]
@@ -84,24 +86,24 @@ def compute(
     axes = rb.grid(case, coarser * COARSER).values()
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     alike = threshold.alike_rebounds(rebound, twins, seed)
-    starts = np.concatenate([grid, [omega for omega, _ in alike]])
-    rows = ComponentRows(case.vehicle, rebound.states(starts), rebound.window_s)
+    starts = np.concatenate([grid, [one.omega_B for one in alike]])
+    rows = ComponentRows(case.vehicle, rebound.states(starts), rebound.window_s, rb.counted(case))
     hist = ensemble(rows, workers=workers, chunk=CHUNK)["hist"]
     found: dict[str, tuple[float, float, float]] = {}
     for axis, name in enumerate("xyz"):
         scan, true = (np.ascontiguousarray(hist[part, axis]) for part in (slice(None, len(grid)), slice(len(grid), None)))
-        targets = [seen[:, axis] for _, seen in alike]
-        ratio = [_distances(true[i : i + 1], z)[0] / _distances(scan, z).min() for i, z in enumerate(targets)]
-        factor = float(np.sort(ratio)[check_confidence(len(ratio), CONFIDENCE)])
-        emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis])
+        targets = [(one.seen_B[:, axis], one.weights) for one in alike]
+        ratio = [_distances(true[i : i + 1], *target)[0] / _distances(scan, *target).min() for i, target in enumerate(targets)]
+        factor = float(np.sort(ratio)[check_confidence(len(ratio), case.assumptions.study.confidence)])
+        emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis], rebound.weights)
         found[name] = float(emd.min()), factor, float(np.mean(emd < factor * emd.min()))
     emd_min, factor, share = ({name: values[i] for name, values in found.items()} for i in range(3))
     return Components(case, emd_min, factor, share, bool(rebound.samples.attrs.get("synthetic")), len(alike), len(grid))
 
 
-def _distances(hist: np.ndarray, measured: np.ndarray) -> np.ndarray:
+def _distances(hist: np.ndarray, measured: np.ndarray, weights: np.ndarray | None) -> np.ndarray:
     """EMD (n) of histograms (n, BINS) to measured values; 1 where nothing was seen."""
-    emd, seen = distances_to(hist, target_segments(measured))
+    emd, seen = distances_to(hist, target_segments(measured, weights))
     return np.where(seen == 0, 1.0, emd)
 
 
@@ -112,7 +114,7 @@ def rows(r: Components) -> list[Row]:
     each = "; ".join(f"r_{n}: smallest EMD {r.emd_min[n]:.4f}, set below {r.factor[n]:.2f} times it" for n in "xyz")
     return [
         row(
-            r.case, "components", shares, agrees=bool(shares[2] < min(shares[:2])), confidence=CONFIDENCE, whose=whose, each=each,
-            twins=r.twins, motions=r.motions,
+            r.case, "components", shares, agrees=bool(shares[2] < min(shares[:2])),
+            confidence=r.case.assumptions.study.confidence, whose=whose, each=each, twins=r.twins, motions=r.motions,
         )
     ]  # fmt: skip

@@ -8,6 +8,7 @@ at the touchdown becomes with that threshold. Thresholds are taken both on EMD a
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
@@ -21,6 +22,7 @@ from sunspin.base.provenance import version
 from sunspin.compute.rows import ensemble
 from sunspin.philae.coverage_rows import FACTORS, LEVELS, PRIORS, TwinRows
 from sunspin.telemetry.case import Case
+from sunspin.vehicle.changes import Change, Changes, changes_of
 
 CONFIDENCE = 0.9
 
@@ -129,12 +131,14 @@ class Worth:
     factor: float
     version: str
     grid_points: int
+    changes: tuple[Change, ...] = ()
 
     @property
     def command(self) -> str:
         n = next(iter(self.twins.values())).n
         more = "" if self.coarser == 1 else f" --coarser {self.coarser}"
         more += "" if self.factor == 1.1 else f" --factor {self.factor:g}"
+        more += "".join(f" --set {shlex.quote(str(change))}" for change in self.changes)
         return f"sunspin worth --twins {n} --seed {self.seed}{more}"
 
 
@@ -158,11 +162,14 @@ def compute(
     workers: int | None = None,
     store: str | Path | None = None,
     progress: bool = False,
+    changes: Changes = None,
 ) -> Worth:
     """Repeat the method on n twins of each prior.
 
     Parameters
     ----------
+    changes : dict or list of str, optional
+        With which the case was loaded.
     coarser : int
         Use every n-th point of the paper's grid.
     factor : float
@@ -170,14 +177,14 @@ def compute(
     store : path, optional
         Folder in which finished twins are kept, as in :func:`sunspin.compute.rows.ensemble`; a part of it per prior.
     """
-    found = {}
+    found, points, asked = {}, 0, changes_of(changes)
     for prior in PRIORS:
-        rows = TwinRows(case.name, prior, n, seed, coarser, factor)
+        rows = TwinRows(case.name, prior, n, seed, coarser, factor, asked)
         points = len(rows.ground(workers, progress).points)
         kept = None if store is None else Path(store) / prior
         out = ensemble(rows, workers=workers, chunk=CHUNK, store=kept, progress=progress, label=f"twins, {prior}")
         found[prior] = _condensed(prior, out)
-    return Worth(found, seed, coarser, factor, version(), points)
+    return Worth(found, seed, coarser, factor, version(), points, asked)
 
 
 def _condensed(prior: str, out: dict[str, np.ndarray]) -> Twins:

@@ -28,6 +28,7 @@ from sunspin.philae.twin_philae import CELL_W, keep_direction, rebound_times
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.telemetry.synthetic import noisy_power
+from sunspin.vehicle.changes import Change
 from sunspin.vehicle.response.panels import panel_power
 
 PRIORS = ("lines", "grid")
@@ -73,6 +74,7 @@ class TwinRows:
     seed : int; twin i draws from SeedSequence(seed, spawn_key=(i,))
     coarser : every n-th point of the paper's grid
     factor : near-minimum factor of the method
+    changes : of the case's vehicle and assumptions
     """
 
     case_name: str
@@ -81,6 +83,7 @@ class TwinRows:
     seed: int
     coarser: int = 1
     factor: float = 1.1
+    changes: tuple[Change, ...] = ()
 
     outputs = {
         "truth_omega_B": ("float64", (3,)),
@@ -116,7 +119,7 @@ class TwinRows:
 
     @property
     def case(self) -> Case:
-        return load_case(self.case_name)
+        return load_case(self.case_name, self.changes)
 
     def identity(self) -> dict[str, Any]:
         case = self.case
@@ -130,7 +133,8 @@ class TwinRows:
     def ground(self, workers: int | None = 1, progress: bool = False) -> Ground:
         """The shared part, made once in a process."""
         case = self.case
-        key = fingerprint({**code(), "case": self.case_name, "coarser": self.coarser, "vehicle": plain(case.vehicle)})
+        key = fingerprint({**code(), "case": self.case_name, "coarser": self.coarser, "vehicle": plain(case.vehicle),
+                           "assumptions": plain(case.assumptions)})  # fmt: skip
         with _LOCK:
             if key not in _GROUNDS:
                 _GROUNDS.clear()  # one at a time: the paper's grid takes 0.4 GB
@@ -150,8 +154,9 @@ class TwinRows:
 def _make_ground(case: Case, coarser: int, workers: int | None, progress: bool) -> Ground:
     axes, speeds = rb.grid(case, coarser), rb.nominal_speed(case.vehicle)
     table = make_table(
-        case.vehicle, rb.first_sun(case), axes, speeds, rb.window_s(case), workers=workers, progress=progress
-    )
+        case.vehicle, rb.first_sun(case), axes, speeds, rb.window_s(case), workers=workers, progress=progress,
+        mask=None if rb.counted(case) is None else "reconstructible",
+    )  # fmt: skip
     back = EndSpeedRows(case.vehicle, table.rows.start, -rb.after_touchdown_s(case))
     speed = ensemble(back, workers=workers)["speed"]
     points = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -211,8 +216,7 @@ def samples_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.nda
 
 def truth_distance(case: Case, truth: np.ndarray, z: np.ndarray) -> float:
     """EMD between the z components of a twin and the distribution of its own true motion, by the scan's arithmetic."""
-    condition = rb.reconstructible_mask(case.vehicle)
-    hist, _ = histograms(case.vehicle, _states(case, truth[None]), rb.window_s(case), condition)
+    hist, _ = histograms(case.vehicle, _states(case, truth[None]), rb.window_s(case), rb.counted(case))
     return float(distances_to(hist, target_segments(z))[0][0])
 
 

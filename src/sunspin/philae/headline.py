@@ -36,6 +36,7 @@ def _rebound(result: Reproduction) -> str:
     if chain is None:
         return f"What it did after the first touchdown cannot be concluded: {_why(result)}."
     slow, fast = chain.chosen.speed_range()
+    level = f"{chain.case.assumptions.study.confidence:.0%}"
     if chain.name == "published":
         return "After the first touchdown it is taken to move as on the paper's printed lines, whatever this telemetry says."
     if chain.chosen.probable:
@@ -43,7 +44,7 @@ def _rebound(result: Reproduction) -> str:
     if slow <= chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
         return "After the first touchdown it need not have tumbled at all: a lander at rest fits as well."
     return (
-        f"After the first touchdown it turned, once in {turn_text(slow)} or faster ({CONFIDENCE:.0%}); how much faster the heights "
+        f"After the first touchdown it turned, once in {turn_text(slow)} or faster ({level}); how much faster the heights "
         "of the Sun do not say."
     )
 
@@ -68,8 +69,8 @@ def _extent(chain: Chain) -> str:
     if chain.calibration is not None:
         return (
             f"The motions that fit make up {chain.share:.0%} of those scanned: EMD below {chain.calibration.factor()[0]:.2f} "
-            f"times the smallest, a threshold that held the truth in {CONFIDENCE:.0%} of {chain.calibration.n} synthetic "
-            "flights like this one."
+            f"times the smallest, a threshold that held the truth in {chain.calibration.confidence:.0%} of "
+            f"{chain.calibration.n} synthetic flights like this one."
         )
     return f"Candidates: {chain.chosen.about}." + (f" {chain.verdict.rstrip('.')}." if chain.verdict else "")
 

@@ -62,19 +62,19 @@ def compute(
     rebound = rb.rebound_of(case, sun)
     table = make_table(
         case.vehicle, rebound.sun_B, rb.grid(case, coarser), rb.nominal_speed(case.vehicle), rebound.window_s, workers=workers,
-        progress=progress,
+        progress=progress, mask=None if rb.counted(case) is None else "reconstructible",
     )  # fmt: skip
-    near = rb.families(case, table.volume(rebound.z), case.published["near_minimum_factor"].value, seed)
-    return LevelSet(case, seed, scanned(rebound, table), near, truth_emd(case, rebound.z))
+    near = rb.families(case, table.volume(rebound.z, rebound.weights), case.assumptions.study.near_minimum_factor, seed)
+    return LevelSet(case, seed, scanned(rebound, table), near, truth_emd(case, rebound.z, rebound.weights))
 
 
-def truth_emd(case: Case, measured_z: np.ndarray) -> dict[str, Any]:
+def truth_emd(case: Case, measured_z: np.ndarray, weights: np.ndarray | None) -> dict[str, Any]:
     """For a twin: its true rate at the first sample after touchdown and the EMD that the truth itself reaches."""
     truth = rb.twin_truth(case)
     if truth is None:
         return {}
     z = rb.seen_z(case, truth)
-    return {"omega_B": truth, "emd": emd(z, measured_z), "z": z}
+    return {"omega_B": truth, "emd": emd(z, measured_z, weights_b=weights), "z": z}
 
 
 def rows(result: LevelSet) -> list[Row]:

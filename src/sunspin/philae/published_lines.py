@@ -64,7 +64,7 @@ def compute(
     if table is None:
         table = make_table(
             case.vehicle, rb.first_sun(case), rb.grid(case, coarser), rb.nominal_speed(case.vehicle), rb.window_s(case),
-            workers=workers,
+            workers=workers, mask=None if rb.counted(case) is None else "reconstructible",
         )  # fmt: skip
     pooled, speed = rb.pooled_z(case), rb.nominal_speed(case.vehicle)[0]
     clean = rb.families(case, table.volume(np.concatenate(pooled)), rb.LINES_FACTOR, seed)

@@ -113,9 +113,19 @@ def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
+def _as_set(vehicle: Vehicle, found: ReadingNoise) -> ReadingNoise:
+    """The same with the noise and the lit threshold that were set for this run, where they were."""
+    form, keys = vehicle.telemetry, {one.key for one in vehicle.changes}
+    for key, name, value in (("noise", "lit", form.noise), ("lit_threshold", "lit_threshold", form.lit_threshold)):
+        if f"telemetry.{key}" in keys and value is not None:
+            told = f"{found.told}; {key.replace('_', ' ')} set to {value:g} for this run"
+            found = replace(found, **{name: value}, told=told)
+    return found
+
+
 def with_own_noise(case: Case, whole: np.ndarray) -> tuple[Case, ReadingNoise]:
     """The case with noise and lit threshold of its telemetry in its vehicle, so that every part uses them."""
-    found = reading_noise(case.vehicle, case.telemetry, whole)
+    found = _as_set(case.vehicle, reading_noise(case.vehicle, case.telemetry, whole))
     form = replace(case.vehicle.telemetry, noise=found.lit, lit_threshold=found.lit_threshold)
     copy = replace(case, vehicle=replace(case.vehicle, telemetry=form))
     copy.__dict__["telemetry"] = case.telemetry

@@ -12,9 +12,11 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError, sentence
 from sunspin.base.toml import read_toml
+from sunspin.compute.identity import plain
 from sunspin.dynamics import gyrostat
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.ensemble import Mask, Rows
 from sunspin.dynamics.propagate import propagate
+from sunspin.estimate.scan import window
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines, point_at
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
@@ -43,6 +45,26 @@ POOL_STEP_S = 0.5
 LINES_FACTOR = 4.0
 """Near-minimum factor against the lines' common distribution: so clean a target has so small a minimum that 1.1 times it
 leaves a handful of points. EMD at points of the lines themselves is up to several times the minimum."""
+
+
+def target_weights(case: Case, t_s: np.ndarray) -> np.ndarray | None:
+    """What directions at these times (n, s) count in the target, as the study assumes: None (all the same), or half their gaps."""
+    return window.target_weights(case.assumptions.study.target_weights, t_s)
+
+
+def counted(case: Case) -> Mask | None:
+    """The simulated directions that count, as the study assumes; None: all."""
+    return reconstructible_mask(case.vehicle) if case.assumptions.study.mask == "reconstructible" else None
+
+
+def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
+    """Whether what is concluded from the panels on the free motion of one vehicle holds for the other: body, wheels, panels."""
+
+    def told(craft: Vehicle) -> object:
+        wheels = [(wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction) for wheel in craft.wheels]
+        return plain([craft.inertia_kg_m2, wheels, craft.panels, craft.panel_response, craft.sun_rules])
+
+    return told(vehicle) == told(other)
 
 
 def published_lines(case: Case) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -97,7 +119,8 @@ def seen_z(case: Case, omega_B: np.ndarray) -> np.ndarray:
     t = np.arange(0.0, window_s(case) + POOL_STEP_S / 2, POOL_STEP_S)
     run = propagate(case.vehicle, omega_B, first_sun(case), nominal_speed(case.vehicle), t, rtol=1e-9)
     track = run["sun_B"].values
-    return track[allows(reconstructible_mask(case.vehicle), track), 2]
+    mask = counted(case)
+    return track[slice(None) if mask is None else allows(mask, track), 2]
 
 
 def nominal_speed(vehicle: Vehicle) -> list[float]:
@@ -162,6 +185,11 @@ class Rebound:
         return self.samples["sun_B"].values[self.told, 2]
 
     @property
+    def weights(self) -> np.ndarray | None:
+        """Weights of `z` in their distribution; None where each counts the same."""
+        return target_weights(self.case, self.t_s[self.told])
+
+    @property
     def t_s(self) -> np.ndarray:
         """Times (n) of the samples in s from the candidates' instant."""
         return self.samples["time"].values - self.samples["time"].values[self.first]
@@ -217,7 +245,9 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
     instant = float(samples["utc_s"].values[first])
     direction, which = (first_sun(case), nearest) if published else (own[first], first)
     covariance = samples["sun_cov_B"].values[which]
-    return Rebound(case, samples, first, direction, covariance, published, instant - touchdown, collision - instant)
+    assumed = case.assumptions.study.lead_s
+    lead = instant - touchdown if assumed is None else assumed
+    return Rebound(case, samples, first, direction, covariance, published, lead, collision - instant)
 
 
 def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
@@ -276,6 +306,7 @@ def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | 
         omega_z=axes["omega_z"],
         wheel_speed_rad_s=nominal_speed(case.vehicle),
         duration_s=window_s(case),
+        mask=None if counted(case) is None else "reconstructible",
         workers=workers,
         progress=progress,
     )
@@ -283,6 +314,8 @@ def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | 
 
 def after_touchdown_s(case: Case) -> float:
     """Time in s from the first touchdown to the first sample after it."""
+    if case.assumptions.study.lead_s is not None:
+        return case.assumptions.study.lead_s
     return case.require_timeline().seconds("first_touchdown", "first_sample_after_touchdown")
 
 

@@ -25,6 +25,9 @@ from sunspin.philae.study import SECTIONS, Options, Reproduction, compute, requi
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import load_vehicle
+from sunspin.vehicle.assumptions import split
+from sunspin.vehicle.changes import Change, Changes, changes_of
+from sunspin.vehicle.file import changed_file
 
 FIGURES = "The figures of the paper"
 
@@ -56,6 +59,7 @@ def reproduce(
     seed: int = 0,
     workers: int | None = None,
     coarser: int = 1,
+    changes: Changes = None,
     progress: bool = False,
 ) -> Written:
     """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
@@ -83,9 +87,12 @@ def reproduce(
         All random choices, threads, progress bar.
     coarser : int
         Use every n-th point of the scan's grid, for a quick look.
+    changes : dict or list of str, optional
+        Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
     """
     began = time.perf_counter()
-    case = _case(telemetry, vehicle)
+    asked = changes_of(changes)
+    case = _case(telemetry, vehicle, asked)
     options = Options(candidates, calibrate, seed, coarser, workers, progress)
     source = _source(case, telemetry)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
@@ -116,7 +123,8 @@ def reproduce(
         "conclusions": conclusions(result),
         "score": score(result),
         "counts": counts["telemetry"] | {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]},
-        "command": _command(telemetry, vehicle, options),
+        "changes": [str(one) for one in case.changes],
+        "command": _command(telemetry, vehicle, options, asked),
         "inputs": _inputs(case, vehicle),
         "cite": CITE,
         "figures": [
@@ -124,15 +132,17 @@ def reproduce(
             for name, rows in by_part.items() for row in rows
         ],
     }  # fmt: skip
-    write_run(folder, summary, case.name if vehicle is None else vehicle, case.telemetry, pictures)
+    made_with = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
+    write_run(folder, summary, made_with, case.telemetry, pictures)
     return Written(folder, write_report(folder, ours=True), summary)
 
 
-def _case(telemetry: str | Path | None, vehicle: str | Path | None) -> Case:
-    """The case with the vehicle and the telemetry given; both refused before any work."""
-    case = load_case("philae")
+def _case(telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]) -> Case:
+    """The case with the vehicle, the changes and the telemetry given; all refused before any work."""
+    of_vehicle, of_study = split(changes)
+    case = load_case("philae", changes if vehicle is None else of_study)
     if vehicle is not None:
-        craft = load_vehicle(vehicle)
+        craft = load_vehicle(vehicle, of_vehicle)
         require_wheel(craft)
         return with_vehicle(case, craft, read_telemetry(_source(case, telemetry), craft))
     return case if telemetry is None else rb.with_telemetry(case, read_telemetry(telemetry, case.vehicle))
@@ -142,11 +152,14 @@ def _source(case: Case, telemetry: str | Path | None) -> Path:
     return case.folder / "telemetry.csv" if telemetry is None else Path(telemetry)
 
 
-def _command(telemetry: str | Path | None, vehicle: str | Path | None, options: Options) -> str:
+def _command(
+    telemetry: str | Path | None, vehicle: str | Path | None, options: Options, changes: tuple[Change, ...]
+) -> str:
     words = ["sunspin", "reproduce", "--seed", str(options.seed)]
     for name, value in (("telemetry", telemetry), ("vehicle", vehicle), ("calibrate", options.twins)):
         words += [] if value is None else [f"--{name}", str(value)]
     words += [] if options.source == "scan" else ["--candidates", options.source]
+    words += [word for change in changes for word in ("--set", str(change))]
     return shlex.join(words + ([] if options.coarser == 1 else ["--coarser", str(options.coarser)]))
 
 
@@ -202,7 +215,8 @@ def _of_scan(result: Reproduction) -> list[str]:
         text += f". The true motion behind the synthetic telemetry reaches {part.truth['emd']:.4f}"
     chain = result.chain
     if chain is not None and chain.calibration is not None:
-        text += f". A {chain.calibration.told}; that set holds {chain.share:.0%} of the scanned box".replace("A ", "For 90 %: ", 1)
+        level = f"{100 * chain.calibration.confidence:g} %"
+        text += f". For {level}: {chain.calibration.told}; that set holds {chain.share:.0%} of the scanned box"
     return [text + "."]
 
 

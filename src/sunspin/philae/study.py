@@ -15,7 +15,6 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, MotionError, TelemetryError, sentence
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.rows import BINS as SCAN_BINS
 from sunspin.landing.outcomes import BINS as OUTCOME_BINS
 from sunspin.philae import (
@@ -42,7 +41,7 @@ from sunspin.philae.readings import ReadingNoise, with_own_noise
 from sunspin.philae.row import Row, counts, settled
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
-from sunspin.vehicle import Vehicle
+from sunspin.vehicle import Vehicle, load_vehicle
 
 LANDING_RUNS = 5_000
 """Simulated collisions: their probabilities err by 0.007 at most, ten times what the paper had; `sunspin outcomes` runs more."""
@@ -135,6 +134,10 @@ def _worth(i: Inputs) -> tuple[Case, coverage.Worth]:
     found = coverage.shipped(i.case)
     if found is None:
         raise InputError(sentence("the case comes without a study of twins", do="sunspin worth"))
+    alike = rb.moves_and_sees_alike(i.case.vehicle, load_vehicle(i.case.name))
+    if not alike or any(one.key.startswith("study.") for one in i.case.assumptions.changes):
+        do = "make one with `sunspin coverage` and the same --set"
+        raise InputError(sentence("the study of twins that comes with the case is of another body or other assumptions", do=do))
     return i.case, found
 
 
@@ -244,7 +247,7 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
     sun = sun_directions(case.vehicle, case.telemetry)
     rb.rebound_samples(case, sun)  # refused before the work
     inputs = Inputs(case, sun, options)
-    k.prepare(case.vehicle, [(reconstructible_mask(case.vehicle), SCAN_BINS), (None, OUTCOME_BINS)])
+    k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
     rows, missing = {}, {}
     for part in PARTS:
         absent = [name for name in part.needs if name not in inputs.done]

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import binom
@@ -23,7 +23,6 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.rows import BINS, distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
@@ -58,6 +57,8 @@ about one right file in 4,000 is accused."""
 class Calibration:
     """Synthetic rebounds like the data: `ratio` (n), EMD of the truth over the smallest; `emd_min` (n); how they were made.
 
+    `confidence`: of the set that is asked for.
+
     `source`: "shipped" or "made for these data". `directions` (n): how many each gave.
     """
 
@@ -67,16 +68,18 @@ class Calibration:
     emd_min: np.ndarray
     directions: np.ndarray
     source: str
+    confidence: float = CONFIDENCE
 
     @property
     def n(self) -> int:
         return len(self.ratio)
 
-    def factor(self, confidence: float = CONFIDENCE) -> tuple[float, float, float]:
+    def factor(self, confidence: float | None = None) -> tuple[float, float, float]:
         """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval.
 
         The order statistic ceil(c (n + 1)), whatever the distribution; interval from binomial order statistics.
         """
+        confidence = self.confidence if confidence is None else confidence
         at, values = check_confidence(self.n, confidence), np.sort(self.ratio)
         low, high = binom.ppf([0.025, 0.975], self.n, confidence).astype(int)
         return float(values[at]), float(values[max(low - 1, 0)]), float(values[min(high, self.n - 1)])
@@ -111,9 +114,10 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
             "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(), "directions": rebound.z.size,
             "noise": float(sun["noise"]), "lit_threshold": float(sun["lit_threshold"]), "scale": _scale(rebound),
             "sun_B": np.round(rebound.sun_B, 4).tolist(),
-            "window_s": round(rebound.window_s, 3), "lead_s": round(rebound.lead_s, 3), "target_weights": None,
+            "window_s": round(rebound.window_s, 3), "lead_s": round(rebound.lead_s, 3),
+            "target_weights": None if rebound.weights is None else rebound.case.assumptions.study.target_weights,
             "axes": [np.round(axis, 6).tolist() for axis in (start.omega_x, start.omega_y, start.omega_z)],
-            "mask": plain(reconstructible_mask(rebound.case.vehicle)), "bins": BINS, "emd_error": k.EMD_ERROR, "alike": ALIKE,
+            "mask": plain(rb.counted(rebound.case)), "bins": BINS, "emd_error": k.EMD_ERROR, "alike": ALIKE,
         }
     )  # fmt: skip
 
@@ -141,21 +145,38 @@ def calibrate(
     rebound: rb.Rebound, table: Table, twins: int = TWINS, seed: int = 0, workers: int | None = None, progress: bool = False
 ) -> Calibration:
     """Repeat the method on synthetic rebounds like the data; `table` of the scan from the same first direction."""
-    found = [(truth, seen[:, 2]) for truth, seen in alike_rebounds(rebound, twins, seed)]
-    rows = TargetRows(table, [z for _, z in found])
+    found = alike_rebounds(rebound, twins, seed)
+    targets = [one.target for one in found]
+    rows = TargetRows(table, targets)
     smallest = ensemble(rows, workers=workers, chunk=2, progress=progress, label="calibration of the threshold")["emd_min"]
-    truth = np.array([omega for omega, _ in found])
-    vehicle, mask = rebound.case.vehicle, reconstructible_mask(rebound.case.vehicle)
-    ratio = reached(vehicle, rebound.states(truth), rebound.window_s, mask, [z for _, z in found]) / smallest
+    truth = np.array([one.omega_B for one in found])
+    vehicle, mask = rebound.case.vehicle, rb.counted(rebound.case)
+    ratio = reached(vehicle, rebound.states(truth), rebound.window_s, mask, targets) / smallest
     return Calibration(
-        key_of(rebound, table), seed, ratio, smallest, np.array([z.size for _, z in found]), "made for these data"
+        key_of(rebound, table), seed, ratio, smallest, np.array([len(one.seen_B) for one in found]), "made for these data"
     )
 
 
-def reached(vehicle: Vehicle, states: k.Rows, window_s: float, mask: k.Mask, targets: list[np.ndarray]) -> np.ndarray:
+Target = tuple[np.ndarray, np.ndarray | None]
+"""Measured z components (n) and their weights (n), None where each counts the same."""
+
+
+class Alike(NamedTuple):
+    """A synthetic rebound: its true rate (3) in rad/s, measured directions (n, 3), their weights (n) or None."""
+
+    omega_B: np.ndarray
+    seen_B: np.ndarray
+    weights: np.ndarray | None
+
+    @property
+    def target(self) -> Target:
+        return self.seen_B[:, 2], self.weights
+
+
+def reached(vehicle: Vehicle, states: k.Rows, window_s: float, mask: k.Mask | None, targets: list[Target]) -> np.ndarray:
     """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen."""
     hist, _ = histograms(vehicle, states, window_s, mask)
-    each = [distances_to(hist[i : i + 1], target_segments(target))[0][0] for i, target in enumerate(targets)]
+    each = [distances_to(hist[i : i + 1], target_segments(*target))[0][0] for i, target in enumerate(targets)]
     return np.where(np.isnan(each), 1.0, each)
 
 
@@ -164,38 +185,38 @@ class TargetRows:
     """Row -> smallest EMD of a table to one target: the components that one synthetic rebound measured."""
 
     table: Table
-    z: list[np.ndarray]
+    targets: list[Target]
 
     outputs = {"emd_min": ("float64", ())}
 
     @property
     def n_rows(self) -> int:
-        return len(self.z)
+        return len(self.targets)
 
     def identity(self) -> dict[str, Any]:
-        return {**self.table.rows.identity(), "targets": [plain(z) for z in self.z]}
+        return {**self.table.rows.identity(), "targets": plain(self.targets)}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         fine = self.table.outcome == k.Outcome.FINE
-        return {"emd_min": np.array([self.table.distances(self.z[i])[fine].min() for i in index])}
+        return {"emd_min": np.array([self.table.distances(*self.targets[i])[fine].min() for i in index])}
 
 
-def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """True rates (3) and measured directions (n, 3) of synthetic rebounds like the data; of others if too few are like them."""
+def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
+    """Synthetic rebounds like the data; others if too few are like them."""
     wanted, apart = rebound.z.size, max(2.0, ALIKE * rebound.z.size)
-    alike: list[tuple[np.ndarray, np.ndarray]] = []
-    others: list[tuple[np.ndarray, np.ndarray]] = []
+    alike: list[Alike] = []
+    others: list[Alike] = []
     for block in range(MAX_BLOCKS):
-        for truth, seen in _block(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed):
-            (alike if abs(len(seen) - wanted) <= apart else others).append((truth, seen))
+        for one in _block(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed):
+            (alike if abs(len(one.seen_B) - wanted) <= apart else others).append(one)
         if len(alike) >= twins:
             return alike[:twins]
-    others.sort(key=lambda one: abs(len(one[1]) - wanted))
+    others.sort(key=lambda one: abs(len(one.seen_B) - wanted))
     return (alike + others)[:twins]
 
 
-def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """True rate and measured directions of the synthetic rebounds `index`: each draws from its own generator."""
+def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]:
+    """The synthetic rebounds `index`: each draws from its own generator."""
     case, vehicle = rebound.case, rebound.case.vehicle
     generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))) for i in index]
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
@@ -215,7 +236,8 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[tuple[
     directions = seen["sun_B"].values.reshape(*power.shape[:2], 3)
     first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
     for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
-        yield truth[i], np.concatenate([first, directions[i, told[i]]])
+        times = rebound.t_s[np.concatenate([[rebound.first], later[told[i]]])]
+        yield Alike(truth[i], np.concatenate([first, directions[i, told[i]]]), rb.target_weights(case, times))
 
 
 def to_json(found: Calibration) -> str:
@@ -252,14 +274,14 @@ def calibration(
     twins : int, optional
         Synthetic rebounds to make; asked for, they are made even where a shipped calibration fits. Zero: none are made.
     """
-    path = case.folder / SHIPPED
+    path, confidence = case.folder / SHIPPED, case.assumptions.study.confidence
     if not twins and path.is_file():
         found = from_json(path.read_text("utf-8"), str(path), "shipped with the case")
         if found.key == key_of(rebound, table):
-            return found
+            return replace(found, confidence=confidence)
     if twins == 0:
         return None
-    return calibrate(rebound, table, twins or TWINS, seed, workers, progress)
+    return replace(calibrate(rebound, table, twins or TWINS, seed, workers, progress), confidence=confidence)
 
 
 def ship(rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None) -> Calibration:

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.philae.candidates import Chain
-from sunspin.philae.coverage import CONFIDENCE
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
 
 LEAST_STEP_RAD_S = 0.026
@@ -43,7 +42,7 @@ def rows(chain: Chain) -> list[Row]:
 def _speed_rows(chain: Chain) -> list[Row]:
     case, chosen = chain.case, chain.chosen
     ours, possible = chosen.speed_range(), chain.box.speed_range()
-    level = "95 % probable" if chosen.probable else f"{CONFIDENCE:.0%}"
+    level = "95 % probable" if chosen.probable else f"{case.assumptions.study.confidence:.0%}"
     bounded = bool(ours[0] > possible[0] + LEAST_STEP_RAD_S)
     recipe = float(chain.recipe.speed_touchdown.min())
     smallest = row(case, "rate_at_touchdown_min", recipe, motions=len(chain.recipe), about=chosen.about)
@@ -87,7 +86,7 @@ def _height_row(chain: Chain) -> Row:
 def sentences(chain: Chain) -> list[str]:
     """What the heights of the Sun say, one-sided, in words."""
     chosen, box = chain.chosen, chain.box
-    level = "each with 95 % probability" if chosen.probable else f"{CONFIDENCE:.0%}"
+    level = "each with 95 % probability" if chosen.probable else f"{chain.case.assumptions.study.confidence:.0%}"
     small, possible = (_degrees(c.angle_range(c.smaller_angle)) for c in (chosen, box))
     large = _degrees(chosen.angle_range(chosen.larger_angle))
     found = []

@@ -163,7 +163,10 @@ def collision(case: Case, start: State, rng: np.random.Generator) -> tuple[State
     direction /= np.linalg.norm(direction)
     direction[2] = -abs(direction[2])  # paper, section 3.3: any direction, but towards -z
     velocity = case.published["collision_speed"].value * direction
-    after = impact(case.vehicle, before.omega_B, before.wheel_speed_rad_s, velocity, leg)
+    blow = case.assumptions.collision
+    after = impact(
+        case.vehicle, before.omega_B, before.wheel_speed_rad_s, velocity, leg, restitution=blow.restitution, damper=blow.damper
+    )
     told = {"collision_leg": leg, "collision_velocity_B": velocity}
     state = State(before.t_s, after["omega_B"].values, before.sun_B, after["wheel_speed_rad_s"].values)
     return before, state, told

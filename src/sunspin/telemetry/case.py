@@ -21,6 +21,8 @@ from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import read_bytes
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
+from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split
+from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.notebook import case_html
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
@@ -42,13 +44,22 @@ MAX_TIMELINE_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class Case:
-    """A landing, flight or test: the vehicle, what happened when, its telemetry and what was published about it."""
+    """A landing, flight or test: the vehicle, what happened when, its telemetry and what was published about it.
+
+    `assumptions`: those of the paper's study, where they are changed.
+    """
 
     name: str
     folder: Path
     vehicle: Vehicle
     timeline: Timeline | None
     published: Mapping[str, Published]
+    assumptions: Assumptions = Assumptions()
+
+    @property
+    def changes(self) -> tuple[Any, ...]:
+        """What was set for this run, of the vehicle and of the assumptions."""
+        return (*self.vehicle.changes, *self.assumptions.changes)
 
     @cached_property
     def telemetry(self) -> xr.Dataset:
@@ -85,8 +96,14 @@ def case_telemetry(name: str) -> Path | None:
     return path if name in case_names() and path.is_file() else None
 
 
-def load_case(name: str) -> Case:
+def load_case(name: str, changes: Changes = None) -> Case:
     """Load a built-in case by its name, for example ``"philae"``.
+
+    Parameters
+    ----------
+    changes : dict or list of str, optional
+        Values of the vehicle or of the study's assumptions that take the place of those in the files, by their keys, as in
+        :func:`sunspin.load_vehicle`; of the assumptions for example ``{"study.lead_s": 30, "collision.restitution": 0.2}``.
 
     Returns
     -------
@@ -105,12 +122,14 @@ def load_case(name: str) -> Case:
         )
     folder = _root() / name
     timeline, published = folder / "timeline.toml", folder / "published.toml"
+    of_vehicle, of_study = split(changes)
     return Case(
         name=name,
         folder=folder,
-        vehicle=load_vehicle(name),
+        vehicle=load_vehicle(name, of_vehicle),
         timeline=parse_timeline(timeline.read_text("utf-8"), str(timeline)) if timeline.is_file() else None,
         published=parse_published(published.read_text("utf-8"), str(published)) if published.is_file() else _frozen({}),
+        assumptions=read_assumptions(of_study),
     )
 
 

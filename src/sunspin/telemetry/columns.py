@@ -46,7 +46,8 @@ def unused_columns(vehicle: Vehicle, table: Table, columns: list[int]) -> list[s
     """Columns of the file that nothing reads."""
     form = vehicle.telemetry
     used = {form.time_column, "phase", *(table.header[at] for at in columns), *sensor_columns(vehicle)}
-    used |= {*form.temperature_columns.values(), *form.voltage_columns.values(), form.voltage_column}
+    used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
+    used |= {name for name in (form.voltage_column, form.receive_time_column) if name}
     return [name for name in table.header if name not in used]
 
 
@@ -69,9 +70,9 @@ def _sensor_parts(vehicle: Vehicle) -> Iterator[tuple[str, str, list[str]]]:
     for sensor in sensors.sun_sensors:
         names = [name for name in (sensor.x_column, sensor.y_column, sensor.light_column) if name]
         yield "[sun_sensor]", f"Sun sensor {sensor.name}", names
-    for section in ("gyro", "attitude", "magnetometer"):
+    for section in ("sun_vector", "gyro", "attitude", "magnetometer"):
         if (part := getattr(sensors, section)) is not None:
-            yield section, section, list(part.columns)
+            yield section, section.replace("_", " "), list(part.columns)
     for wheel in vehicle.wheels:
         if wheel.speed_column:
             yield "[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column]

@@ -61,32 +61,38 @@ def brightness(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
 
 def looks_all_around(vehicle: Vehicle, dead: np.ndarray | None = None) -> bool:
     """Whether three independent panels (that are not dead) are lit wherever the Sun stands."""
-    works = np.ones(len(vehicle.panels), dtype=bool) if dead is None else ~dead
+    works = np.ones(len(vehicle.inputs), dtype=bool) if dead is None else ~dead
     response = vehicle.response_in()
     sun, lit = response.regions()
     return all(row.sum() >= 3 and response.rank(row, at) == 3 for at, row in zip(sun, lit & works, strict=True))
 
 
 def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
-    """The vehicle with its gains times `factor` (n_panel)."""
-    return replace(vehicle, panels=tuple(replace(p, gain=p.gain * float(f)) for p, f in zip(vehicle.panels, factor, strict=True)))
+    """The vehicle with the gains of each input's panels times `factor` (n_input)."""
+    of_panel = np.ones(len(vehicle.panels))
+    for one, value in zip(vehicle.inputs, factor, strict=True):
+        of_panel[list(one.panels)] = value
+    return replace(vehicle, panels=tuple(replace(p, gain=p.gain * float(f)) for p, f in zip(vehicle.panels, of_panel, strict=True)))
 
 
 def prior_sigmas(vehicle: Vehicle, unstated: float = PRIOR_SIGMA) -> np.ndarray:
-    """Relative uncertainty of each gain as the vehicle file states it, else `unstated`."""
+    """Relative uncertainty of the gain of each input (of a channel: of its least known panel) as the vehicle file states it, else
+    `unstated`."""
     found = np.full(len(vehicle.panels), unstated)
     for k, panel in enumerate(vehicle.panels):
         for key in ("gain_W", "gain_A", "relative_gain"):
             fact = vehicle.facts.get(f"panel.{panel.name}.{key}")
             if fact is not None and isinstance(fact.sigma, float) and fact.sigma > 0 and panel.gain > 0:
                 found[k] = fact.sigma / panel.gain
-    return found
+    return np.array([found[list(one.panels)].max() for one in vehicle.inputs])
 
 
 def estimate_gains(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> Gains:
     """Gains from readings (n, n_panel) in full Sun, `full` being their brightness with the vehicle's own gains."""
     prior = prior_sigmas(vehicle)
     nothing = Gains(np.ones(len(prior)), np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), None, "")
+    if vehicle.throttled:
+        return nothing._replace(told="not told by the data: inputs are throttled, and no sample need be in full Sun")
     if not looks_all_around(vehicle, dead):
         return nothing._replace(told="not told by the data: the panels do not look all around, a Sun that stands aside looks dim")
     if len(value) < FEWEST:

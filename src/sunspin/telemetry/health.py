@@ -54,7 +54,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
     is_sun = isinstance(telemetry, xr.Dataset) and "lit" in telemetry
     sun = telemetry if is_sun else sun_directions(vehicle, telemetry, **options)
     forbidden = np.flatnonzero(np.asarray(sun["status"]) == SunStatus.IMPOSSIBLE)
-    names = np.array(vehicle.panel_names)
+    names = np.array(vehicle.input_names)
     patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
     counts = {pattern: patterns.count(pattern) for pattern in dict.fromkeys(patterns)}
     sigma, verdicts = float(sun.attrs["noise"]), {}
@@ -66,7 +66,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
     limit = np.inf if could_be_noise is None else could_be_noise
     needed = list(dict.fromkeys(p for p, chance in zip(patterns, probability, strict=True) if chance < limit))
     return {
-        "allowed": [tuple(name for name in vehicle.panel_names if name in p) for p in lit_patterns(vehicle)],
+        "allowed": [tuple(name for name in vehicle.input_names if name in p) for p in lit_patterns(vehicle)],
         "impossible": counts,
         "explanations": explanations(vehicle, needed),
         "noise": verdicts,
@@ -85,9 +85,9 @@ def explanations(vehicle: Vehicle, patterns: list[tuple[str, ...]], size: int | 
     possible = observable_patterns(vehicle)
     if not patterns:
         return []
-    sizes = range(1, len(vehicle.panel_names) + 1) if size is None else [size]
+    sizes = range(1, len(vehicle.input_names) + 1) if size is None else [size]
     for count in sizes:
-        found = [lost for lost in combinations(vehicle.panel_names, count) if all(_explained(p, lost, possible) for p in patterns)]
+        found = [lost for lost in combinations(vehicle.input_names, count) if all(_explained(p, lost, possible) for p in patterns)]
         if found:
             return found
     return []
@@ -147,7 +147,8 @@ def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_thresh
         Readings above it count as lit.
     """
     readings = np.atleast_2d(np.asarray(power, dtype=np.float64))
-    n_panel = len(vehicle.require_panels())
+    vehicle.require_panels()
+    n_panel = len(vehicle.inputs)
     if readings.ndim != 2 or readings.shape[1] != n_panel:
         raise InputError(sentence(f"powers must have one column for each of the {n_panel} panels", got=readings.shape))
     if not (np.isfinite(sigma) and sigma > 0):

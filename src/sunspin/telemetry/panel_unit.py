@@ -74,7 +74,7 @@ def _brightest(known: np.ndarray, largest: np.ndarray) -> np.ndarray:
 def _sunlit(vehicle: Vehicle, bright: np.ndarray, misfit: np.ndarray) -> bool:
     """Whether the Sun made these readings: panels agree on a direction, which noise in the dark does not let them."""
     two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
-    return len(vehicle.panels) > 3 and bool(two) and len(np.unique(bright)) >= DISTINCT and float(np.median(misfit)) < FITS
+    return len(vehicle.inputs) > 3 and bool(two) and len(np.unique(bright)) >= DISTINCT and float(np.median(misfit)) < FITS
 
 
 def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> WrongUnit | None:
@@ -82,7 +82,7 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     unit = UNITS[form.quantity]
     if vehicle.gain_unit != unit:
         return None
-    share = float(np.quantile((known / vehicle.panel_gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
+    share = float(np.quantile((known / vehicle.input_gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
     if 1 / BEYOND < share < BEYOND:
         return None
     bright = _brightest(known, largest)
@@ -95,7 +95,7 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
     times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
     more = "more" if ratio > 1 else "less"
-    stated = f"{float(vehicle.panel_gains.max()):.3g} {unit}"
+    stated = f"{float(vehicle.input_gains.max()):.3g} {unit}"
     what = f"the brightest samples read about {times} times {more} than the stated full signal of a panel ({stated}): a wrong unit"
     factor = 1000.0**-step if exact else 1 / ratio
     return WrongUnit(what, "telemetry", "scale", float(f"{form.scale * factor:.6g}") if exact else None)

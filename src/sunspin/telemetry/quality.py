@@ -43,6 +43,9 @@ TOLD_READINGS = 10
 LIT_SHARE = 0.5
 """Of the Earth's light on a panel to the Sun's, averaged over the samples in which it is lit, at most."""
 
+FACED = 0.3
+"""A panel that gets this share of full Sun looks at the Sun, and one opposite to it does not."""
+
 COSINE_QUANTILE = 0.68
 """The 84 % quantile of a face's cosine to the Earth, none being negative, over all directions."""
 
@@ -67,6 +70,8 @@ LIMITED_SCALE = 2.0
 CLEAN_SCALE = 0.06
 """Relative uncertainty of the scale of a sample in full Sun: cell temperature and spread of gains."""
 
+LATE = "dropped: a late or repeated frame (time does not increase)"
+STALE = "dropped: repeats the sample before it to the last digit (stale frame)"
 BELOW_FULL = "down-weighted: below full Sun, so the battery and not the Sun sets the current, or a dead panel is lit"
 IDLE = "dropped: far below full Sun, so the battery alone sets which panel gives the current"
 BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was left out"
@@ -103,7 +108,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
         full Sun; NaN: not told), `noise` (of a reading, with its quantisation), `full_sun_from`, `gains_from`.
     """
     value = signals(telemetry)
-    gains = vehicle.panel_gains
+    gains = vehicle.input_gains
     relative = value / gains
     dropped, why = _unusable(telemetry, value)
     good = ~dropped
@@ -115,10 +120,13 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     dark = bright < DEAD_FRACTION * full
     idle = good & ~dark & (bright < IDLE_FRACTION * full)
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
+    level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
+    if vehicle.throttled:  # the battery may limit any sample, and all readings of it alike
+        idle, limited, level = np.zeros_like(dark), np.zeros_like(dark), np.maximum(bright, 1e-12)[:, None]
     aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
     idle, limited = idle & ~aside, limited & ~aside
     clean = good & ~limited & ~idle & ~dark
-    albedo, seen = _albedo(vehicle, relative[clean] / full)
+    albedo, seen = _albedo(vehicle, (relative / level)[clean])
     told = estimate_gains(vehicle, use_value[clean], full, dead)
     gains = gains * told.factor
     noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
@@ -127,15 +135,15 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     # where they are not told, a string of cells may be dead or a full scale wrong: every sample has that error in common
     own = told.covariance if told.spread is not None else np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
     gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
-    untold = np.hypot(albedo, told.sigma * use_value / (full * gains))  # whose gains may be off by their prior
-    share = np.where(use_value > SURELY_LIT * albedo * full * gains, untold if told.spread is None else told.spread, albedo)
+    untold = np.hypot(albedo, told.sigma * use_value / (level * gains))  # whose gains may be off by their prior
+    share = np.where(use_value > SURELY_LIT * albedo * level * gains, untold if told.spread is None else told.spread, albedo)
     left = _left(albedo, told.spread, vehicle.telemetry.noise is not None)
     beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
-    floor = np.hypot(share * full * gains, noise)
+    floor = np.hypot(share * level * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
     sigma = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA) * largest * limited[:, None]
     nothing = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
-    beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * full * gains, noise)))
+    beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * level * gains, noise)))
     sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
     use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(np.int8)
     some = spike.any(axis=1) & (use == USED)
@@ -150,17 +158,19 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
         {
             "sigma": (("time", "panel"), sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
             "sigma_beside_earth": (("time", "panel"), beside, {"long_name": "the same where the Earth's light is modelled"}),
-            "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), full), {"units": "1"}),
-            "scale_sigma": ("time", np.where(limited, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}),
+            "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), level[:, 0]), {"units": "1"}),
+            "scale_sigma": (
+                "time", np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}
+            ),
             "gain": ("panel", gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
-            "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * vehicle.panel_gains),
-            "gain_cov": (("panel", "panel2"), gain_cov * np.outer(vehicle.panel_gains, vehicle.panel_gains)),
+            "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * vehicle.input_gains),
+            "gain_cov": (("panel", "panel2"), gain_cov * np.outer(vehicle.input_gains, vehicle.input_gains)),
             "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
             "why": ("time", why.astype(np.str_)),
             "dead": ("panel", dead),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs=provenance("panel_quality", telemetry, vehicle=vehicle.name) | {
+        attrs=provenance("panel_quality", telemetry, **vehicle.said) | {
                "full_sun": float(full), "albedo": float(albedo),
                "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
                "earth_light": earth,
@@ -176,7 +186,7 @@ def lit_threshold(vehicle: Vehicle, telemetry: xr.Dataset) -> float | None:
     if vehicle.telemetry.lit_threshold is not None or telemetry.sizes["time"] < DEAD_SAMPLES:
         return None
     about = panel_quality(vehicle, telemetry).attrs
-    light = about["albedo"] * about["full_sun"] * float(vehicle.panel_gains.max())
+    light = about["albedo"] * about["full_sun"] * float(vehicle.input_gains.max())
     told = about["albedo_samples"] >= DEAD_SAMPLES and light > SURELY_LIT * LIT_SIGMAS * about["noise"]
     return SURELY_LIT * light if told else None
 
@@ -188,11 +198,11 @@ def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.
     empty = ~np.isfinite(value).any(axis=1)
     why[empty] = "dropped: no panel has a number"
     late = (flag & 4) != 0
-    why[late] = "dropped: a late or repeated frame (time does not increase)"
+    why[late] = LATE
     same = np.zeros(len(value), dtype=bool)
     same[1:] = np.all(value[1:] == value[:-1], axis=1) & (np.nan_to_num(value[1:]) > 0).any(axis=1)
     same &= _finely_quantised(value)
-    why[same & (why == "")] = "dropped: repeats the sample before it to the last digit (stale frame)"
+    why[same & (why == "")] = STALE
     return empty | late | same, why
 
 
@@ -209,7 +219,7 @@ def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     unit = {"power_W": "W", "current_A": "A"}[vehicle.telemetry.quantity]
     if vehicle.gain_unit == unit:
         return 1.0, "the gains of the vehicle file"
-    bright = brightness(vehicle, np.nan_to_num(relative) * vehicle.panel_gains)
+    bright = brightness(vehicle, np.nan_to_num(relative) * vehicle.input_gains)
     if not len(bright) or bright.max() <= 0:
         return 1.0, "nothing: no panel is lit"
     return float(np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)), "the brighter samples of the file"
@@ -229,7 +239,7 @@ def _aside(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -
     """
     model = (full * panel_power(vehicle, sphere(DIRECTIONS)))[:, ~dead]
     model = model[(model.sum(axis=1) > 0) & ~(full * panel_power(vehicle, sphere(DIRECTIONS)))[:, dead].any(axis=1)]
-    gains = vehicle.panel_gains[~dead]
+    gains = vehicle.input_gains[~dead]
     found = np.zeros(len(value), dtype=bool)
     for start in range(0, len(value) if len(model) else 0, CHUNK):
         part = value[start : start + CHUNK][:, ~dead] / gains
@@ -252,9 +262,11 @@ def _quantum(value: np.ndarray) -> float:
 def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
     how many readings tell it."""
-    facing = vehicle.response_in().facing_B
-    opposite = facing @ facing.T < -0.99
-    readings = [share[share[:, j] > 0.3, i] for i, j in np.argwhere(opposite)]
+    response = vehicle.response_in()
+    opposite = response.facing_B @ response.facing_B.T < -0.99
+    seen = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
+    opposite &= np.array([[not seen[seen[:, j] > FACED, i].any() for j in range(len(opposite))] for i in range(len(opposite))])
+    readings = [share[share[:, j] > FACED, i] for i, j in np.argwhere(opposite)]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
     told = len(dark) >= TOLD_READINGS

@@ -22,6 +22,7 @@ from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import UNITS
 from sunspin.telemetry.sensors import ABSURD, read_sensors, unwrapped
 from sunspin.vehicle import TelemetryForm, Vehicle
+from sunspin.vehicle.craft import OR_CHANNEL
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
@@ -35,11 +36,13 @@ NEGATIVE_SHARE = 0.05
 COLDEST_C, HOTTEST_C = -200.0, 250.0
 """No solar panel in flight is colder or hotter: such a reading is none."""
 
+UNIX_ZERO, LATEST_UNIX_S = datetime(1970, 1, 1, tzinfo=UTC), 1e11
+
 LEAST_FACTOR = 0.2
 """A temperature correction below this is beyond any linear law and left out."""
 
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
-    """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, Parquet or NetCDF file.
+    """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
 
     Parameters
     ----------
@@ -52,8 +55,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     -------
     xarray.Dataset
         `power_W` (or `current_A`) over (time, panel), `flag (time)` (bits, 0 is good), coordinate `time` in s from
-        ``attrs["epoch_utc"]``, `phase (time)` where the file has such a column; attrs name the file, its hash, whether
-        it calls itself synthetic, its `unused_columns`, and `missing_sensors`: those of which it has no column. With
+        ``attrs["epoch_utc"]``, `phase (time)` and `received_s (time)` where the file has such columns; attrs name the file, its
+        hash, whether it calls itself synthetic, its `unused_columns`, and `missing_sensors`: those of which it has no column. With
         ``bad_rows = "flag"`` rows are sorted by time, and rows of one instant that say the same become one, as where several
         ground stations heard a frame: attrs `rows_sorted` and `rows_merged` count them.
 
@@ -63,26 +66,36 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         Naming file, line, column, what was found and what to do.
     """
     path = Path(path)
-    if not (vehicle.sensors.sun_sensors or vehicle.sensors.gyro):
+    if not (vehicle.sensors.sun_sensors or vehicle.sensors.sun_vector or vehicle.sensors.gyro):
         vehicle.require_panels()
     form = vehicle.telemetry
     if path.suffix == ".toml":
         what = "this is a vehicle's file and not telemetry"
         raise TelemetryError(sentence(what, do="give the vehicle first and then a table of samples", where=str(path)))
     table = read_table(path)
+    if "frame" in table.header and form.time_column not in table.header and set(table.header) & {"timestamp", "observer"}:
+        what, do = "the file holds raw frames and no readings", "turn them into a table first, as `sunspin decode` does for skCUBE"
+        raise TelemetryError(sentence(what, do=do, where=str(path)))
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, path, optional=bool(sensors))
     time_at = column_of(table, form.time_column, "the time", path)
-    time, epoch = _times(form, [row[time_at] for row in table.rows], table, path)
+    received = _received(form, table, path)
+    time, epoch = _times(form, [row[time_at] for row in table.rows], table, path, received)
     mended: dict[str, int] = {}
     if form.bad_rows == "flag":
-        table, time, epoch, mended = _in_order(form, table, time, epoch, time_at)
-        sensors = read_sensors(vehicle, table) if mended else sensors
+        apart = {form.time_column, form.receive_time_column, *unused_columns(vehicle, table, columns)}
+        read = {at for at, name in enumerate(table.header) if name not in apart}
+        table, time, epoch, mended = _in_order(form, table, time, epoch, read)
+        if mended:
+            sensors, received = read_sensors(vehicle, table), _received(form, table, path)
     volts = _volts(vehicle, table, path) if columns and form.has_voltages else None
     values, flag = _values(form, table, columns, volts, path)
     values, warmth = _at_reference(vehicle, table, values, path)
     flag |= _order_flags(form, time, table, path)
     unused, missing = unused_columns(vehicle, table, columns), missing_sensors(vehicle, table, columns, path)
+    if received is not None:
+        about = {"units": "s", "long_name": "when the row was received, from the epoch of the times"}
+        sensors["received_s"] = ("time", received - (epoch - UNIX_ZERO).total_seconds(), about)
     return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth).assign_attrs(
         unused_columns=", ".join(unused), missing_sensors="; ".join(missing), **mended
     )
@@ -91,7 +104,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
 def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = False) -> list[int]:
     powers = vehicle.telemetry.quantity == "power_W" and not vehicle.telemetry.has_voltages
     letter, unit = ("P", "W") if powers else ("I", "A")
-    known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.panel_names}
+    known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.input_names}
     if optional and not any(name in table.header for names in known.values() for name in names):
         return []
     found = []
@@ -102,7 +115,7 @@ def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = 
         found.append(column_of(table, present[0], f"panel {panel}", path))
     if twice := [at for at in found if found.count(at) > 1]:
         what = "two panels read one column"
-        do = "name the column of each under [telemetry.columns] in the vehicle file"
+        do = f"name the column of each under [telemetry.columns] in the vehicle file{OR_CHANNEL}"
         raise TelemetryError(sentence(what, got=table.header[twice[0]], do=do, where=str(path)))
     return found
 
@@ -117,8 +130,8 @@ def _number(text: str) -> float:
 def _volts(vehicle: Vehicle, table: Table, path: Path) -> np.ndarray:
     """Voltage (n, n_panel) of each current."""
     form = vehicle.telemetry
-    names = [form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.panel_names]
-    at = [column_of(table, name, f"voltage of panel {panel}", path) for name, panel in zip(names, vehicle.panel_names, strict=True)]
+    names = [form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.input_names]
+    at = [column_of(table, name, f"voltage of panel {panel}", path) for name, panel in zip(names, vehicle.input_names, strict=True)]
     volts = form.voltage_scale * np.array([[_number(row[column]) for column in at] for row in table.rows]).reshape(-1, len(at))
     volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
     if form.bad_rows == "refuse" and not np.isfinite(volts).all():
@@ -177,13 +190,13 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
     form = vehicle.telemetry
     if not form.temperature_columns or not values.shape[1]:
         return values, {}
-    strange = [name for name in form.temperature_columns if name not in vehicle.panel_names]
+    strange = [name for name in form.temperature_columns if name not in vehicle.input_names]
     if strange:
         raise TelemetryError(sentence("telemetry.temperature_columns names a panel that the vehicle has not", got=strange[0]))
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
         at = column_of(table, name, f"temperature of panel {panel}", path)
-        warm[:, vehicle.panel_names.index(panel)] = [_number(row[at]) for row in table.rows]
+        warm[:, vehicle.input_names.index(panel)] = [_number(row[at]) for row in table.rows]
     warm *= form.temperature_scale
     warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)
     known = np.isfinite(warm)
@@ -196,7 +209,7 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
     return values / factor, {"panel_temperature_C": (("time", "panel"), warm, about)}
 
 
-def _parse_utc(text: str) -> datetime | None:
+def parse_utc(text: str) -> datetime | None:
     text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
     day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text)  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
     try:
@@ -209,9 +222,25 @@ def _parse_utc(text: str) -> datetime | None:
         return None
 
 
-def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> tuple[np.ndarray, datetime]:
-    """Seconds from the epoch, and the epoch: the vehicle's, else the first sample."""
-    fixed = None if form.epoch_utc is None else _parse_utc(form.epoch_utc)
+def _received(form: TelemetryForm, table: Table, path: Path) -> np.ndarray | None:
+    """When each row (n) was received, Unix seconds; NaN where it does not say; None if no column says."""
+    name = form.receive_time_column
+    if name is None:
+        return None
+    at = column_of(table, name, "the time of reception", path)
+    cells = [row[at] for row in table.rows]
+    if form.receive_time_format == "unix":
+        seconds = np.array([_number(cell) for cell in cells])
+        return np.where(np.abs(seconds) < LATEST_UNIX_S, seconds, np.nan)
+    moments = [parse_utc(cell) for cell in cells]
+    return np.array([np.nan if moment is None else (moment - UNIX_ZERO).total_seconds() for moment in moments])
+
+
+def _times(
+    form: TelemetryForm, cells: list[str], table: Table, path: Path, received: np.ndarray | None
+) -> tuple[np.ndarray, datetime]:
+    """Seconds from the epoch, and the epoch: the vehicle's, else by when rows were received, else the first sample."""
+    fixed = None if form.epoch_utc is None else parse_utc(form.epoch_utc)
     if form.epoch_utc is not None and fixed is None:
         raise TelemetryError(sentence("telemetry.epoch_utc of the vehicle is not an ISO-8601 time", got=form.epoch_utc))
     kind = {"utc": "an ISO-8601 UTC time", "unix": "Unix seconds", "elapsed": "seconds"}[form.time_format]
@@ -227,32 +256,34 @@ def _times(form: TelemetryForm, cells: list[str], table: Table, path: Path) -> t
         )
 
     if form.time_format == "utc":
-        parsed = [_parse_utc(cell) for cell in cells]
+        parsed = [parse_utc(cell) for cell in cells]
         moments = [moment for moment in parsed if moment is not None]
         if len(moments) < len(parsed):
             raise bad(parsed.index(None))
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
     numbers = np.array([_number(cell) for cell in cells]) * form.time_scale_s
-    if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > 1e11:
-        raise bad(int(np.flatnonzero(~(np.abs(numbers) <= 1e11))[0]))
+    if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > LATEST_UNIX_S:
+        raise bad(int(np.flatnonzero(~(np.abs(numbers) <= LATEST_UNIX_S))[0]))
     if form.time_format == "elapsed":
+        if fixed is None and received is not None and np.isfinite(received).any():
+            fixed = UNIX_ZERO + timedelta(seconds=round(float(np.nanmedian(received - numbers)), 3))
         if fixed is None:
             raise TelemetryError(sentence("elapsed times need telemetry.epoch_utc in the vehicle file"))
         return numbers, fixed
-    unix_zero = datetime(1970, 1, 1, tzinfo=UTC)
-    epoch = fixed or unix_zero + timedelta(seconds=float(numbers[0]))
-    return numbers - (epoch - unix_zero).total_seconds(), epoch
+    epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
+    return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
 
 
 def _in_order(
-    form: TelemetryForm, table: Table, time: np.ndarray, epoch: datetime, time_at: int
+    form: TelemetryForm, table: Table, time: np.ndarray, epoch: datetime, read: set[int]
 ) -> tuple[Table, np.ndarray, datetime, dict[str, int]]:
-    """Rows sorted by time, those of one instant that do not contradict each other merged; and how many were moved and merged."""
+    """Rows sorted by time, those of one instant that do not contradict each other in what is `read` merged (the station's name may
+    differ, and when it heard them); and how many were moved and merged."""
     rows: list[list[str]] = []
     kept: list[int] = []
     for i in np.argsort(time, kind="stable"):
-        if kept and time[i] == time[kept[-1]] and (both := _merged(rows[-1], table.rows[i], time_at)) is not None:
+        if kept and time[i] == time[kept[-1]] and (both := _merged(rows[-1], table.rows[i], read)) is not None:
             rows[-1] = both
         else:
             rows.append(table.rows[i])
@@ -262,15 +293,15 @@ def _in_order(
     if not any(counts.values()):
         return table, time, epoch, {}
     time = time[kept]
-    if form.epoch_utc is None:
+    if form.epoch_utc is None and form.time_format != "elapsed":
         epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
     return table._replace(rows=rows, lines=[table.lines[i] for i in kept]), time, epoch, {k: n for k, n in counts.items() if n}
 
 
-def _merged(first: list[str], second: list[str], time_at: int) -> list[str] | None:
+def _merged(first: list[str], second: list[str], read: set[int]) -> list[str] | None:
     """Two rows of one instant as one, with each other's empty cells filled; None where they contradict each other."""
     cells = enumerate(zip(first, second, strict=True))
-    if any(a != b and a.strip() and b.strip() for k, (a, b) in cells if k != time_at):
+    if any(a != b and a.strip() and b.strip() for k, (a, b) in cells if k in read):
         return None
     return [a if a.strip() else b for a, b in zip(first, second, strict=True)]
 
@@ -295,13 +326,12 @@ def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dat
     form = vehicle.telemetry
     coords: dict[str, Any] = {
         "time": ("time", time, {"units": "s", "long_name": "time since the epoch"}),
-        "panel": list(vehicle.panel_names),
+        "panel": list(vehicle.input_names),
     }
     if "phase" in table.header:
         at = table.header.index("phase")
         coords["phase"] = ("time", np.array([row[at].strip() for row in table.rows], dtype=np.str_))
-    attrs = provenance("telemetry") | {
-        "vehicle": vehicle.name,
+    attrs = provenance("telemetry", **vehicle.said) | {
         "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
         "quantity": form.quantity,
         "file": path.name.encode("utf-8", "backslashreplace").decode("utf-8"),  # attributes hold no half characters

@@ -8,7 +8,7 @@ import numpy as np
 
 from sunspin.base.tables import Table
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.sensors import Attitude, SunSensor
+from sunspin.vehicle.sensors import Attitude, SunSensor, SunVector
 
 RADIAL_SIGMA = 0.02
 """Sigma along the direction itself: a chord is shorter than its arc, and the covariance must have full rank."""
@@ -22,6 +22,9 @@ UNIT = 0.02
 AGREE = 0.5
 """Sensors that see different Suns cancel: a mean direction shorter than this is none."""
 
+SHORTEST = 0.5
+"""A Sun vector shorter than this part of the longest is none: some computers write zeros in the dark, others what is left of it."""
+
 NEIGHBOUR_RAD = 0.73
 """Where a sensor's neighbour is lit too and the angle towards it is not read, the Sun stands about 42 degrees off."""
 
@@ -32,7 +35,7 @@ def sensor_columns(vehicle: Vehicle) -> list[str]:
     """Columns that the vehicle's sensors read."""
     sensors = vehicle.sensors
     names = [name for s in sensors.sun_sensors for name in (s.x_column, s.y_column, s.light_column) if name]
-    for part in (sensors.gyro, sensors.attitude, sensors.magnetometer):
+    for part in (sensors.sun_vector, sensors.gyro, sensors.attitude, sensors.magnetometer):
         names += list(part.columns) if part is not None else []
     return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
 
@@ -48,8 +51,10 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     found: dict[str, Any] = {}
     sensors = vehicle.sensors
     present = [s for s in sensors.sun_sensors if all(n in table.header for n in (s.x_column, s.y_column, s.light_column) if n)]
-    if present:
-        sun, covariance = _sun(present, table)
+    vector = sensors.sun_vector
+    vector = vector if vector is not None and all(name in table.header for name in vector.columns) else None
+    if present or vector is not None:
+        sun, covariance = _sun(present, vector, table)
         found["sun_sensor_B"] = (("time", "axis"), sun, {"units": "1", "long_name": "Sun by the Sun sensors, body axes"})
         found["sun_sensor_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
     gyro, magnetometer = sensors.gyro, sensors.magnetometer
@@ -101,15 +106,15 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
     return np.where(np.abs(values) < ABSURD, values, np.nan)
 
 
-def _sun(sensors: list[SunSensor], table: Table) -> tuple[np.ndarray, np.ndarray]:
+def _sun(sensors: list[SunSensor], vector: SunVector | None, table: Table) -> tuple[np.ndarray, np.ndarray]:
     """The Sun from all sensors that see it, each weighted by its information about each axis."""
     n = len(table.rows)
-    light = np.stack([_light(sensor, table) for sensor in sensors], axis=1)
+    light = np.array([_light(sensor, table) for sensor in sensors]).reshape(len(sensors), n).T
     lit = light > [sensor.lit_above for sensor in sensors]
     information, weighted = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    for k, sensor in enumerate(sensors):
-        direction, part = _one_sensor(sensor, sensors, lit, table)
-        use = lit[:, k] & np.isfinite(direction).all(axis=1)
+    seen = [(*_one_sensor(sensor, sensors, lit, table), lit[:, k]) for k, sensor in enumerate(sensors)]
+    for direction, part, sees in [*seen, *([] if vector is None else [_vector(vector, table)])]:
+        use = sees & np.isfinite(direction).all(axis=1)
         information[use] += part[use]
         weighted[use] += np.einsum("nij,nj->ni", part[use], direction[use])
     seen = np.trace(information, axis1=1, axis2=2) > 0
@@ -121,6 +126,17 @@ def _sun(sensors: list[SunSensor], table: Table) -> tuple[np.ndarray, np.ndarray
     sun[agree] /= size[agree, None]
     sun[~agree], covariance[~agree] = np.nan, np.nan
     return sun, covariance
+
+
+def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions (n, 3) with their information (n, 3, 3), and where the Sun was seen (n)."""
+    value = _numbers(table, form.columns)
+    size = np.linalg.norm(value, axis=1)
+    longest = float(np.nanmax(size, initial=0.0))
+    sees = size > max(SHORTEST * longest, 1 / ABSURD)
+    direction = value / np.where(sees, size, 1.0)[:, None]
+    along = direction[:, :, None] * direction[:, None, :]
+    return direction, along / RADIAL_SIGMA**2 + (np.eye(3) - along) / form.sigma_rad**2, sees
 
 
 def _light(sensor: SunSensor, table: Table) -> np.ndarray:

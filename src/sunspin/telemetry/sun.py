@@ -18,7 +18,7 @@ from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import Pattern, lit_patterns, observable_patterns
+from sunspin.vehicle.response.panels import Pattern, lit_patterns, named, observable_patterns
 from sunspin.vehicle.response.protocol import PanelResponse
 
 LIT_FRACTION = 0.02
@@ -26,6 +26,10 @@ LIT_FRACTION = 0.02
 
 LIT_SIGMAS = 3.0
 """With one, above this many sigma."""
+
+ALIKE, APART_RAD = 0.05, 0.02
+"""Where panels share inputs, directions whose Delta exceeds the smallest by less than the first (or than the noise makes) fit
+alike, unless they are nearer to each other than the second."""
 
 
 class SunStatus(IntEnum):
@@ -39,6 +43,7 @@ class SunStatus(IntEnum):
     REGION = 5
     DARK = 6
     MISSING = 7
+    SEVERAL = 8
 
 
 STATUS_TEXT = {
@@ -49,6 +54,7 @@ STATUS_TEXT = {
     SunStatus.ARC: "lit panels face directions in one plane only: the Sun lies somewhere on an arc",
     SunStatus.REGION: "lit panels all face one way: the Sun lies somewhere in a region",
     SunStatus.DARK: "no panel lit",
+    SunStatus.SEVERAL: "several directions fit alike: an input that panels share does not tell which of them is lit",
     SunStatus.MISSING: "the telemetry of this sample is missing or flagged",
 }
 
@@ -62,9 +68,13 @@ def is_reconstructed(status: Any) -> np.ndarray:
 
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     """The lit patterns that geometry allows and from which a direction follows: three panels that look in
-    independent directions, no rule against."""
+    independent directions, no rule against, and no panels that share an input so that several directions fit."""
     patterns = lit_patterns(vehicle)
-    found = _pattern_statuses(vehicle, [tuple(name in pattern for name in vehicle.panel_names) for pattern in patterns])
+    response = vehicle.response_in()
+    regions = response.regions()
+    doubtful = named(vehicle, regions.lit[_several(vehicle, response.power(regions.sun_B), 0.0)])
+    patterns = tuple(pattern for pattern in patterns if pattern not in doubtful)
+    found = _pattern_statuses(vehicle, [tuple(name in pattern for name in vehicle.input_names) for pattern in patterns])
     return frozenset(pattern for pattern, (status, _) in zip(patterns, found, strict=True) if status in RECONSTRUCTED)
 
 
@@ -87,7 +97,7 @@ def _status_cached(response: PanelResponse, possible: frozenset, rules: tuple, l
 
 
 def _pattern_statuses(vehicle: Vehicle, patterns: list[tuple[bool, ...]]) -> list[tuple[SunStatus, str]]:
-    names = vehicle.panel_names
+    names = vehicle.input_names
     possible = frozenset(tuple(name in pattern for name in names) for pattern in observable_patterns(vehicle))
     rules = tuple((tuple(names.index(name) for name in rule.all_dark), rule.reason) for rule in vehicle.sun_rules)
     return [_status_cached(vehicle.response_in(), possible, rules, lit) for lit in patterns]
@@ -136,6 +146,10 @@ def sun_directions(
         noise = _pooled_noise(clean, delta, lit, status)
     if np.isnan(noise) and dark is not None:
         noise, noise_from = dark, "estimated from readings below zero"
+    doubtful = told.copy()
+    doubtful[told] = _several(vehicle, clean[told], noise)
+    status, texts = np.where(doubtful, SunStatus.SEVERAL, status), np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
+    told &= ~doubtful
     covariance = _covariances(vehicle, clean, lit, told, noise)
     arcs = _arcs(vehicle, clean, lit, status)
     return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
@@ -150,7 +164,8 @@ def signals(telemetry: xr.Dataset) -> np.ndarray:
 
 
 def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
-    n_panel = len(vehicle.require_panels())
+    vehicle.require_panels()
+    n_panel = len(vehicle.inputs)
     if isinstance(telemetry, xr.Dataset):
         return signals(telemetry), telemetry
     power = np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
@@ -177,6 +192,17 @@ def _statuses(vehicle: Vehicle, lit: np.ndarray, finite: np.ndarray) -> tuple[np
 def best_directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The direction (n, 3) with the smallest Delta (n) for each sample of powers (n, n_panel): the global minimum."""
     return vehicle.response_in().best(power)
+
+
+def _several(vehicle: Vehicle, power: np.ndarray, noise: float) -> np.ndarray:
+    """Which samples (n) of powers (n, n_panel) have several directions that fit alike."""
+    if not vehicle.channels or not len(power):
+        return np.zeros(len(power), dtype=bool)
+    size = np.linalg.norm(power, axis=1)
+    made = LIT_SIGMAS * np.nan_to_num(noise) * np.sqrt(power.shape[1]) / np.where(size > 0, size, np.inf)
+    found = vehicle.response_in().alike(power, np.maximum(made, ALIKE))
+    away = np.linalg.norm(found - found[:, :1], axis=-1)
+    return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))
 
 
 def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray) -> float:
@@ -209,12 +235,11 @@ def _arcs(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, status: np.ndarr
 
 
 def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold):
-    coords: dict[str, Any] = {"axis": ["x", "y", "z"], "panel": list(vehicle.panel_names)}
+    coords: dict[str, Any] = {"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)}
     if base is not None:
         coords |= {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
     attrs = {} if base is None else dict(base.attrs)
-    attrs |= provenance("sun_directions") | {
-        "vehicle": vehicle.name,
+    attrs |= provenance("sun_directions", **vehicle.said) | {
         "noise": float(noise),
         "noise_from": noise_from,
         "lit_threshold": float(threshold),

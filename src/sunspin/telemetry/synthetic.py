@@ -54,7 +54,7 @@ def telemetry_dataset(
     quantity = vehicle.telemetry.quantity
     coords: dict[str, Any] = {
         "time": ("time", t_s, {"units": "s", "long_name": "time since the epoch"}),
-        "panel": list(vehicle.panel_names),
+        "panel": list(vehicle.input_names),
         "axis": ["x", "y", "z"],
     }
     if phase is not None:
@@ -79,7 +79,7 @@ def csv_text(vehicle: Vehicle, telemetry: xr.Dataset, comments: list[str]) -> st
     """The telemetry as text: comment lines, UTC to the millisecond, values to 1e-6, the phase where there is one."""
     form = vehicle.telemetry
     epoch = datetime.fromisoformat(telemetry.attrs["epoch_utc"]).astimezone(UTC)
-    columns = [form.columns.get(name, f"P{name}_W") for name in vehicle.panel_names]
+    columns = [form.columns.get(name, f"P{name}_W") for name in vehicle.input_names]
     has_phase = "phase" in telemetry.coords
     lines = [f"# {comment}" for comment in comments]
     lines.append(",".join([form.time_column, *columns, *(["phase"] if has_phase else [])]))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, replace
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, PlainValidator, ValidationInfo
+from pydantic import AfterValidator, PlainValidator, StrictBool, ValidationInfo
 
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle.notebook import vehicle_html
@@ -16,6 +16,7 @@ from sunspin.vehicle.part import (
     FloatArray,
     Name,
     Number,
+    Numbers,
     Part,
     Positive,
     Text,
@@ -27,8 +28,9 @@ from sunspin.vehicle.part import (
     no_entries,
     part,
 )
-from sunspin.vehicle.parts import Antenna, Fact, HullPart, Leg, Orbit, Panel, SunRule, Wheel
+from sunspin.vehicle.parts import Antenna, Channel, Fact, HullPart, Leg, Orbit, Panel, SunRule, Wheel
 from sunspin.vehicle.response.choice import ResponseForm, response_of
+from sunspin.vehicle.response.joined import Input, full_signal
 from sunspin.vehicle.response.protocol import PanelResponse
 from sunspin.vehicle.sensors import Sensors
 
@@ -40,6 +42,9 @@ MAX_WHEELS = 8
 
 MAX_PARTS = 1000
 """Legs, parts of the hull, rules."""
+
+OR_CHANNEL = "; panels that share an input of the power system are one [[channel]]"
+"""What is said where two panels are given one column."""
 
 LIMITS = {"panels": MAX_PANELS, "wheels": MAX_WHEELS, "legs": MAX_PARTS, "hull": MAX_PARTS, "sun_rules": MAX_PARTS}
 
@@ -54,8 +59,12 @@ class TelemetryForm(Part):
     A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
     `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
     Columns of currents give powers where there are voltages: then a value is that times `voltage_scale` times the panel's entry in
-    `voltage_columns`, or where it has none `voltage_column`.
+    `voltage_columns`, or where it has none `voltage_column`. An input is read its entry of `offset_s` later than its row's time,
+    and over `averaged_s` about that instant. `receive_time_column`: when a row was received, kept beside its own time.
+    `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
     """
+
+    unsaid: ClassVar[tuple[str, ...]] = ("throttled", "offset_s", "averaged_s", "receive_time_column")
 
     quantity: Literal["power_W", "current_A"] = "power_W"
     time_column: Name = "time"
@@ -67,6 +76,10 @@ class TelemetryForm(Part):
     lit_threshold: Positive | None = None
     bad_rows: Literal["refuse", "flag"] = "refuse"
     time_scale_s: Positive = 1.0
+    receive_time_column: Name | None = None
+    receive_time_format: Literal["utc", "unix"] = "utc"
+    offset_s: Numbers = field(default_factory=no_entries)
+    averaged_s: Annotated[Number, must(lambda value: value >= 0, "{path} must not be negative")] = 0.0
     zero: Number = 0.0
     wraps_at: Positive | None = None
     voltage_column: Name | None = None
@@ -76,18 +89,19 @@ class TelemetryForm(Part):
     temperature_scale: Positive = 1.0
     temperature_coefficient_per_K: Number = 0.0
     reference_temperature_C: Number = 25.0
+    throttled: StrictBool = False
 
     def __post_init__(self) -> None:
-        used = [self.time_column, *self.columns.values()]
+        used = [self.time_column, *([self.receive_time_column] if self.receive_time_column else []), *self.columns.values()]
         if twice := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
-            raise VehicleError(sentence(what, got=twice[0], do="give each panel its own"))
+            raise VehicleError(sentence(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}"))
         if self.has_voltages and self.quantity != "power_W":
             what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
             raise VehicleError(sentence(what, do='set quantity = "power_W", or leave the voltages out'))
-        if self.time_format == "elapsed" and self.epoch_utc is None:
+        if self.time_format == "elapsed" and self.epoch_utc is None and self.receive_time_column is None:
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
-            raise VehicleError(sentence(what, do="add the UTC of time zero"))
+            raise VehicleError(sentence(what, do="add the UTC of time zero, or receive_time_column"))
 
     @property
     def has_voltages(self) -> bool:
@@ -139,10 +153,14 @@ Facts = Annotated[Mapping[str, Fact], AfterValidator(lambda facts: MappingProxyT
 class Vehicle(Part):
     """A rigid spacecraft with any number of panels, wheels and legs.
 
+    What the telemetry reads of the panels are inputs: each of the `channels`, and each panel that is in none of them.
+
     `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the joint centre of mass, off-diagonal
     entries being tensor elements (minus the products of inertia). Mass and inertia may be unknown (None): then what needs
-    them says so.
+    them says so. `changes`: what was set for this run beside the file (:mod:`sunspin.vehicle.changes`), for results to say.
     """
+
+    unsaid: ClassVar[tuple[str, ...]] = ("channels",)
 
     name: Name
     inertia_kg_m2: Inertia | None = None
@@ -158,7 +176,11 @@ class Vehicle(Part):
     telemetry: TelemetryForm = TelemetryForm()
     sensors: Sensors = Sensors()
     panel_response: ResponseForm = ResponseForm()
+    channels: tuple[Channel, ...] = ()
     facts: Facts = field(default_factory=no_entries)
+    changes: tuple[Any, ...] = ()
+
+    beside: ClassVar[tuple[str, ...]] = ("changes",)
 
     def __post_init__(self) -> None:
         for key, most in LIMITS.items():
@@ -168,9 +190,15 @@ class Vehicle(Part):
             _require_distinct([part.name for part in getattr(self, key)], key)
         if self.inertia_kg_m2 is not None:
             _require_wheels_fit(self)
+        _require_channels_fit(self)
         _require_known_panels(self)
 
     _repr_html_ = vehicle_html
+
+    @property
+    def said(self) -> dict[str, str]:
+        """What results say of the vehicle in their attributes: its name, and what was changed where anything was."""
+        return {"vehicle": self.name} | ({"changes": "\n".join(map(str, self.changes))} if self.changes else {})
 
     @property
     def panel_names(self) -> tuple[str, ...]:
@@ -186,13 +214,49 @@ class Vehicle(Part):
         """Gains (n_panel)."""
         return np.array([panel.gain for panel in self.panels], dtype=np.float64)
 
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """What the telemetry reads, in the order of the panels, a channel standing where its first panel does."""
+        names, channel_of = self.panel_names, {name: channel for channel in self.channels for name in channel.panels}
+        found: dict[str, Input] = {}
+        for k, name in enumerate(names):
+            channel = channel_of.get(name)
+            one = Input(name, (k,)) if channel is None else Input(
+                channel.name, tuple(names.index(each) for each in channel.panels), channel.reads == "largest"
+            )  # fmt: skip
+            found.setdefault(one.name, one)
+        return tuple(found.values())
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.inputs)
+
+    @property
+    def input_gains(self) -> FloatArray:
+        """What each input (n_input) reads at most: the gain of a panel, of the largest on a channel, or of a channel's sum."""
+        if not self.channels:
+            return self.panel_gains
+        return np.array([full_signal(one, self.panel_normals_B, self.panel_gains) for one in self.inputs])
+
+    @property
+    def throttled(self) -> bool:
+        """Whether the readings of a sample have a factor in common that nobody knows."""
+        return self.telemetry.throttled or any(channel.throttled for channel in self.channels)
+
     def response_in(self, phase: str | None = None) -> PanelResponse:
-        """How the panels see light in a phase of the vehicle's timeline: by one law in all phases, as yet.
+        """How the inputs see light in a phase of the vehicle's timeline: by one law in all phases, as yet.
 
         The rest of the package asks nothing but this about it; the answer is kept and shared.
         """
+        return self._response(self.inputs if self.channels else ())
+
+    def panels_in(self, phase: str | None = None) -> PanelResponse:
+        """The same of the panels themselves, whatever input they are on: for drawings."""
+        return self._response(())
+
+    def _response(self, inputs: tuple[Input, ...]) -> PanelResponse:
         normals, gains = map(tuple, self.panel_normals_B.tolist()), tuple(self.panel_gains.tolist())
-        return response_of(self.panel_response.law, self.panel_names, tuple(normals), gains)
+        return response_of(self.panel_response.law, self.panel_names, tuple(normals), gains, inputs)
 
     def require_inertia(self) -> FloatArray:
         """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
@@ -264,20 +328,47 @@ def _require_wheels_fit(vehicle: Vehicle) -> None:
         )
 
 
+def _require_channels_fit(vehicle: Vehicle) -> None:
+    """Each panel is read once, each input has its own name, and throttled is said of all inputs or of none."""
+    _require_distinct([channel.name for channel in vehicle.channels], "channels")
+    panels = [name for channel in vehicle.channels for name in channel.panels]
+    for channel in vehicle.channels:
+        if unknown := [name for name in channel.panels if name not in vehicle.panel_names]:
+            what, do = f"channel {channel.name!r} names a panel that the vehicle does not have", f"panels: {[*vehicle.panel_names]}"
+            raise VehicleError(sentence(what, got=unknown[0], do=do))
+        if twice := [name for name in channel.panels if panels.count(name) > 1]:
+            what = "a panel is in two channels"
+            raise VehicleError(sentence(what, got=twice[0], do="list it on the input that it is wired to"))
+        if channel.name in set(vehicle.panel_names) - set(panels):
+            what = f"channel {channel.name!r} is called like a panel that is not in it"
+            raise VehicleError(sentence(what, do="give the channel another name"))
+    bound = [channel.throttled for channel in vehicle.channels]
+    if any(bound) and not (all(bound) and set(panels) == set(vehicle.panel_names)) and not vehicle.telemetry.throttled:
+        what = "some inputs are throttled and others are not"
+        raise VehicleError(sentence(what, do="set throttled = true under [telemetry], which is of all inputs, or leave it out"))
+
+
 def _require_known_panels(vehicle: Vehicle) -> None:
-    known = set(vehicle.panel_names)
-    named = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
     form = vehicle.telemetry
-    named += [("panel_response", name) for name in vehicle.panel_response.panels]
-    named += [("telemetry.columns", name) for name in form.columns]
-    named += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
+    named = [("panel_response", name) for name in vehicle.panel_response.panels]
     named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]
-    for key, name in named:
-        if name not in known:
-            raise VehicleError(
-                sentence(f"{key} names a panel that the vehicle does not have", got=name, do=f"panels: {sorted(known)}")
-            )
-    without = [name for name in vehicle.panel_names if name not in form.voltage_columns]
+    read = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
+    read += [("telemetry.columns", name) for name in form.columns]
+    read += [("telemetry.offset_s", name) for name in form.offset_s]
+    read += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
+    read += [("telemetry.temperature_columns", name) for name in form.temperature_columns if name in vehicle.panel_names]
+    for known, every in ((vehicle.panel_names, named), (vehicle.input_names, read)):
+        for key, name in every:
+            if name in known:
+                continue
+            if name in vehicle.panel_names:
+                channel = next(channel.name for channel in vehicle.channels if name in channel.panels)
+                what, do = f"{key} names a panel that is read through a channel", f"name the channel, {channel!r}"
+                raise VehicleError(sentence(what, got=name, do=do))
+            kind = "panels" if not vehicle.channels else "panels and channels"
+            what, do = f"{key} names a panel that the vehicle does not have", f"{kind}: {sorted(known)}"
+            raise VehicleError(sentence(what, got=name, do=do))
+    without = [name for name in vehicle.input_names if name not in form.voltage_columns]
     if form.voltage_columns and form.voltage_column is None and without:
         what, do = "a panel has no voltage and others have", "add it, or voltage_column for all that have none of their own"
         raise VehicleError(sentence(what, got=without[0], do=do, where="telemetry.voltage_columns"))

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
-from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError, printable, sentence
 from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import read_bytes
+from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
 from sunspin.vehicle.part import Name, Part, numbers, part, problem
 from sunspin.vehicle.response.choice import ResponseForm
@@ -48,29 +49,62 @@ class VehicleFile(Part):
     sun_rule: tuple[parts.SunRule, ...] = ()
     telemetry: craft.TelemetryForm = craft.TelemetryForm()
     sun_sensor: tuple[sensors.SunSensor, ...] = ()
+    sun_vector: sensors.SunVector | None = None
     gyro: sensors.Gyro | None = None
     attitude: sensors.Attitude | None = None
     magnetometer: sensors.Magnetometer | None = None
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
     panel_response: ResponseForm = ResponseForm()
+    channel: tuple[parts.Channel, ...] = ()
 
 
-def read_vehicle(source: object) -> craft.Vehicle:
+class ChangedFile(NamedTuple):
+    """A vehicle file with changes, which stands where a name or a path does."""
+
+    source: object
+    changes: tuple[ch.Change, ...]
+
+
+def read_vehicle(source: object, changes: ch.Changes = None) -> craft.Vehicle:
     """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
+    if isinstance(source, ChangedFile):
+        source, changes = source.source, source.changes
+    asked = ch.changes_of(changes)
     if isinstance(source, craft.Vehicle):
+        if asked:
+            raise VehicleError(sentence("changes are made to a vehicle's file", do="give its name or its path with them"))
         return source
-    where = f"built-in vehicle {source!r}" if isinstance(source, str) and source in builtin_names() else str(source)
-    return parse_vehicle(vehicle_text(source), where)
+    return parse_vehicle(vehicle_text(source), where_of(source), asked)
+
+
+def changed_file(source: object, changes: tuple[ch.Change, ...]) -> object:
+    """A vehicle's name or path, with changes where there are any."""
+    return ChangedFile(source, changes) if changes else source
+
+
+def where_of(source: object) -> str:
+    """A vehicle file in words, for messages."""
+    return f"built-in vehicle {source!r}" if isinstance(source, str) and source in builtin_names() else str(source)
 
 
 def vehicle_text(source: object) -> str:
-    """The text of a built-in vehicle's file, by name, or of a vehicle file, by path."""
+    """The text of a built-in vehicle's file, by name, or of a vehicle file, by path; with changes the changed one."""
+    if isinstance(source, ChangedFile):
+        table = vehicle_table(source.source)
+        table, made = ch.changed(table, source.changes, VehicleFile)
+        said = [f"# {source.source} with changes for one run:", *(f"#   {one}" for one in made)]
+        return "\n".join(printable(line) for line in said) + "\n" + ch.toml_text(table)
     if isinstance(source, str) and source in builtin_names():
         return resources.files("sunspin").joinpath("cases", source, "vehicle.toml").read_text(encoding="utf-8")
     if not isinstance(source, str | Path):
         raise VehicleError(sentence("a vehicle is named by a text or a path", got=type(source).__name__))
     return _read_text(Path(source))
+
+
+def vehicle_table(source: object) -> dict[str, Any]:
+    """The parsed TOML of a vehicle file."""
+    return read_toml(vehicle_text(source), where_of(source), VehicleError)
 
 
 def builtin_names() -> list[str]:
@@ -90,16 +124,19 @@ def _read_text(path: Path) -> str:
         ) from None
 
 
-def parse_vehicle(text: str, where: str) -> craft.Vehicle:
-    """Turn the text of a vehicle file into a `Vehicle`; `where` names the file in messages."""
+def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) -> craft.Vehicle:
+    """Turn the text of a vehicle file, with changes, into a `Vehicle`; `where` names the file in messages."""
     if not text.strip():
         raise VehicleError(sentence("the file is empty", do="`sunspin init DIR` writes one to start from", where=where))
     do = "correct that line"
     if where.lower().endswith(".csv"):
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
     table = read_toml(text, where, VehicleError, do)
+    table, made = ch.changed(table, changes, VehicleFile)
+    if made:
+        where = f"{where} with {', '.join(one.key for one in made)} set"
     try:
-        return _vehicle(table)
+        return _vehicle(table, made)
     except RecursionError:
         raise VehicleError(sentence("the file is nested too deeply to be a vehicle file", where=where)) from None
     except ValidationError as error:
@@ -108,7 +145,7 @@ def parse_vehicle(text: str, where: str) -> craft.Vehicle:
         raise VehicleError(f"{where}: {error}") from None
 
 
-def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
+def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehicle:
     file = TypeAdapter(VehicleFile).validate_python(table, context="file", by_alias=True, by_name=False)
     units = {unit for panel in table.get("panel", ()) for key, unit in parts.GAIN_UNITS.items() if key in panel}
     if len(units) > 1:
@@ -126,9 +163,13 @@ def _vehicle(table: dict[str, Any]) -> craft.Vehicle:
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
-        sensors=sensors.Sensors(file.sun_sensor, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock),
+        sensors=sensors.Sensors(
+            file.sun_sensor, file.sun_vector, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock
+        ),
         panel_response=file.panel_response,
+        channels=file.channel,
         facts=dict(_facts(table)),
+        changes=made,
     )
 
 
@@ -143,7 +184,7 @@ def _facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.
         elif isinstance(item, list) and all(isinstance(each, dict) for each in item):
             for each in item:
                 yield from _facts(each, f"{where}{key}.{each.get('name')}.")
-        elif not isinstance(item, str) and not (isinstance(item, list) and isinstance(item[0], str)):
+        elif not isinstance(item, str | bool) and not (isinstance(item, list) and isinstance(item[0], str)):
             yield f"{where}{key}", parts.Fact(numbers(item))
 
 

@@ -235,6 +235,8 @@ Positive = Annotated[Number, must(above_zero, "{path} must be positive")]
 Vector = Annotated[FloatArray, array(lambda value: value.shape == (3,), "{path} must be three numbers")]
 Text = Annotated[Mapping[Name, Name], AfterValidator(lambda value: MappingProxyType(dict(value)))]
 
+Numbers = Annotated[Mapping[Name, Number], AfterValidator(lambda value: MappingProxyType(dict(value)))]
+
 
 def no_entries() -> Mapping[str, Any]:
     return MappingProxyType({})

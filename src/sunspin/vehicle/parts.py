@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import InitVar, field
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, AliasChoices, AliasPath, Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, AliasChoices, AliasPath, Field, PlainValidator, StrictBool, ValidationInfo, model_validator
 
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle.part import (
@@ -67,6 +67,28 @@ class Panel(Part):
             what = f"panel {panel.name!r} must give exactly one of {', '.join(GAIN_UNITS)}"
             raise VehicleError(sentence(what, got=", ".join(found) or "none"))
         return panel
+
+
+def _panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+    channel = info.data.get("name")
+    if not names:
+        raise VehicleError(sentence(f"channel {channel!r} names no panel", do="list the panels on this input"))
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise VehicleError(sentence(f"channel {channel!r} names a panel twice", got=twice[0], do="keep one of them"))
+    return names
+
+
+@part
+class Channel(Part):
+    """An input of the power system that panels share: it reads their sum, or the largest of them (diodes or a common tracker).
+
+    `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
+    """
+
+    name: Name
+    panels: Annotated[tuple[Name, ...], AfterValidator(_panels)]
+    reads: Literal["sum", "largest"]
+    throttled: StrictBool = False
 
 
 @part

@@ -5,7 +5,7 @@ All in body axes.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
@@ -73,6 +73,17 @@ class SunSensor(Part):
             raise VehicleError(sentence("{path} must give both y_column and y_scale, or neither"))
         if (self.y_turned_above is None) != (self.y_turned_scale is None):
             raise VehicleError(sentence("{path} must give both y_turned_above and y_turned_scale, or neither"))
+
+
+@part
+class SunVector(Part):
+    """Three columns along the body axes with the direction to the Sun, as somebody has computed it: of any length.
+
+    `sigma_rad`: one sigma of the direction. Where a vector is shorter than half of the longest, no Sun was seen.
+    """
+
+    columns: Annotated[tuple[Name, ...], *_columns(3)]
+    sigma_rad: Positive
 
 
 @part
@@ -160,7 +171,10 @@ class Clock(Part):
 class Sensors(Part):
     """All of these; what is absent is empty or None."""
 
+    unsaid: ClassVar[tuple[str, ...]] = ("sun_vector",)
+
     sun_sensors: tuple[SunSensor, ...] = ()
+    sun_vector: SunVector | None = None
     gyro: Gyro | None = None
     attitude: Attitude | None = None
     magnetometer: Magnetometer | None = None

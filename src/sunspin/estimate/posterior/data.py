@@ -103,6 +103,9 @@ def readings(
         Fewer than three samples with a lit panel, an unknown phase or observation, powers of other panels than the vehicle's.
     """
     vehicle.require_panels()
+    if vehicle.channels:
+        what, do = "the posterior does not know panels that share an input", "use `sunspin rates`, which does"
+        raise InputError(sentence(what, got=f"channel {vehicle.channels[0].name!r}", do=do))
     value = np.asarray(signals(telemetry), dtype=np.float64)
     if value.ndim != 2 or value.shape[1] != len(vehicle.panels):
         raise InputError(sentence("the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"))

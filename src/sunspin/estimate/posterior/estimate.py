@@ -25,7 +25,8 @@ from sunspin.estimate.posterior.fit import chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model, under
 from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, require_few, within
-from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict
+from sunspin.estimate.posterior.prior_widths import prior_widths
+from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.posterior.widths import Sample, resampled, sample
 from sunspin.vehicle import Vehicle
 
@@ -134,12 +135,13 @@ def posterior(
         told["time_s"] = f"{off:.2g} s (from the residuals)"
         modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
     tree = _tree(likelihood, modes, drawn, picked)
-    tree.attrs |= _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
+    tree.attrs.update(_about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data))
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
     if edge > 0.01:
         modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
+    tree.attrs["prior_widths"] = json.dumps({"word": word_of(found), "told": prior_widths(there, drawn, found)})
     prior_sigma = min(chosen.limit, there.max_rate) / np.sqrt(5)  # of a component, even in the ball
     row = believed(found, tree, prior_sigma, bool(off), AS_STATED if observations else UNCHECKED)
     tree["passes"] = xr.Dataset(table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]})
@@ -248,8 +250,8 @@ def chi_square(likelihood: Likelihood, state: State) -> tuple[float, int]:
 
 def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Model, data: Readings) -> dict[str, Any]:
     comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
-    return provenance("posterior", telemetry, **comments) | {
-        "vehicle": vehicle.name, "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
+    return provenance("posterior", telemetry, **comments, **vehicle.said) | {
+        "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
         "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,

@@ -92,7 +92,7 @@ def denser(
     size = np.array([reach_s] * 3 + [1.0] * 2)
     spread = np.linalg.inv(normal[:, :5, :5].astype(np.float64) + np.diag([widest**-2] * 3 + [1.0] * 2))
     values, vectors = np.linalg.eigh(spread * size[:, None] * size)
-    free = (np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE) & (reach_s > AGAIN * beside)[:, None]
+    free = (np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE) & (AGAIN * beside < reach_s)[:, None]
     beside = np.where(free.any(axis=1), reach_s, beside)
     parts, parent = [state], [np.arange(len(state))]
     for signs in product((0, 1, -1), repeat=FREE):

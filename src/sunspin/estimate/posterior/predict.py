@@ -132,7 +132,8 @@ def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike) -> xr.D
 
 def carried(tree: xr.DataTree) -> dict[str, Any]:
     """What predictions take over from the posterior's attributes."""
-    return provenance("predictions", tree, **{key: tree.attrs[key] for key in ("vehicle", "verdict_word") if key in tree.attrs})
+    told = {key: tree.attrs[key] for key in ("vehicle", "changes", "verdict_word") if key in tree.attrs}
+    return provenance("predictions", tree, **told)
 
 
 def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:

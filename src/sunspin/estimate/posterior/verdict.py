@@ -68,13 +68,18 @@ def verdict(found: Found) -> tuple[str, str]:
     if found.rough:
         worth = f"{found.effective:.0f} draws (Pareto k {found.tail:.2f})"
         doubts.append(f"the sample is worth only {worth}: widths and weights are rough")
-    text = _regions(found, told)
-    word = "line" if _is_line(found, told) else "unique" if found.is_unique else "aliases"
+    text, word = _regions(found, told), word_of(found)
     if found.spoilt:
         text += "; " + "; ".join(found.spoilt)
     if doubts:
         return "not sure", f"not sure: {'; '.join(doubts)}; as far as it goes, {text}"
     return word, text
+
+
+def word_of(found: Found) -> str:
+    """What the regions alone say, readings and search set aside: "line", "unique" or "aliases"."""
+    told = np.flatnonzero(found.weight >= COUNTS)
+    return "line" if _is_line(found, told) else "unique" if found.is_unique else "aliases"
 
 
 def refused(p: float, noise_sigmas: float) -> bool:

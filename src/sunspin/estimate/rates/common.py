@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.smooth import between, damping_scale, followed, moved, normal_equations, whitening
+from sunspin.estimate.rates.motion import Body, step
+from sunspin.estimate.rates.smooth import Intervals, between, damping_scale, followed, moved, normal_equations, whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
 from sunspin.solve.least_squares import least_squares, take
@@ -81,7 +81,7 @@ def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
 
 def has_common(o: Observations, clock: Clock | None, motion: Motion) -> bool:
     """Whether a pass has such errors at all."""
-    return clock is not None or places_of(o, motion, clock).count > 0
+    return clock is not None or places_of(o, motion, clock).n > 0
 
 
 def acceleration(body: Body, omega: np.ndarray, momentum: np.ndarray) -> np.ndarray:
@@ -105,9 +105,11 @@ def with_common(
     acceleration noise (rad/s^1.5) under which the hypotheses were found, if they have to be cooled from there.
     """
     places = places_of(o, motion, clock)
-    error = np.zeros((len(track.omega), places.count))
+    error = np.zeros((len(track.omega), places.n))
+    about = [attitude for term, _ in places.state if (attitude := term.begin(track)) is not None]
+    track = replace(track, attitude=about[0]) if about else track
     for term, place in places.sun:
-        attitude, error[:, place] = term.begin(track)
+        attitude, error[:, place] = term.begin(track, bool(about))
         track = replace(track, attitude=attitude)
     if clock is not None:
         error[:, -1] = first
@@ -160,7 +162,7 @@ class Places(NamedTuple):
     clock: slice
 
     @property
-    def count(self) -> int:
+    def n(self) -> int:
         return len(self.unknowns)
 
     @property
@@ -201,8 +203,8 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
     moved = [moving(unseen, track.take(k), motion, error[k, places.moving][0]) for k in each]
     diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
-    border = np.zeros((*slope.shape, places.count))
-    corner = np.repeat(np.eye(places.count)[None], len(error), axis=0)
+    border = np.zeros((*slope.shape, places.n))
+    corner = np.repeat(np.eye(places.n)[None], len(error), axis=0)
     error_slope = error.copy()
     border[..., places.moving] += inside
     corner[:, places.moving, places.moving] += between_errors
@@ -230,16 +232,21 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     inertia = motion.body.inertia + np.tensordot(of_inertia, motion.body.errors, axes=1)
     sphere = motion.body.spherical and not len(of_inertia)
     motion = replace(motion, body=replace(motion.body, inertia=inertia, spherical=sphere))
-    cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion)
+    over = Intervals.of(o, track, motion)
+    tied = between(o, track, motion, over)
+    cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion, tied)
     r = len(error)
     border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
-    value, first, second = between(o, track, motion)
+    value, first, second = tied
     answer = [np.zeros((*value.shape, 0))]
     for change in motion.body.errors:
-        other = replace(motion, body=replace(motion.body, inertia=inertia + INERTIA_STEP * change))
-        answer.append(((between(o, track, other)[0] - value) / INERTIA_STEP)[..., None])
+        body = replace(motion.body, inertia=inertia + INERTIA_STEP * change)
+        other = over.defect(track.omega, *over.step(body, track.omega, step))
+        changed = np.zeros_like(value)  # what other terms say of neighbours does not know the body
+        changed[..., :6] = (other - value[..., :6]) / INERTIA_STEP
+        answer.append(changed[..., None])
     if len(of_others):
         pulled = _linear(o, track, motion, value.shape)
         more = pulled @ of_others
@@ -289,7 +296,7 @@ def sun_part(o: Observations, track: Track, error: np.ndarray, motion: Motion, c
     places = places_of(o, motion, clock)
     late = np.zeros(len(error)) if clock is None else _late(clock, error)
     seen = track if clock is None else seen_later(o, track, motion, late)
-    size = 6 + places.count
+    size = 6 + places.n
     matrix, slope = np.zeros((*track.omega.shape[:2], size, size)), np.zeros((*track.omega.shape[:2], size))
     cost = np.zeros(len(error))
     for term, place in places.sun:

@@ -9,26 +9,29 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.environment import Environment
-from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
+from sunspin.environment.orbit import Orbit, SunAlongZ
+from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
+from sunspin.estimate.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
+from sunspin.estimate.rates.images import either_side, images_of, not_told
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined, settled
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.residuals import Fitted, residuals
-from sunspin.estimate.rates.seed import distinct, distinct_index, guesses, search
+from sunspin.estimate.rates.seed import distinct, distinct_index, field_leads, guesses, out_of_field, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import coarse
@@ -59,6 +62,12 @@ NOISE_RANGE = (1e-9, 1.0)
 
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
+
+NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE = 0.3, 0.75, 0.4
+"""Of the effort: as far as the choice of the torques' strength may go, and the search of all passes; beside it, for wirings."""
+
+FEW_MODES = 3
+"""Modes that are fitted with all unknowns where the effort is spent."""
 
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
@@ -100,8 +109,10 @@ def rates(
     gap_s: float | None = None,
     pass_id: int | None = None,
     environment: Environment | None = None,
+    calibration: FieldCalibration | None = None,
     torques: Sequence[str | Torque] = (),
     wirings: bool = False,
+    effort: float = 1.0,
     progress: bool = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
@@ -127,7 +138,13 @@ def rates(
     pass_id : int, optional
         Only this pass, counted from zero as in the result; default: all.
     environment : Environment, optional
-        What surrounds the body, on the telemetry's clock, with z of its N to the Sun (:func:`sunspin.environment.circular`).
+        What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
+        to the Sun (:func:`sunspin.environment.circular`). In an orbit the field, the shadow and the direction of the Earth's light
+        are known: a magnetometer, calibrated along the orbit, gives directions, and samples without a Sun count. The orbit is
+        believed; :func:`sunspin.estimate.orbit.judged_orbit` judges it before.
+    calibration : FieldCalibration, optional
+        Of the magnetometer along the orbit (:func:`sunspin.estimate.field_calibration.field_calibration`), by a longer file say;
+        default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
@@ -135,15 +152,20 @@ def rates(
         Where a pass does not fit, try on the one with the most samples other wirings of panels and sensors
         (:mod:`sunspin.estimate.wiring`), and if none fits to leave out each sensor, the Sun's too
         (:mod:`sunspin.estimate.rates.hypotheses`); this takes minutes. Name what fits.
+    effort : float
+        How much may be computed, in units of what is usual (about a minute and a half of one core, counted in motions and not in
+        seconds: :mod:`sunspin.estimate.effort`); infinite: whatever is needed. Where it does not suffice the best so far is kept,
+        `search_complete` is false and the verdict says that the search was cut short.
     progress : bool
-        Show how many passes have been searched, and how long the others will take.
+        Show what is being done, and how long it will take at most.
 
     Returns
     -------
     xarray.Dataset
         On `time` (all samples used; the search keeps 40 of a pass, the motion carries what it finds to the others), of each
         pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
-        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_id`.
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
+        magnetometer J2000, `attrs["frame_N"]` says which), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_id`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
         mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
@@ -158,48 +180,85 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
-    forces = acting(torques, environment)
-    _require_sun_along_z(environment)
-    o, why, source = observations(vehicle, telemetry, source)
+    local = _along_the_sun(environment)
+    forces = acting(torques, local)
+    orbit = local.orbit if isinstance(local, SunAlongZ) else None
+    calibration = calibration or (None if orbit is None else field_calibration(orbit, vehicle, telemetry))
+    o, why, source = observations(vehicle, telemetry, source, local, calibration)
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
     parts = [parts[k] for k in ids]
     sensors = vehicle.sensors
     rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
-    given = _known_noise(vehicle, o) if acceleration_noise is None else acceleration_noise
+    given = _known_noise(vehicle, o, acceleration_noise)
     body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None, acting=forces)
-    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
-        low, high = NOISE_RANGE
-        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
-    noise, o, wheels = choose(o, parts, body, rate_max, given, momenta)
+    spent = Effort(allowed(effort), "rates" if progress else None)
+    spent.doing("how strong torques are")
+    with spent.part(NOISE_SHARE * spent.most) as judged:
+        noise, o, wheels = choose(o, parts, body, rate_max, given, momenta)
     motion = Motion(body, noise, rate_max / 2)
     use = usable(o, why)
     wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
-    searched = tqdm(parts, unit="pass", desc="rates", disable=not progress, leave=False)
-    tracks = [(o.take(part), leading(o.take(part), motion, rate_max)) for part in searched]
+    tracks, cut = _searched(o, parts, motion, rate_max, spent)
     if not _torque_told(vehicle, o):
-        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise)))
+        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise, o.freed().field_N)))
     ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
-    if given is None:
-        motion = replace(motion, noise=refined(ready, motion))
-    clock, late = _clock(sensors.clock, ready, motion)
-    each = zip(wholes, parts, (track for _, track in tracks), strict=True)
-    found, walk = link(o, [finished(o, *one, motion, clock, rate_max, noise) for one in each], motion)
-    missed = [coarse(o.take(part), motion, rate_max) for part in parts]
+    with spent:
+        spent.doing("errors in common")
+        if given is None:
+            motion = replace(motion, noise=refined(ready, motion))
+        clock, late = _clock(sensors.clock, ready, motion)
+        each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent)
+    found, walk = link(o, each, motion)
+    cut = np.logical_or(cut, fewer) | judged.cut
+    missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = _dataset(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
-    result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed, telemetry.attrs.get("epoch_utc")))
-    walked = np.nan if walk is None else walk
-    result = result.assign_attrs(late, wheels=wheels, walk_between_passes=walked, coarse_passes=sum(missed))
-    result.attrs["no_sphere"] = int(body.spherical and noise >= HIGHER_NOISES[0])
+    result = _in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
+    result = result.assign_coords(pass_id=ids).assign(_believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
+    result = result.assign_attrs(
+        late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
+        cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(body.spherical and noise >= HIGHER_NOISES[0]),
+    )  # fmt: skip
+    if source == "panels" and (alike := not_told(vehicle)):
+        result.attrs["alike"] = alike
     if wirings and not result["fits"].values.all():
-        result = _other_wiring(result, vehicle, telemetry, rate_max, environment, torques)
-        if "wiring_doubt" not in result.attrs:
-            bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
-            result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
+        with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
+            result = _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques)
+            if "wiring_doubt" not in result.attrs and may_go_on():
+                bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
+                result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
+        result = result.assign_attrs(wirings_cut=int(tried.close()))
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _searched(
+    o: Observations, parts: list[np.ndarray], motion: Motion, rate_max: float, spent: Effort
+) -> tuple[list[tuple[Observations, Track]], list[bool]]:
+    """The heavier modes of each pass, and whether its search was cut short: each may take its part of what is left."""
+    tracks, cut = [], []
+    for k, part in enumerate(parts):
+        spent.doing(f"pass {k + 1} of {len(parts)}")
+        with spent.part((SEARCH_SHARE * spent.most - spent.spent) / (len(parts) - k)) as own:
+            tracks.append((o.take(part), leading(o.take(part), motion, rate_max)))
+        cut.append(own.cut)
+    return tracks, cut
+
+
+def _all_finished(
+    o: Observations, wholes: list[np.ndarray], parts: list[np.ndarray], tracks: list[tuple[Observations, Track]], motion: Motion,
+    clock: Clock | None, rate_max: float, begin: float, spent: Effort,
+) -> tuple[list[Pass], list[bool]]:
+    """All passes `finished`, and where only some of the modes were, the effort being spent."""
+    found, fewer = [], []
+    for k, (whole, part, (_, track)) in enumerate(zip(wholes, parts, tracks, strict=True)):
+        spent.doing(f"fit of pass {k + 1} of {len(parts)}")
+        fewer.append(len(track.omega) > FEW_MODES and not may_go_on())
+        found.append(finished(o, whole, part, track.take(slice(FEW_MODES)) if fewer[-1] else track, motion, clock, rate_max, begin))
+    spent.close()
+    return found, fewer
 
 
 def _odd_sensor(
@@ -227,14 +286,15 @@ def _odd_sensor(
     return {"odd_sensor": f"{odd.hypothesis.what} the other readings fit: it does not see what they see"}
 
 
-def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) -> xr.Dataset:
+def _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques) -> xr.Dataset:
     """The result with the wiring that fits the longest pass that does not fit as stated, or the sensor that is in its way."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
     times, first = np.unique(telemetry["time"].values, return_index=True)
     part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
-    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment}
+    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment,
+                               "calibration": calibration}  # fmt: skip
 
     def evidence(other: Vehicle, data: xr.Dataset) -> float:
         try:
@@ -257,6 +317,23 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, torques) ->
     return result.assign_attrs(wiring_doubt=found.words)
 
 
+def _in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations) -> xr.Dataset:
+    """The result with the turn about the Sun and its sigma; where a magnetometer was used, with attitudes from J2000."""
+    best = [p.track.take(np.array([0])) for p in found]
+    sun, covariance = (np.concatenate(parts) for parts in zip(*((t.sun_B[0], t.covariance[0]) for t in best), strict=True))
+    sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
+    about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
+    result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
+        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s,
+        orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
+    )  # fmt: skip
+    if o.freed().field_N is None:
+        return result
+    attitude = Rotation.from_quat(result["B_from_N"].values).as_matrix() @ local.N_from_J2000(result["time"].values)
+    turned = ("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}
+    return result.assign(B_from_N=turned).assign_attrs(frame_N=J2000)
+
+
 def _asked_for(pass_id: int | None, count: int) -> list[int]:
     """Which of so many passes are estimated."""
     if pass_id is None:
@@ -266,17 +343,27 @@ def _asked_for(pass_id: int | None, count: int) -> list[int]:
     return [int(pass_id)]
 
 
-def _require_sun_along_z(environment: Environment | None) -> None:
+def _along_the_sun(environment: Environment | None) -> Environment | None:
+    """The environment in axes whose z is the Sun's direction."""
+    if isinstance(environment, Orbit):
+        return SunAlongZ(environment)
     sun = SUN_N if environment is None else environment.at(0.0).sun_N[0]
     if np.linalg.norm(sun - SUN_N) > 1e-6:
         raise InputError(sentence("rates needs an environment with z of its N to the Sun", got=f"the Sun at {np.round(sun, 3)}"))
+    return environment
 
 
-def _known_noise(vehicle: Vehicle, o: Observations) -> float | None:
-    """The vehicle's acceleration noise: another one where its dipole cannot be modelled, the field not being measured."""
+def _known_noise(vehicle: Vehicle, o: Observations, asked: float | None) -> float | None:
+    """The acceleration noise asked for, else the vehicle's: another one where its dipole cannot be modelled, the field not being
+    measured."""
     disturbance = vehicle.sensors.disturbance
     modelled = disturbance.dipole is None or _torque_told(vehicle, o)
-    return disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+    stated = disturbance.acceleration_noise if modelled else disturbance.noise_without_field
+    given = stated if asked is None else asked
+    if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
+        low, high = NOISE_RANGE
+        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
+    return given
 
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
@@ -307,10 +394,19 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
     """The heavier modes of one pass, best first."""
     found = []
     for guess in guesses(o):
-        track = _turned_about_sun(guess, search(guess, motion, rate_max), motion)
+        if found and not may_go_on():
+            break
+        track = search(guess, motion, rate_max)
+        track = out_of_field(o, track, motion) if field_leads(o) else _turned_about_sun(guess, track, motion)
         order, weight = _ranked(track)
-        found.append(track.take(order[: max(1, int(np.count_nonzero(weight[: 2 * MAX_MODES] > LEAST_WEIGHT**2)))]))
+        heavy = weight[: max(2 * MAX_MODES, most_modes(o))] > LEAST_WEIGHT**2
+        found.append(track.take(order[: max(1, int(np.count_nonzero(heavy)))]))
     return joined(found)
+
+
+def most_modes(o: Observations) -> int:
+    """Modes reported for each pass: two motions with all their images at least."""
+    return max(MAX_MODES, 2 * len(images_of(o)))
 
 
 def _turned_about_sun(o: Observations, track: Track, motion: Motion) -> Track:
@@ -368,7 +464,7 @@ def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass]
     result = []
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")
-        keep = order[: max(1, int(np.count_nonzero(weight[order[:MAX_MODES]] > LEAST_WEIGHT)))]
+        keep = order[: max(1, int(np.count_nonzero(weight[order[: most_modes(o)]] > LEAST_WEIGHT)))]
         result.append(p.take(keep, weight[keep]))
     return result, walk
 
@@ -401,7 +497,9 @@ def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[b
         for name, one in told.items():
             misfits[name][k] = one
         explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
-        said = answers(p.weight[0] >= DECIDED, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
+        one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
+        unique = bool(p.weight[one].sum() >= DECIDED)
+        said = answers(unique, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
         row = PassMotions(
             len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
             UNCHECKED if list(told) == ["Sun"] else AS_STATED,
@@ -432,8 +530,8 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
-    attrs: dict[str, Any] = provenance("rates", telemetry) | {
-        "vehicle": vehicle.name, "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
+    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
+        "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
@@ -465,9 +563,21 @@ def _dataset(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate
     return result
 
 
+def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
+    """What is said of passes with `one` motion that may see the Sun on either side, and of those with `several`."""
+    text = ""
+    if sides := int((one & (result["weight"].values[:, 0] < DECIDED)).sum()):
+        text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
+    if several.any() and "alike" in result.attrs:
+        return f"{text}; in the others several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
+    if several.any():
+        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    return text
+
+
 def verdict(result: xr.Dataset) -> str:
     """What the data can tell, in words."""
-    decided, unique, fits, complete = (result[name].values for name in ("decided", "unique", "fits", "search_complete"))
+    decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
     informed = np.all([result[f"informed_{axis}"].values for axis in "xyz"], axis=0)
     text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight, "
     text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
@@ -477,9 +587,12 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
-    if (fits & ~unique).any():
-        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
-    if missed := int((~complete).sum()):
+    text += _left_open(result, fits & unique, fits & ~unique)
+    if cut := result.attrs["cut_passes"]:
+        text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"
+    if result.attrs.get("wirings_cut"):
+        text += "; not every other wiring was tried: give more effort (`--effort 10`)"
+    if missed := result.attrs["coarse_passes"]:
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
     if result.attrs["sensors_late_from"] == SUSPECTED and "wiring_doubt" not in result.attrs:

@@ -19,6 +19,7 @@ from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble.attitude import carry
 from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.rotations import turn, turn_between
@@ -130,6 +131,7 @@ def step(
 
     `counts` (...): steps to take, of :func:`steps_of` where they are not given.
     """
+    spend(dt.size)
     if body.spherical:
         return _sphere(body, omega, np.asarray(dt), ends.field, ends.field_end)
     return _runge_kutta(body, omega, np.asarray(dt), ends, steps_of(body, omega, dt, ends) if counts is None else counts)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.base.errors import InputError
+from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.common import Clock, Common, cooler, with_common
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.seed import SEED_NOISE, cooled, guesses, seeds
@@ -49,7 +50,12 @@ def choose(
     ladder = (noises, HIGHER_NOISES) if len(noises) == 1 or not body.spherical else (noises + HIGHER_NOISES + SPHERE_NOISES,)
     for what, momentum in wheels.items():
         for rungs in ladder:
-            each = [_evidence(replace(o, momentum=momentum).take(part), body, rungs, rate_max) for part in longest]
+            each: list[np.ndarray] = []
+            for part in longest:
+                each.append(_evidence(replace(o, momentum=momentum).take(part), body, rungs, rate_max))
+                if not evidence and not may_go_on():  # all are judged by the same passes
+                    longest = longest[: len(each)]
+                    break
             evidence |= {(rung, what): float(total) for rung, total in zip(rungs, np.sum(each, axis=0), strict=True)}
             own = {rung: value for (rung, other), value in evidence.items() if other == what}
             if noise is not None or max(own, key=lambda rung: own[rung]) != NOISE_LADDER[-1]:

@@ -8,8 +8,13 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.environment import Environment
+from sunspin.estimate.field_calibration import FieldCalibration
 from sunspin.estimate.rates.state import Observations
+from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.sensors import read_terms, sun_source
+from sunspin.estimate.terms.sun_direction import UNREAD
+from sunspin.telemetry.quality import IDLE, LATE
 from sunspin.vehicle import Vehicle
 
 GAP_FACTOR = 6.0
@@ -25,28 +30,42 @@ GROWTH = 1.4
 """Ratio of neighbouring steps of the thinned samples: they leave from the file's own interval and widen to even steps."""
 
 
-def observations(vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = None) -> tuple[Observations, np.ndarray, str]:
+FIELD_ALONE = "used: the field alone; "
+"""What is said of a sample without a Sun whose field an orbit makes a direction."""
+
+NOT_SEEN = ("dropped: no panel lit", IDLE, "dropped: no panel has a number", UNREAD)
+"""What is said of samples whose only fault is that they show no Sun."""
+
+
+def observations(
+    vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = None, environment: Environment | None = None,
+    calibration: FieldCalibration | None = None,
+) -> tuple[Observations, np.ndarray, str]:  # fmt: skip
     """All samples as `Observations`, a sentence for each (n), and where the Sun comes from.
 
     `source`: "sun_sensor", "panels" or "directions" (`sun_B` with `sun_cov_B`, as `sun_directions` returns them); default:
-    the first of directions, Sun sensors, panels that the telemetry has.
+    the first of directions, Sun sensors, panels that the telemetry has. `environment`: with z of its N to the Sun;
+    `calibration`: of the magnetometer along its orbit.
     """
-    source = sun_source(telemetry, source)
+    source = sun_source(telemetry, source, calibration is not None)
     t = np.asarray(telemetry["time"], dtype=np.float64)
-    terms, why = read_terms(vehicle, telemetry, source)
+    terms, why = read_terms(vehicle, telemetry, source, calibration)
+    if environment is not None:
+        here = environment.at(t)
+        terms = tuple(term.placed(here) for term in terms)
+        known = [term.known.present() for term in terms if isinstance(term, Magnetometer) and term.known is not None]
+        field = np.logical_or.reduce([np.zeros(len(t), dtype=bool), *known])
+        for k in np.flatnonzero(field & np.isin(why, NOT_SEEN)):
+            why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
     late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
-    why[late] = "dropped: a late or repeated frame (time does not increase)"
+    why[late] = LATE
     return Observations(t, np.zeros((len(t), 3)), terms), why, source
 
 
-def informative(o: Observations) -> np.ndarray:
-    """Which samples (n) say something of the Sun."""
-    return np.logical_or.reduce([np.zeros(len(o), dtype=bool), *(term.informs() for term in o.of_sun)])
-
-
 def usable(o: Observations, why: np.ndarray) -> np.ndarray:
-    """Indices of the samples that are used."""
-    return np.flatnonzero(informative(o) & np.array([not text.startswith("dropped") for text in why]))
+    """Indices of the samples that are used: those that show the Sun, or a field whose direction is known."""
+    alone = np.array([text.startswith(FIELD_ALONE) for text in why])
+    return np.flatnonzero((o.informed | alone) & np.array([not text.startswith("dropped") for text in why]))
 
 
 def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list[np.ndarray]:

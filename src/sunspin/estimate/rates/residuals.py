@@ -29,7 +29,7 @@ class Fitted(NamedTuple):
     def of(cls, o: Observations, track: Track, common: Common | None, motion: Motion, clock: Clock | None) -> Fitted:
         """From a fit with errors in common, or one without any."""
         if common is None:
-            return cls(o, track, np.zeros((len(track.omega), places_of(o, motion, None).count)), motion, None)
+            return cls(o, track, np.zeros((len(track.omega), places_of(o, motion, None).n)), motion, None)
         return cls(o, common.track, common.error, motion, clock)
 
 

@@ -11,14 +11,20 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.effort import may_go_on
+from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.shoot import carried, shot
 from sunspin.estimate.rates.smooth import cost_limit, measured, smooth
 from sunspin.estimate.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
+from sunspin.estimate.terms.known_field import KnownField
+from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.term import SUN_N, SunTerm
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -41,6 +47,15 @@ COOLING = 1.7
 
 GROW_SHARE = 6
 """The window grows by a sixth of its samples at either end: what is known then still carries."""
+
+FEWEST_SUNS = 4
+"""Samples that show the Sun; with fewer, a search begins with the field where it is known."""
+
+FIELD_TURNS = 8
+"""Turns about the field that are tried."""
+
+UNSEEN = 100.0
+"""Intervals count so many times longer where a sample does not show the Sun: none is begun with."""
 
 POOR, DRIFT_RAD = 0.4, 0.1
 """A hypothesis that costs more than this share of what is called bad is shot anew, where unknown torques turn the body by less
@@ -135,8 +150,7 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
     if not len(order):
         return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
-    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    angle = np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
+    angle = _features(track, times)
     chosen = np.zeros(0, dtype=int)
     for i in order:
         apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
@@ -145,6 +159,12 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
         if len(chosen) == keep:
             break
     return chosen
+
+
+def _features(track: Track, times: np.ndarray) -> np.ndarray:
+    """Turns between neighbours and directions of the Sun (K, m, 3) by which hypotheses differ."""
+    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
+    return np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
@@ -187,12 +207,55 @@ def _freed(o: Observations, track: Track, motion: Motion) -> Track:
 def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
     """All modes of a pass, best first."""
     loose = replace(motion, noise=max(motion.noise, SEED_NOISE))
-    return cooled(o, seeds(o, loose, rate_max, pairs), loose.noise, motion)
+    return cooled(o, with_images(o, seeds(o, loose, rate_max, pairs), loose), loose.noise, motion)
+
+
+def with_images(o: Observations, track: Track, motion: Motion) -> Track:
+    """The modes with all images of the best that are not images of each other."""
+    images = images_of(o)
+    if len(images) == 1:
+        return track
+    chosen: list[int] = []
+    for i in range(len(track.cost)):
+        as_seen = _features(joined_images(track.take(np.array([i])), images), o.t_s)
+        apart = ((as_seen[:, None] - _features(track.take(np.array(chosen, dtype=int)), o.t_s)) ** 2).sum(axis=-1).max(axis=-1)
+        if not chosen or apart.min() > ALIKE_RAD**2:
+            chosen.append(i)
+        if len(chosen) == FAMILIES:
+            break
+    others = smooth(o, joined_images(track.take(np.array(chosen)), images[1:]), motion)
+    return distinct(joined([track, others]), o.t_s)
 
 
 def guesses(o: Observations) -> list[Observations]:
-    """What is searched: each sensor trusted no further than its common errors, and whatever else its readings may mean."""
+    """What is searched: each sensor trusted no further than its common errors, and whatever else its readings may mean; by the
+    field's directions in place of the Sun's where hardly any sample shows the Sun."""
+    if field_leads(o):
+        others = (term for term in o.terms if not isinstance(term, SunTerm | Magnetometer))
+        return [replace(o, terms=(_known(o).directions(), *(term.forgiving() for term in others)))]
     return [replace(o, terms=terms) for terms in product(*(term.guesses() for term in o.terms))]
+
+
+def field_leads(o: Observations) -> bool:
+    """Whether a field that is known in space leads the search: too few samples show the Sun."""
+    return bool(o.informed.sum() < FEWEST_SUNS and any(isinstance(x, Magnetometer) and x.known is not None for x in o.terms))
+
+
+def _known(o: Observations) -> KnownField:
+    return next(term.known for term in o.terms if isinstance(term, Magnetometer) and term.known is not None)
+
+
+def out_of_field(o: Observations, track: Track, motion: Motion) -> Track:
+    """Hypotheses in axes that follow the field, as the search by its directions gives them, brought to N: smoothed with the field
+    as it is known, from several turns about it, of which the field's turning in space leaves few."""
+    known = _known(o)
+    frames, turning = known.frames(), known.turning(o.t_s)
+    tried = []
+    for angle in 2 * np.pi / FIELD_TURNS * np.arange(FIELD_TURNS):
+        attitude = track.attitude @ Rotation.from_rotvec(angle * SUN_N).as_matrix() @ frames
+        tried.append(Track(attitude, track.omega + np.einsum("knij,nj->kni", attitude, turning)))
+    with_field = replace(o, terms=tuple(known if isinstance(term, Magnetometer) else term for term in o.terms))
+    return distinct(joined([smooth(with_field, one, motion, steps=12) for one in tried]), o.t_s)
 
 
 def brightness(o: Observations) -> np.ndarray:
@@ -231,7 +294,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     so little that four pairs are tried in any case, and each motion found is tried mirrored.
     """
     blind = blind_axis(o)
-    quality = np.where(o.points, 1.0, 2.0)
+    quality = np.where(o.points, 1.0, 2.0) * np.where(o.informed | (not o.informed.any()), 1.0, UNSEEN)
     order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable") if blind is None else bright_pairs(o)
     dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
     trust = gyro_decides(o, int(order[0]))
@@ -240,7 +303,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     tracks: list[Track] = []
     for i in order[: pairs + MORE_PAIRS]:
         best = min((float(track.cost[0]) for track in tracks), default=np.inf)
-        if len(tracks) >= pairs and best < BADLY * cost_limit(o):
+        if (len(tracks) >= pairs and best < BADLY * cost_limit(o)) or (tracks and not may_go_on()):
             break
         track = grow(o, *first_tracks(o, int(i), motion, rate_max, trust and not tracks), motion)
         tracks += [track] if len(track.omega) else []

@@ -8,9 +8,12 @@ wild. Only the Sun is known in N, as its z axis: the turn about it is held by a 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from sunspin.estimate.rates.motion import Ends, step_with_answer
+from sunspin.estimate.rates.motion import Body, Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, normal
 from sunspin.solve.least_squares import least_squares, shortened
@@ -43,27 +46,50 @@ def measured(o: Observations, track: Seen) -> tuple[np.ndarray, np.ndarray, np.n
     return matrix, slope, cost
 
 
-def between(o: Observations, track: Seen, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the motion (6) and other terms (3 each) say of neighbours: residuals (K, n-1, m), Jacobians to the first and second."""
-    dt = np.diff(o.t_s)
-    start, end = track.attitude[:, :-1], track.attitude[:, 1:]
-    relative = end @ np.swapaxes(start, -1, -2)
-    ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
-    if np.any(motion.body.dipole):
-        met = np.all(np.isfinite(o.field_B), axis=1)
-        pair = (met[:-1] & met[1:])[:, None]
-        if pair.any():
-            ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
-    ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
-    ends = motion.body.seen(ends, start, o.t_s[:-1])
-    made, rate, answer = step_with_answer(motion.body, track.omega[:, :-1], np.broadcast_to(dt, relative.shape[:2]), ends)
-    defect = np.concatenate([turn_between(made, relative), track.omega[:, 1:] - rate], axis=-1)
-    white = whitening(dt, motion.noise)
-    value = np.einsum("nij,knj->kni", white, defect)
-    first = -np.einsum("nij,knjl->knil", white, answer)
-    second = np.broadcast_to(white, (*value.shape, 6)).copy()
+Tied = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""What neighbours say: residuals (K, n-1, m), Jacobians (K, n-1, m, 6) to the first and to the second."""
+
+
+class Intervals(NamedTuple):
+    """Between neighbours: lengths (n-1), turns (K, n-1, 3, 3), what acts at the ends, and `whitening` (n-1, 6, 6)."""
+
+    dt: np.ndarray
+    relative: np.ndarray
+    ends: Ends
+    white: np.ndarray
+
+    @classmethod
+    def of(cls, o: Observations, track: Track, motion: Motion) -> Intervals:
+        dt, start, end = np.diff(o.t_s), track.attitude[:, :-1], track.attitude[:, 1:]
+        relative = end @ np.swapaxes(start, -1, -2)
+        ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
+        if np.any(motion.body.dipole):
+            met = np.all(np.isfinite(o.field_B), axis=1)
+            pair = (met[:-1] & met[1:])[:, None]
+            if pair.any():
+                ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
+        ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
+        return cls(dt, relative, motion.body.seen(ends, start, o.t_s[:-1]), whitening(dt, motion.noise))
+
+    def step(self, body: Body, omega: np.ndarray, derive: Callable[..., Any]) -> Any:
+        """What a step of the motion (`step` or `step_with_answer`) makes of rates (K, n, 3) at the samples."""
+        return derive(body, omega[:, :-1], np.broadcast_to(self.dt, self.relative.shape[:2]), self.ends)
+
+    def defect(self, omega: np.ndarray, made: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Turns and rates as they are less as the motion makes them (K, n-1, 6), in sigmas."""
+        defect = np.concatenate([turn_between(made, self.relative), omega[:, 1:] - rate], axis=-1)
+        return np.einsum("nij,knj->kni", self.white, defect)
+
+
+def between(o: Observations, track: Track, motion: Motion, over: Intervals | None = None) -> Tied:
+    """What the motion (6) and other terms (3 each) say of neighbours."""
+    over = Intervals.of(o, track, motion) if over is None else over
+    made, rate, answer = over.step(motion.body, track.omega, step_with_answer)
+    value = over.defect(track.omega, made, rate)
+    first = -np.einsum("nij,knjl->knil", over.white, answer)
+    second = np.broadcast_to(over.white, (*value.shape, 6)).copy()
     for term in o.of_pairs:
-        more = term.between(o.t_s, relative)
+        more = term.between(o.t_s, over.relative)
         value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
     return value, first, second
 
@@ -84,11 +110,11 @@ def cost_limit(o: Observations) -> float:
     return BAD_COST * len(o) + THREE_READINGS * sum(term.readings() for term in o.terms)
 
 
-def normal_equations(o: Observations, track: Track, motion: Motion) -> Bordered:
-    """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common."""
+def normal_equations(o: Observations, track: Track, motion: Motion, tied: Tied | None = None) -> Bordered:
+    """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common; `tied`: as `between` says."""
     diagonal, slope, cost = measured(o, track)
     damping = damping_scale(diagonal, o.t_s)
-    value, first, second = between(o, track, motion)
+    value, first, second = between(o, track, motion) if tied is None else tied
     diagonal[:, :-1] += np.swapaxes(first, -1, -2) @ first
     diagonal[:, 1:] += np.swapaxes(second, -1, -2) @ second
     upper = np.swapaxes(first, -1, -2) @ second

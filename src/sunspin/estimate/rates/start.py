@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sunspin.estimate.rates.images import imaged, images_of, one_of_each
 from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.smooth import measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
@@ -47,8 +48,7 @@ def blind_axis(o: Observations) -> np.ndarray | None:
 
 def mirrored(track: Track, axis: np.ndarray) -> Track:
     """Hypotheses as a mirror across the plane of `axis` shows them: panels in that plane read the same."""
-    mirror = np.eye(3) - 2 * np.outer(axis, axis)
-    return Track(mirror @ track.attitude @ np.diag([-1.0, 1.0, 1.0]), -track.omega @ mirror)
+    return imaged(track, np.eye(3) - 2 * np.outer(axis, axis))
 
 
 def candidates(o: Observations, index: int) -> np.ndarray:
@@ -62,7 +62,7 @@ def candidates(o: Observations, index: int) -> np.ndarray:
     still = Track(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
     cost = measured(o.part(index, index + 1), still)[2][:, 0]
     allowed = grid[cost < cost.min() + 3.0]
-    first = grid[np.argmin(cost)][None]
+    first = images_of(o) @ grid[np.argmin(cost)]
     while len(first) < min(CANDIDATES, len(allowed)):  # the farthest from those taken already: they span the region
         first = np.concatenate([first, allowed[[np.argmin((allowed @ first.T).max(axis=1))]]])
     return first
@@ -122,7 +122,7 @@ def starts(
     """Directions of the Sun (K, 3) and rates (K, 3) at sample `index` from which the next sample may be reached, and how far
     (rad) the turn between the two may be from that of the nearest start. `trust`: take the gyro's word, where it decides."""
     dt = float(o.t_s[index + 1] - o.t_s[index])
-    suns = candidates(o, index)
+    suns = one_of_each(o, candidates(o, index))
     told = told_rates(o, index, rate_max)
     if trust and gyro_decides(o, index) and len(told):
         apart = max(2 * np.pi / ANGLES, 2 * rate_sigma(o, index) * dt)

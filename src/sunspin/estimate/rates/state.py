@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from sunspin.estimate.rates.motion import Body, Ends
+from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.term import MotionTerm, PairTerm, Seen, StateTerm, SunTerm, Term
 
@@ -47,9 +48,20 @@ class Observations:
         return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *(term.points() for term in self.of_sun)])
 
     @cached_property
+    def informed(self) -> np.ndarray:
+        """Which samples (n) say something of the Sun."""
+        return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *(term.informs() for term in self.of_sun)])
+
+    @cached_property
+    def field_N(self) -> np.ndarray | None:
+        """The field (n, 3) T in space, where a fit knows it."""
+        known = [term.field_N for term in self.terms if isinstance(term, KnownField)]
+        return known[0] if known else None
+
+    @cached_property
     def field_B(self) -> np.ndarray:
         """The magnetic field (n, 3) that pulls at a dipole, NaN where it was not read."""
-        read = [term.field_B for term in self.terms if isinstance(term, Magnetometer)]
+        read = [term.field_B for term in self.terms if isinstance(term, Magnetometer | KnownField)]
         return read[0] if read else np.full((len(self), 3), np.nan)
 
     def take(self, index: np.ndarray | slice) -> Observations:

@@ -12,6 +12,7 @@ from sunspin.base.netcdf import read_netcdf
 from sunspin.base.provenance import provenance
 from sunspin.estimate.scan.lines import fit_lines
 from sunspin.estimate.scan.volume import below, near_minimum
+from sunspin.vehicle.assumptions import TABLES
 
 
 def with_chosen(
@@ -42,7 +43,18 @@ def with_chosen(
     if n_lines and len(points) >= 2 * n_lines:
         lines = fit_lines(points, n_lines, seed=seed).rename({"axis": "line_axis", "n": "near_point"})
         scan = scan.merge(lines, combine_attrs="override")
-    return scan.assign_attrs(provenance("scan", telemetry, vehicle=volume.attrs["vehicle"], seed=seed))
+    of_vehicle = {key: volume.attrs[key] for key in ("vehicle", "changes") if key in volume.attrs}
+    return scan.assign_attrs(provenance("scan", telemetry, **of_vehicle, seed=seed))
+
+
+def stored_vehicle(path: Path) -> dict[str, str]:
+    """What a scan in a file says of its vehicle: name, and its changes where there were any; empty where there is no such file."""
+    if not path.is_file():
+        return {}
+    attrs = read_netcdf(path, str(path), InputError).attrs
+    rules = tuple(f"{table}." for table in TABLES)
+    changes = "\n".join(line for line in str(attrs.get("changes", "")).splitlines() if not line.startswith(rules))
+    return {"vehicle": str(attrs.get("vehicle", ""))} | ({"changes": changes} if changes else {})
 
 
 def stored_near_minimum(path: Path, factor: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from sunspin.vehicle.response.panels import lit_patterns
 
 def reconstructible_mask(vehicle: Vehicle) -> Mask:
     """The directions of the Sun that this vehicle's panels would allow to reconstruct."""
-    names = vehicle.panel_names
+    names = vehicle.input_names
     possible = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
     good = reconstructible_patterns(vehicle)
     wanted = [pattern for pattern in possible if pattern in good]

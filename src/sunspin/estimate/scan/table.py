@@ -25,17 +25,19 @@ from sunspin.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class HistogramRows:
-    """Row -> histogram of the reconstructible r_z over `duration_s` of one motion of a grid, the wheels coasting."""
+    """Row -> histogram of r_z over `duration_s` of one motion of a grid, the wheels coasting: of reconstructible directions or all.
+    """
 
     vehicle: Vehicle
     start: Start
     duration_s: float
-    condition: k.Mask = field(init=False)
+    mask: str | None = "reconstructible"
+    condition: k.Mask | None = field(init=False)
 
     outputs = {"hist": ("float32", (BINS,)), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "condition", reconstructible_mask(self.vehicle))
+        object.__setattr__(self, "condition", reconstructible_mask(self.vehicle) if self.mask else None)
 
     @property
     def n_rows(self) -> int:
@@ -61,16 +63,16 @@ class Table:
     hist: np.ndarray
     outcome: np.ndarray
 
-    def distances(self, target_z: npt.ArrayLike) -> np.ndarray:
+    def distances(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> np.ndarray:
         """EMD (n) of every motion to measured z components (m), by the same arithmetic as `scan`: 1 where never seen."""
-        emd, seen = distances_to(self.hist, target_segments(target_z))
+        emd, seen = distances_to(self.hist, target_segments(target_z, weights))
         return np.where(seen == 0, 1.0, emd)
 
-    def volume(self, target_z: npt.ArrayLike) -> xr.DataArray:
+    def volume(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> xr.DataArray:
         """The same as a DataArray over (omega_x, omega_y, omega_z), as `scan` returns it."""
-        emd = self.distances(target_z)
+        emd = self.distances(target_z, weights)
         start, count = self.rows.start, np.size(target_z)
-        return volume(self.rows.vehicle, start, "emd", emd, self.outcome, "reconstructible", "coast", directions=count)
+        return volume(self.rows.vehicle, start, "emd", emd, self.outcome, self.rows.mask, "coast", directions=count)
 
 
 def make_table(
@@ -80,6 +82,7 @@ def make_table(
     wheel_speed_rad_s: Any,
     duration_s: float,
     *,
+    mask: str | None = "reconstructible",
     workers: int | None = None,
     progress: bool = False,
 ) -> Table:
@@ -92,10 +95,11 @@ def make_table(
     axes : omega_x, omega_y, omega_z -> 1-D, rad/s
     wheel_speed_rad_s : number, (n_wheel,) or None
     duration_s : s
+    mask : "reconstructible", or None: all directions count
     workers, progress
         As in :func:`sunspin.compute.rows.ensemble`.
     """
     grid = [np.asarray(axes[name], dtype=np.float64) for name in ("omega_x", "omega_y", "omega_z")]
-    rows = HistogramRows(vehicle, Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s), float(duration_s))
+    rows = HistogramRows(vehicle, Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s), float(duration_s), mask)
     out = ensemble(rows, workers=workers, progress=progress, label="scan")
     return Table(rows, out["hist"], out["outcome"])

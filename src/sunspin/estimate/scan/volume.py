@@ -151,8 +151,8 @@ def volume(
         dims=dims,
         coords={dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)},
         name=name,
-        attrs=provenance("scan") | {
-            "units": "1", "vehicle": vehicle.name, "mask": str(mask), "wheel_mode": str(wheel_mode),
+        attrs=provenance("scan", **vehicle.said) | {
+            "units": "1", "mask": str(mask), "wheel_mode": str(wheel_mode),
             "vector_bits": k.vector_bits(), "device": device, "directions": directions,
         },
     )

@@ -10,6 +10,14 @@ from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.vehicle import Vehicle
 
 
+def target_weights(rule: str, t_s: np.ndarray) -> np.ndarray | None:
+    """What directions at these times (n, s) count in a distribution: "equal" (all the same: None), "interval" (half their gaps)."""
+    if rule == "equal" or len(t_s) < 2:
+        return None
+    edges = np.concatenate([t_s[:1], (t_s[1:] + t_s[:-1]) / 2, t_s[-1:]])
+    return np.diff(edges)
+
+
 def directions_within(vehicle: Vehicle, telemetry: xr.Dataset, begin_s: float | None, end_s: float | None) -> xr.Dataset:
     """`sun_B (time, axis)` of the samples from `begin_s` to `end_s` (s of the file's clock; None: no bound) that give one.
 

@@ -14,7 +14,7 @@ MOST_SIGMAS = 4.0
 
 def errors(vehicle: Vehicle, quality: xr.Dataset) -> np.ndarray:
     """One sigma (m, n_panel) of each independent error of the factors on the vehicle's gains, estimated or as its file has them."""
-    return np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.panel_gains
+    return np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.input_gains
 
 
 def unknowns(free: np.ndarray) -> tuple[Unknown, ...]:

@@ -13,7 +13,11 @@ from typing import ClassVar, Self
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.terms.term import PairTerm, Seen, Unknown, drifting
+from sunspin.environment import Surroundings
+from sunspin.environment.field import MODEL_SIGMA_T
+from sunspin.estimate.field_calibration import FieldCalibration
+from sunspin.estimate.terms.known_field import KnownField
+from sunspin.estimate.terms.term import PairTerm, Seen, Term, Unknown, drifting
 from sunspin.solve.rotations import cross_matrix
 from sunspin.vehicle import Vehicle
 
@@ -30,7 +34,8 @@ LEFT = 0.2
 @dataclass(frozen=True)
 class Magnetometer(PairTerm):
     """Fields (n, 3), NaN where not read, with one sigma, in any unit (infinite: only the dipole's torque uses them); `turn_rate`
-    (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown."""
+    (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown. `known`: the
+    same readings where an orbit says the field; the search, which does not know the turn about the Sun, compares neighbours."""
 
     name: ClassVar[str] = "field"
     called: ClassVar[str] = "magnetometer"
@@ -40,16 +45,38 @@ class Magnetometer(PairTerm):
     sigma: float
     turn_rate: float = TURN_RATE
     drift_N: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    calibration: FieldCalibration | None = None
+    known: KnownField | None = None
 
     @classmethod
-    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
-        """That of telemetry, if it has one."""
+    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset, calibration: FieldCalibration | None = None) -> Self | None:
+        """That of telemetry, if it has one; with its `calibration` along an orbit."""
         if "field_B" not in telemetry:
             return None
         part = vehicle.sensors.magnetometer
         noise = part.noise if part is not None else None
         read = _without_outliers(np.asarray(telemetry["field_B"], dtype=np.float64))
-        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)))
+        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), calibration=calibration)
+
+    def take(self, index: np.ndarray | slice) -> Self:
+        return replace(super().take(index), known=None if self.known is None else self.known.take(index))
+
+    def placed(self, here: Surroundings) -> Self:
+        """With the field known; noise is what the calibration found, which the vehicle file need not state."""
+        one = self.calibration
+        if one is None or here.field_N is None or here.field_along_N is None:
+            return self
+        sigma = np.full(len(self.field_B), float(np.hypot(one.noise_T, MODEL_SIGMA_T)))
+        read = self.field_B
+        along = one.errors[:, 12:] * here.field_along_N[:, None]
+        known = KnownField(read, one.field(read), sigma, here.field_N, one.columns(read), along)
+        own = np.sqrt(np.nanmedian((known.own_B**2).sum(axis=(1, 2))) / 3)  # a zero turns with the body: neighbours differ by it
+        return replace(self, sigma=float(np.hypot(one.noise_T, own)), known=known)
+
+    @property
+    def vector_B(self) -> np.ndarray:
+        """The field (n, 3) as it is compared, in the unit of `sigma`."""
+        return self.field_B if self.known is None else self.known.read_B
 
     def present(self) -> np.ndarray:
         return np.all(np.isfinite(self.field_B), axis=1)
@@ -59,21 +86,23 @@ class Magnetometer(PairTerm):
 
     def sigmas(self, t_s: np.ndarray) -> np.ndarray:
         """One sigma (n - 1) of the field's change between neighbours: of two readings, and of its turning."""
-        return np.sqrt(2 * self.sigma**2 + (np.linalg.norm(self.field_B[:-1], axis=1) * self.turn_rate * np.diff(t_s)) ** 2)
+        return np.sqrt(2 * self.sigma**2 + (np.linalg.norm(self.vector_B[:-1], axis=1) * self.turn_rate * np.diff(t_s)) ** 2)
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        size = np.linalg.norm(np.nan_to_num(self.field_B), axis=1).max(initial=0.0)
+        size = np.linalg.norm(np.nan_to_num(self.vector_B), axis=1).max(initial=0.0)
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad.max() * size / 2)))
 
     def unrelated(self, t_s: np.ndarray) -> float:
         """The next reading's direction is any: the mean of its law over the sphere that the first one can be carried to."""
         pair = self.pairs()
-        start, end = (np.linalg.norm(part[pair], axis=1) for part in (self.field_B[:-1], self.field_B[1:]))
+        start, end = (np.linalg.norm(part[pair], axis=1) for part in (self.vector_B[:-1], self.vector_B[1:]))
         variance = self.sigmas(t_s)[pair] ** 2
         both = start * end / variance
         return float((np.log(-np.expm1(-2 * both) / (2 * both)) - (start - end) ** 2 / (2 * variance)).sum())
 
-    def freed(self, t_s: np.ndarray) -> Self:
+    def freed(self, t_s: np.ndarray) -> Term:
+        if self.known is not None:
+            return self.known
         if not self.pairs().any():
             return self
         sigma = TURN_RATE * np.nanmedian(np.linalg.norm(self.field_B, axis=1)) / np.sqrt(3)
@@ -87,7 +116,7 @@ class Magnetometer(PairTerm):
 
     def between(self, t_s: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pair = self.pairs()
-        start, end = np.nan_to_num(self.field_B[:-1]) * pair[:, None], np.nan_to_num(self.field_B[1:]) * pair[:, None]
+        start, end = (np.nan_to_num(part) * pair[:, None] for part in (self.vector_B[:-1], self.vector_B[1:]))
         inverse = np.where(pair, 1 / self.sigmas(t_s), 0.0)[:, None]
         carried = np.einsum("knij,nj->kni", relative, start)
         value = (carried - end) * inverse

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
 
+from sunspin.environment import Surroundings
 from sunspin.estimate.terms import gains
 from sunspin.estimate.terms.earth_light import EarthLight, faint, pairs_differing
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
-from sunspin.solve.rotations import cross_matrix
-from sunspin.telemetry.quality import panel_quality
+from sunspin.solve.rotations import cross_matrix, seen_turned
+from sunspin.telemetry.quality import LATE, LIMITED_SCALE, STALE, panel_quality
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.protocol import PanelResponse, sphere
@@ -31,6 +32,35 @@ BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 """Quantile of brightness that is full Sun if the Sun comes near the plane of the panels, and how far from it another is tried."""
 
 
+LEAST_LIT, DARK = 0.01, 0.03
+"""Part of the Sun's disc below which it is down; and what panels read in the shadow beside their noise, as a share of full Sun:
+zeros of converters."""
+
+UNUSABLE = ("dropped: no panel has a number", LATE, STALE)
+"""What `panel_quality` says of samples that say nothing, in the shadow either."""
+AVERAGED = np.polynomial.legendre.leggauss(3)
+"""Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
+
+
+class Instants(NamedTuple):
+    """When panels are read: `offset_s` (n_input) after their row's time, over `averaged_s` about that instant."""
+
+    offset_s: np.ndarray
+    averaged_s: float = 0.0
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Instants:
+        form = vehicle.telemetry
+        return cls(np.array([form.offset_s.get(name, 0.0) for name in vehicle.input_names]), form.averaged_s)
+
+    def shifts(self) -> Iterator[tuple[float, np.ndarray]]:
+        """Each instant, s from the row's time, with the weights (n_panel) that it has in the panels' readings."""
+        whole = (np.zeros(1), 2 * np.ones(1))
+        for offset in np.unique(self.offset_s):
+            for place, weight in zip(*(AVERAGED if self.averaged_s else whole), strict=True):
+                yield float(offset + place * self.averaged_s / 2), weight / 2 * (self.offset_s == offset)
+
+
 @dataclass(frozen=True)
 class Panels(SunTerm):
     """Powers (n, n_panel), or of each hypothesis (K, n, n_panel), with sigmas (n, n_panel), infinite where nothing was read.
@@ -39,11 +69,13 @@ class Panels(SunTerm):
     in common that are considered, and of those that are estimated. `scale` (n), `scale_sigma` (n): the factor of all powers of a
     sample and its relative uncertainty. `earth_share`: how much of full Sun a panel gets that looks at the Earth, where no fit
     estimates it; for those that do, `earth`, and `whole` (power, sigma, scale_sigma): what was read beside it, and how well.
+    `lit` (n): the part of the Sun that is up; `earth_N` (n, 3): the Earth's light where an orbit knows it, in full Suns;
+    `dark_sigma` (n, n_panel): of readings in the Earth's shadow.
     """
 
     name: ClassVar[str] = "panels"
     called: ClassVar[str] = "Sun"
-    per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma")
+    per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma", "lit", "dark_sigma")
 
     power: np.ndarray
     sigma: np.ndarray
@@ -56,7 +88,11 @@ class Panels(SunTerm):
     earth_share: float
     whole: tuple[np.ndarray, np.ndarray, np.ndarray]
     names: tuple[str, ...]
+    instants: Instants
+    lit: np.ndarray
+    dark_sigma: np.ndarray
     earth: EarthLight | None = None
+    earth_N: np.ndarray | None = None
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Self, np.ndarray]:
@@ -65,10 +101,13 @@ class Panels(SunTerm):
         errors = gains.errors(vehicle, quality)
         known = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion determines the gains
         power, scale_sigma = signals(telemetry), quality["scale_sigma"].values
+        dark_sigma = np.hypot(quality.attrs["noise"], DARK * quality.attrs["full_sun"] * quality["gain"].values)
+        shown = np.isfinite(power) & ~quality["dead"].values & ~np.isin(quality["why"].values, UNUSABLE)[:, None]
         made = cls(
-            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.panel_gains,
+            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.input_gains,
             errors[: len(errors) * known], errors[len(errors) * known :], quality["scale"].values, scale_sigma,
-            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.panel_names,
+            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.input_names,
+            Instants.of(vehicle), np.ones(len(power)), np.where(shown, dark_sigma, np.inf),
         )  # fmt: skip
         return made._differing(), quality["why"].values.astype(object)
 
@@ -79,16 +118,33 @@ class Panels(SunTerm):
         power, sigma = pairs_differing(self.response.facing_B, self.full, *self.whole[:2], self.power, self.sigma)
         return replace(self, power=power, sigma=sigma, scale_sigma=np.hypot(self.scale_sigma, self.earth_share))
 
+    def placed(self, here: Surroundings) -> Self:
+        """With the Sun up or down, and the Earth's light where it is known. In the shadow panels must be dark, and say no more;
+        where the shift of the orbit leaves open whether the Sun is up, the sample's brightness is free."""
+        made = self if here.albedo_light_N is None else replace(self, earth_N=here.albedo_light_N)
+        if here.lit is None or here.lit_sigma is None:
+            return made
+        dark = here.lit + here.lit_sigma < LEAST_LIT
+        open_ = ~dark & (here.lit - here.lit_sigma < 1 - LEAST_LIT)
+        power, sigma, scale_sigma = self.whole
+        free = np.maximum(self.scale_sigma, LIMITED_SCALE), np.maximum(scale_sigma, LIMITED_SCALE)
+        return replace(
+            made, lit=np.where(dark, 0.0, 1.0), sigma=np.where(dark[:, None], self.dark_sigma, self.sigma),
+            scale_sigma=np.where(open_, free[0], self.scale_sigma),
+            whole=(power, np.where(dark[:, None], self.dark_sigma, sigma), np.where(open_, free[1], scale_sigma)),
+        )  # fmt: skip
+
     def take(self, index: np.ndarray | slice) -> Self:
         power, sigma, scale_sigma = (part[index] for part in self.whole)
         earth = None if self.earth is None else self.earth.take(index)
-        return replace(super().take(index), whole=(power, sigma, scale_sigma), earth=earth)
+        known = None if self.earth_N is None else self.earth_N[index]
+        return replace(super().take(index), whole=(power, sigma, scale_sigma), earth=earth, earth_N=known)
 
     def present(self) -> np.ndarray:
         return np.any(np.isfinite(self.sigma), axis=1)
 
     def informs(self) -> np.ndarray:
-        return self.present()
+        return self.present() & (self.lit > 0)
 
     @property
     def full(self) -> np.ndarray:
@@ -115,6 +171,9 @@ class Panels(SunTerm):
         mirrored = around - 2 * (around @ axes[2])[:, None] * axes[2]
         change = self.response.power(mirrored) - self.response.power(around)
         return axes[2] if np.abs(change[:, seeing]).max() < FLAT * self.response.largest else None
+
+    def images(self) -> np.ndarray:
+        return self.response.images
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None]))
@@ -143,13 +202,13 @@ class Panels(SunTerm):
         free = np.concatenate([self.gain_unknowns, self.gain_errors])
         return replace(
             self, power=power, sigma=sigma, scale_sigma=scale_sigma, gain_unknowns=free, gain_errors=free[:0], earth_share=0.0,
-            earth=EarthLight.prior(t_s, self.earth_share, self.full),
+            earth=EarthLight.prior(t_s, self.earth_share, self.full, self.earth_N),
         )  # fmt: skip
 
     def unknowns(self) -> tuple[Unknown, ...]:
         return (*gains.unknowns(self.gain_unknowns), *(() if self.earth is None else self.earth.unknowns(self.names)))
 
-    def begin(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    def begin(self, seen: Seen, turned: bool = False) -> tuple[np.ndarray, np.ndarray]:
         error = np.zeros((len(seen.omega), len(self.unknowns())))
         if self.earth is None:
             return seen.attitude, error
@@ -160,7 +219,7 @@ class Panels(SunTerm):
             trial[:, held:] = lit
             return normal(self, Seen(turned, seen.omega), trial)[2].sum(axis=1)
 
-        attitude, error[:, held:] = self.earth.begin(seen.attitude, cost)
+        attitude, error[:, held:] = self.earth.begin(seen.attitude, cost, turned)
         return attitude, error
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
@@ -185,9 +244,8 @@ class Panels(SunTerm):
         """Light (K, n, n_panel) on the panels, in the unit of the gains, and its derivative (K, n, n_panel, 3 + u)."""
         free = self.gain_unknowns if error is not None else self.gain_unknowns[:0]
         gain = self.gain if error is None else (self.gain + error[:, : len(free)] @ free)[:, None]
-        sun = seen.sun_B
-        light, to_sun, _ = self.response.slopes(sun, gain=gain)
-        to_turn = to_sun @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
+        light, to_turn = self._over_time(seen, gain)
+        light, to_turn = light * self.lit[:, None], to_turn * self.lit[:, None, None]
         parts = [to_turn, (light / gain)[..., None] * free.T]
         if self.earth is not None and error is not None:
             lit = error[:, len(free) :]
@@ -195,6 +253,22 @@ class Panels(SunTerm):
             light = light + more + self.earth.zero(lit)
             parts = [to_turn + slope[..., :3], parts[1] + (more / gain)[..., None] * free.T, slope[..., 3:]]  # as its gain
         return light, np.concatenate(parts, axis=-1)
+
+    def _over_time(self, seen: Seen, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Light (K, n, n_panel) of the Sun and its derivative (K, n, n_panel, 3) by a turn, at the readings' instants; that it
+        changes with the rate too, by which the body turns until then, is left out of the derivative."""
+        light, to_turn = 0.0, 0.0
+        across = cross_matrix(seen.sun_B)  # a turn moves the Sun by sun x turn
+        for shift, weight in self.instants.shifts():
+            if not shift:
+                sun, moves = seen.sun_B, across
+            else:
+                sun = seen_turned(seen.sun_B, shift * seen.omega)
+                moves = seen_turned(np.swapaxes(across, -1, -2), shift * seen.omega[..., None, :])
+                moves = np.swapaxes(moves, -1, -2)
+            part, to_sun, _ = self.response.slopes(sun, gain=gain)
+            light, to_turn = light + weight * part, to_turn + weight[:, None] * (to_sun @ moves)
+        return np.asarray(light), np.asarray(to_turn)
 
     def considered(self, seen: Seen) -> list[tuple[Self, float]]:
         """With one sigma more of each error of the gains; and with the Earth's light as each hypothesis sees it, from each end of

@@ -6,20 +6,25 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.field_calibration import FieldCalibration
 from sunspin.estimate.terms.attitude import Attitude
 from sunspin.estimate.terms.gyro import Gyro
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.sun_direction import SunDirection
+from sunspin.estimate.terms.sun_direction import UNREAD, SunDirection
 from sunspin.estimate.terms.term import Term
 from sunspin.vehicle import Vehicle
 
 SENSORS = (Gyro, Magnetometer, Attitude)
 """Those beside the Sun's."""
 
+FIELD = "field"
+"""Where directions come from without a Sun: a magnetometer in an orbit that is known."""
 
-def sun_source(telemetry: xr.Dataset, wanted: str | None) -> str:
-    """Where the Sun comes from: the first of directions, Sun sensors, panels that there is, unless one is wanted."""
+
+def sun_source(telemetry: xr.Dataset, wanted: str | None, field_known: bool = False) -> str:
+    """Where the Sun comes from: the first of directions, Sun sensors, panels that there is, unless one is wanted; `FIELD` without
+    any where the magnetometer's field is known."""
     has = {
         "directions": "sun_B" in telemetry and "sun_cov_B" in telemetry,
         "sun_sensor": "sun_sensor_B" in telemetry,
@@ -27,6 +32,8 @@ def sun_source(telemetry: xr.Dataset, wanted: str | None) -> str:
     }
     if wanted is None:
         wanted = next((name for name, there in has.items() if there), None)
+    if wanted is None and field_known:
+        return FIELD
     if wanted not in has or not has[wanted]:
         there = ", ".join(name for name, is_there in has.items() if is_there) or "nothing of the Sun"
         raise InputError(
@@ -35,8 +42,13 @@ def sun_source(telemetry: xr.Dataset, wanted: str | None) -> str:
     return wanted
 
 
-def read_terms(vehicle: Vehicle, telemetry: xr.Dataset, source: str) -> tuple[tuple[Term, ...], np.ndarray]:
-    """All that telemetry has, the Sun first, and a sentence for each sample (n)."""
-    sun, why = Panels.read(vehicle, telemetry) if source == "panels" else SunDirection.read(vehicle, telemetry, source)
-    others = (sensor.read(vehicle, telemetry) for sensor in SENSORS)
-    return (sun, *(term for term in others if term is not None)), why
+def read_terms(
+    vehicle: Vehicle, telemetry: xr.Dataset, source: str, calibration: FieldCalibration | None = None
+) -> tuple[tuple[Term, ...], np.ndarray]:
+    """All that telemetry has, the Sun first, and a sentence for each sample (n); `calibration` of the magnetometer, by an orbit."""
+    if source == FIELD:
+        sun, why = None, np.full(telemetry.sizes["time"], UNREAD, dtype=object)
+    else:
+        sun, why = Panels.read(vehicle, telemetry) if source == "panels" else SunDirection.read(vehicle, telemetry, source)
+    others = (Gyro.read(vehicle, telemetry), Magnetometer.read(vehicle, telemetry, calibration), Attitude.read(vehicle, telemetry))
+    return tuple(term for term in (sun, *others) if term is not None), why

@@ -3,7 +3,8 @@
 A fit is a list of terms. Each is asked by the same methods, so that what a sensor is stands in one file:
 
 - `take`: the same for some samples; `present`, `informs`, `points`, `readings`: at which samples it says what.
-- `wider`, `forgiving`, `guesses`, `directions`, `rates`, `rate_sigma`: what the search needs, which knows no unknowns.
+- `wider`, `forgiving`, `guesses`, `directions`, `images`, `rates`, `rate_sigma`: what the search needs, which knows no unknowns.
+- `placed`: the same where the surroundings are known, by an orbit.
 - `freed`, `unknowns`, `begin`: what is estimated beside the motion, in units of its prior sigma.
 - `residuals` (of samples), `between` and `gained` (of neighbours), `pushes` (of the motion): in sigmas, with derivatives.
 - `considered`: what is not estimated and counts in the result's error; `unrelated`: what a fit without it owes.
@@ -20,7 +21,7 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from sunspin.environment import unknown
+from sunspin.environment import Surroundings, unknown
 from sunspin.vehicle.response.protocol import sphere
 
 SUN_N = unknown().at(0.0).sun_N[0]
@@ -113,7 +114,11 @@ class Term:
         """rad/s to which they do so without doubt about whole turns."""
         return np.inf
 
-    def freed(self, t_s: np.ndarray) -> Self:
+    def placed(self, here: Surroundings) -> Self:
+        """The same in surroundings at its samples, in a frame with z to the Sun."""
+        return self
+
+    def freed(self, t_s: np.ndarray) -> Term:
         """The same with what is estimated of it, of a pass at these times (n)."""
         return self
 
@@ -161,8 +166,13 @@ class SunTerm(Term):
         """The direction (3) along which nothing is seen: a mirror across its plane changes no reading."""
         return None
 
-    def begin(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
-        """Attitudes (K, n, 3, 3) and unknowns (K, u), in sigmas, from which a fit begins."""
+    def images(self) -> np.ndarray:
+        """Mirrors and turns (m, 3, 3) of the body that change no reading, or little, the first of them none at all."""
+        return np.eye(3)[None]
+
+    def begin(self, seen: Seen, turned: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Attitudes (K, n, 3, 3) and unknowns (K, u), in sigmas, from which a fit begins; `turned`: the turn about the Sun is that
+        of N, by another sensor."""
         return seen.attitude, np.zeros((len(seen.omega), len(self.unknowns())))
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
@@ -173,6 +183,10 @@ class SunTerm(Term):
 @dataclass(frozen=True)
 class StateTerm(Term):
     """Reads attitude or rate at a sample: derivatives (K, n, m, 6 + u) are to turn, rate and the unknowns."""
+
+    def begin(self, seen: Seen) -> np.ndarray | None:
+        """Attitudes (K, n, 3, 3) from which a fit begins, where it says the turn about the Sun; else None."""
+        return None
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
         """As those of a `SunTerm`."""

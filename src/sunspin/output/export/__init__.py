@@ -18,6 +18,7 @@ from sunspin.base.errors import InputError, OutputError, sentence
 from sunspin.base.netcdf import read_netcdf
 from sunspin.base.untrusted import is_own
 from sunspin.dynamics.propagate import MAX_RATE
+from sunspin.environment.frames import J2000
 from sunspin.output.folder import write_netcdf, write_whole
 
 LOCAL_FRAME = "SUNSPIN_LOCAL"
@@ -73,10 +74,10 @@ def attitude_of(data: xr.Dataset, frame: str | None = None, epoch_utc: str | Non
     """The attitude of results of `rates` or `propagate`.
 
     `frame`: the frame to write. Without a second direction N is local and only `LOCAL_FRAME` (or a name of one's own that
-    contains LOCAL) may be written; a result whose attrs name a ``celestial_frame`` may be written in that one. `epoch_utc`:
-    UTC of time zero, where the result has none.
+    contains LOCAL) may be written; a result of an orbit that is known (``frame_N`` J2000), or whose attrs name a
+    ``celestial_frame``, may be written in that one. `epoch_utc`: UTC of time zero, where the result has none.
     """
-    known = data.attrs.get("celestial_frame")
+    known = data.attrs.get("celestial_frame", J2000 if data.attrs.get("frame_N") == J2000 else None)
     wanted = frame or known or LOCAL_FRAME
     if wanted != known and "LOCAL" not in wanted.upper():
         raise InputError(

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from sunspin.environment.frames import J2000
 from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
 
@@ -48,7 +49,7 @@ def _metadata(attitude: Attitude, part: np.ndarray) -> list[tuple[str, str]]:
         ("OBJECT_NAME", _name(attitude)),
         ("OBJECT_ID", _name(attitude)),
         ("CENTER_NAME", "UNKNOWN"),
-        ("REF_FRAME_A", attitude.frame),
+        ("REF_FRAME_A", "EME2000" if attitude.frame == J2000 else attitude.frame),  # as the standard calls it
         ("REF_FRAME_B", BODY_FRAME),
         ("ATTITUDE_DIR", "A2B"),
         ("TIME_SYSTEM", "UTC"),

@@ -22,7 +22,7 @@ from sunspin.telemetry.sun import STATUS_TEXT, SunStatus
 
 # colour-blind safe (Okabe and Ito)
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-ABOVE = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2, "frameon": False}
+ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2, "frameon": False}
 """A legend above the axes, where it covers no data."""
 
 matplotlib.rcParams["svg.hashsalt"] = "sunspin"  # the same figure gives the same bytes

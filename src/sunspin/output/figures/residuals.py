@@ -48,7 +48,7 @@ def _panels(result: xr.Dataset, telemetry: xr.Dataset, vehicle: Vehicle, at: np.
     """Of the whole file, so that quality is judged as it was for the motion."""
     quality = panel_quality(vehicle, telemetry)
     sun = result["sun_B"].values / np.linalg.norm(result["sun_B"].values, axis=1, keepdims=True)
-    gain = quality["gain"].values / vehicle.panel_gains
+    gain = quality["gain"].values / vehicle.input_gains
     model = quality["scale"].values[at, None] * gain * panel_power(vehicle, sun)
     sigma = quality["sigma"].values[at]
     return (signals(telemetry)[at] - model) / np.where(np.isfinite(sigma), sigma, np.nan)

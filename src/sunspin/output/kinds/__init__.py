@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sunspin.output.kinds import motion, outcomes, posterior, rates, scan, seen
+from sunspin.output.kinds import comparison, motion, outcomes, posterior, rates, scan, seen
 from sunspin.output.kinds.kind import Kind
 
 KINDS: dict[str, Kind] = {
@@ -23,6 +23,9 @@ KINDS: dict[str, Kind] = {
     "outcomes": Kind("outcomes", "outcomes.nc", outcomes.outcomes_summary, outcomes.outcomes_drawings),
     "strategies": Kind("outcomes", "strategies.nc", outcomes.strategies_summary, outcomes.strategies_drawings),
     "best_delay": Kind("outcomes", "best-delay.nc", outcomes.delay_summary, outcomes.delay_drawings),
+    "comparison": Kind(
+        "compare", "comparison.nc", comparison.comparison_summary, comparison.comparison_drawings, comparison.comparison_tables
+    ),
     "landing": Kind("outcomes", "", outcomes.landing_summary, outcomes.landing_drawings, outcomes.landing_tables),
 }
 """`attrs["kind"]` -> what can be said, drawn and written of it."""

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sunspin.estimate.posterior.period import period_sentences
 from sunspin.estimate.posterior.predict import intervals
+from sunspin.estimate.posterior.prior_widths import prior_sentences
 from sunspin.estimate.posterior.verdict import summary as main_numbers
 from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
@@ -40,6 +42,16 @@ def posterior_summary(tree: Any) -> Summary:
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
     priors = json.loads(tree.attrs["priors"])
     lines.append("  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items()))
+    if "prior_widths" in tree.attrs:
+        widths = json.loads(tree.attrs["prior_widths"])
+        numbers["prior_widths"] = widths["told"]
+        lines += [f"  {said}" for said in prior_sentences(**widths)]
+    if "period" in tree.children:
+        seen = tree["period"].to_dataset()
+        lines += [f"  {said}" for said in period_sentences(seen)]
+        numbers["period"] = {"told": bool(seen.attrs["told"]), "effective_draws": float(seen.attrs["effective_draws"])} | {
+            name: seen[name].values.tolist() for name in ("probability", "region_weight", "rate_quantile")
+        }
     if "predictions" in tree.children:
         predicted = predictions_summary(tree["predictions"].to_dataset())
         return Summary(numbers | predicted, lines + predicted.lines)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
@@ -114,7 +115,8 @@ def rates_tables(result: Any, folder: Path, _: Beside) -> None:
         columns[f"sun_{axis}_B"] = result["sun_B"].values[:, k]
     for k, part in enumerate("xyzw"):
         columns[f"q_{part}_B_from_N"] = result["B_from_N"].values[:, k]
-    head = f"# time_s from {result.attrs.get('epoch_utc')}; best motion of each pass; body axes; N: z to the Sun, local\n"
+    frame = "z to the Sun, local" if result.attrs.get("frame_N") == SUN_Z_LOCAL else result.attrs.get("frame_N")
+    head = f"# time_s from {result.attrs.get('epoch_utc')}; best motion of each pass; body axes; N: {frame}\n"
     text = synthetic_label(result) + head + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
     write_whole(folder / "rates.csv", lambda part: part.write_text(text, "utf-8"))
     write_passes(result, folder, result)

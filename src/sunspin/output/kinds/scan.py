@@ -51,7 +51,7 @@ def scan_summary(scan: Any) -> Summary:
 
 def lines_summary(lines: Any) -> Summary:
     """Points and directions of fitted lines."""
-    found = [
+    found: list[dict[str, Any]] = [
         {"point": p.tolist(), "direction": d.tolist(), "points": int(c)}
         for p, d, c in zip(lines["point"].values, lines["direction"].values, lines["count"].values, strict=True)
     ]

@@ -156,6 +156,12 @@ def first_line(results: Results) -> str:
     return told if isinstance(told, str) else ""
 
 
+def changes(results: Results) -> list[str]:
+    """What was set for this run beside the files, a line each."""
+    told = results.summary.get("changes")
+    return [str(line) for line in told] if isinstance(told, list) else []
+
+
 def score(results: Results) -> list[str]:
     """The study's score, a line for each kind of row."""
     told = results.summary.get("score")

@@ -15,7 +15,6 @@ from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Special, epoch_ms, motion_order
 from sunspin.output.text import capital
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power
 
 MOST_INSTANTS = 12_000
 """Instants of one motion put into the page; longer ones are thinned where they turn slowly enough, else cut."""
@@ -80,7 +79,7 @@ def motion(vehicle: Vehicle, name: str, data: xr.Dataset) -> dict[str, Any] | No
     t, attitude, omega, sun, momentum, wheels = chosen
     scene = _scene(attitude, sun, momentum, omega)
     to_scene = scene * attitude.inv()  # B to the scene's axes
-    power = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True)) / vehicle.panel_gains
+    power = vehicle.panels_in().power(sun / np.linalg.norm(sun, axis=1, keepdims=True)) / vehicle.panel_gains
     zero = epoch_ms(str(data.attrs.get("epoch_utc") or "")) if "epoch_utc" in data.attrs else None
     events = _events(data)
     return {

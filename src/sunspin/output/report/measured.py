@@ -129,7 +129,7 @@ def powers(results: Results) -> Section | None:
 def _left_out(results: Results, samples: xr.Dataset, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Which panels (n_panel) never read anything, and which samples (n) count in full: not those that the battery limits."""
     none, every = np.zeros(len(names), dtype=bool), np.ones(samples.sizes["time"], dtype=bool)
-    if results.vehicle is None or list(results.vehicle.panel_names) != names:
+    if results.vehicle is None or list(results.vehicle.input_names) != names:
         return none, every
     try:
         quality = panel_quality(results.vehicle, samples)
@@ -204,7 +204,7 @@ def _models(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
 def _finer(model: xr.Dataset, vehicle: Vehicle | None, names: list[str]) -> xr.Dataset:
     """A motion with instants between its own in its first minutes, where it turns far from one to the next."""
     t = model["time"].values
-    if vehicle is None or list(vehicle.panel_names) != names or t.size < 2 or not np.all(np.diff(t) > 0) or "sun_B" not in model:
+    if vehicle is None or list(vehicle.input_names) != names or t.size < 2 or not np.all(np.diff(t) > 0) or "sun_B" not in model:
         return model
     fastest = float(np.nanmax(np.linalg.norm(model["omega_B"].values, axis=1))) if "omega_B" in model else 0.0
     parts = int(min(np.ceil(fastest * float(np.median(np.diff(t))) / TURN), FINEST))
@@ -224,7 +224,7 @@ def _finer(model: xr.Dataset, vehicle: Vehicle | None, names: list[str]) -> xr.D
 def _of_passes(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
     """What the motions found by `sunspin rates` make of the panels."""
     found = results.first("B_from_N", "sun_B", "omega_B", "pass_of")
-    if found is None or results.vehicle is None or list(results.vehicle.panel_names) != names:
+    if found is None or results.vehicle is None or list(results.vehicle.input_names) != names:
         return []
     made = []
     for title, run in dense(found):

@@ -38,6 +38,7 @@ class Page:
     first_line: str = ""
     why_nothing: str = ""
     score: list[str] = field(default_factory=list)
+    changes: list[str] = field(default_factory=list)
     language: str = "en"
 
 
@@ -81,6 +82,7 @@ def page(results: Results) -> Page:
         first_line=headline.first_line(results),
         why_nothing=results.why_nothing,
         score=headline.score(results),
+        changes=headline.changes(results),
         sections=sections,
     )
 

@@ -1,7 +1,8 @@
-"""Decoder of skCUBE's raw beacons, as published by the collector of ground station OM3KAA.
+"""Decoder of skCUBE's raw beacons: as published by the collector of ground station OM3KAA, or as exported from SatNOGS DB.
 
-One file per frame, named ``<unix receive time>_<station>_...``, in a folder or a zip: a KISS frame with an AX.25 header of 16
-bytes, a type byte and little-endian fields. Field lists: repository yangwao/skCube-data-collector (MIT licence).
+The collector has one file per frame, named ``<unix receive time>_<station>_...``, in a folder or a zip: a KISS frame with an AX.25
+header of 16 bytes, a type byte and little-endian fields. Field lists: repository yangwao/skCube-data-collector (MIT licence).
+SatNOGS's frames are AX.25 without KISS.
 """
 
 from __future__ import annotations
@@ -11,35 +12,88 @@ import io
 import re
 import struct
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.tables import read_table
 from sunspin.base.untrusted import is_plain
+from sunspin.telemetry.reader import parse_utc
 
-TYPES = {0x01: "CDHS", 0x02: "ADCS", 0x03: "COM", 0x05: "PWR"}
-ADCS = struct.Struct("<BBhhh" + "hhB" * 6 + "h" * 16 + "H" * 4)
-HEADER_BYTES = 18
-"""FEND, KISS command and the AX.25 header before the type byte."""
+FACES = ("Xp", "Xm", "Yp", "Ym", "Zp", "Zm")
+SOLAR = ("Yp", "Xp", "Ym", "Xm", "Zp", "Zm")
+KISS_BYTES, AX25_BYTES = 2, 16
+"""FEND and the KISS command; the AX.25 header before the type byte."""
 
 MAX_FRAMES, MAX_FRAME_BYTES = 1_000_000, 4096
-FACES = ("Xp", "Xm", "Yp", "Ym", "Zp", "Zm")
-ADCS_COLUMNS = (
-    "adcsMode", "bdK", "pwmX", "pwmY", "pwmZ",
-    *(f"sun{face}_{part}" for face in FACES for part in ("x", "y", "irr")),
-    *(f"{sensor}{axis}" for sensor in ("gyro", "mag1", "mag2", "acc") for axis in "XYZT"),
-    "earthXp", "earthXm", "earthYp", "earthYm",
-)  # fmt: skip
+
+
+class Kind(NamedTuple):
+    """A type of beacon: its fields, and what they are called."""
+
+    form: struct.Struct
+    columns: tuple[str, ...]
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(text.split())
+
+
+KINDS = {
+    "CDHS": Kind(struct.Struct("<BBBHIIBBBBBB12H12BI3B5HB12HBB"), _names(
+        "antFired antAttempts antFiredInv numReboots time bootLog verProt swVersion swRelease drvVersion drvRelease activeCpu "
+        "comRecv comSend comFwd comRecvErr comSendErr comFwdErr rxFwdCam rxFwdPwr rxFwdExp rxFwdCamErr rxFwdPwrErr rxFwdExpErr "
+        "unused5 unused6 unused7 unused8 unused9 unused10 unused11 unused12 stackUsageMax cpuUsageAvg cpuUsageMax cpuTemp "
+        "taskNumActiv calibMode calibStop calibDlay calibRemainSmpls osBootLog osBootLog2 taskCheckLog delayWrtB7 radOn "
+        "radRamPattern1 radRamPattern2 radRamPattern3 radRamPattern4 radRamPattern5 radRamErr radFrmPattern1 radFrmPattern2 "
+        "radFrmPattern3 radFrmPattern4 radFrmPattern5 radFrmErr flashBootromCrcWrong flashOperCrcWrong")),
+    "ADCS": Kind(struct.Struct("<BBhhh" + "hhB" * 6 + "h" * 16 + "H" * 4), (
+        "adcsMode", "bdK", "pwmX", "pwmY", "pwmZ",
+        *(f"sun{face}_{part}" for face in FACES for part in ("x", "y", "irr")),
+        *(f"{sensor}{axis}" for sensor in ("gyro", "mag1", "mag2", "acc") for axis in "XYZT"),
+        "earthXp", "earthXm", "earthYp", "earthYm")),
+    "COM": Kind(struct.Struct("<IHBBH6Hbb6H4B"), _names(
+        "timestamp fwVersion activeCOM digipeaterMode numberOfReboots outputReflectedPower outputForwardPower "
+        "outputReflectedPowerCW outputForwardPowerCW rssi rssiNoise mcuTemperature paTemperature cwBeaconSent packetsSent "
+        "correctPacketsReceived brokenPacketReceived comProtocolError gsProtocolError txDisableStatus orbitTime timeslotStart "
+        "timeslotEnd")),
+    "PWR": Kind(struct.Struct("<III5H15h3H28h5HhI5H"), (
+        *_names("timestamp fullUptime uptime activeUP fwVer reboots countCOMErrors countPSUErrors"),
+        *(f"{letter}{face}" for letter in "it" for face in SOLAR),
+        *_names("uBatA uBatB tBat cBatA cBatB capacity iBatA iBatB iBatAmin iBatBmin iBatAmax iBatBmax iBatAavg iBatBavg"),
+        *(f"i{part}{what}" for part in ("CDHS", "COM", "CAM", "EXP", "ADCS") for what in ("min", "max", "avg", "actual")),
+        *_names("uSYSmin uSYSmax uSYSactual iOverBit connectBit tsTemp countCOMpacket PSUError PSULastError COMError COMLastError "
+                "endofdata"))),
+}  # fmt: skip
+"""Types of beacons whose fields are published."""
+
+TYPES = {0x01: "CDHS", 0x02: "ADCS", 0x03: "COM", 0x05: "PWR"}
+
+OTHER = "other"
+"""What is none of these: written as it came."""
 
 
 class Beacons(NamedTuple):
-    """Decoded attitude beacons: rows of (unix time, station, fields as `ADCS_COLUMNS`), how many frames of each kind there
-    were, and how many could not be read, by reason."""
+    """Decoded beacons: of each kind rows of (unix time, station, fields as `KINDS` has them, of `OTHER` in hexadecimal digits),
+    and how many frames could not be read, by reason."""
 
-    adcs: list[tuple[int, str, tuple[int, ...]]]
-    kinds: dict[str, int]
+    rows: dict[str, list[tuple[float, str, tuple[Any, ...]]]]
     unread: dict[str, int]
+
+    @property
+    def kinds(self) -> dict[str, int]:
+        """How many frames of each kind there are."""
+        return {kind: len(rows) for kind, rows in self.rows.items()}
+
+
+class Frame(NamedTuple):
+    """A frame from its type byte on, when (unix s) and where it was received; None and empty where its name does not say."""
+
+    time: float | None
+    station: str
+    content: bytes
 
 
 def unescape(frame: bytes) -> bytes:
@@ -48,51 +102,86 @@ def unescape(frame: bytes) -> bytes:
 
 
 def decode_beacons(path: Any) -> Beacons:
-    """Read all raw frames of a folder or zip, oldest first; a frame that cannot be read is counted, never fatal."""
-    rows, kinds, unread = [], {}, {}
-    for name, frame in _frames(Path(path)):
-        named = re.match(r"(\d{9,11})_([A-Za-z0-9]+)", name)
-        if named is None:
-            unread["the name has no receive time"] = unread.get("the name has no receive time", 0) + 1
-            continue
-        content = unescape(frame)
-        kind = TYPES.get(content[HEADER_BYTES], "unknown type") if len(content) > HEADER_BYTES else "too short"
-        kinds[kind] = kinds.get(kind, 0) + 1
-        fields = content[HEADER_BYTES + 1 :]
-        if kind == "ADCS" and len(fields) < ADCS.size:
-            unread["an attitude beacon is cut off"] = unread.get("an attitude beacon is cut off", 0) + 1
-        elif kind == "ADCS":
-            rows.append((int(named[1]), named[2], ADCS.unpack_from(fields)))
-    if not kinds:
+    """Read all raw frames of a folder, a zip or a SatNOGS export, oldest first; a frame that cannot be read is counted, never
+    fatal."""
+    rows: dict[str, list[tuple[float, str, tuple[Any, ...]]]] = {}
+    unread: Counter[str] = Counter()
+    for frame in _frames(Path(path)):
+        kind = TYPES.get(frame.content[0], OTHER) if frame.content else ""
+        if frame.time is None:
+            unread["the name has no receive time"] += 1
+        elif not kind:
+            unread["too short for a beacon"] += 1
+        elif kind == OTHER:
+            rows.setdefault(OTHER, []).append((frame.time, frame.station, (frame.content.hex(),)))
+        elif len(frame.content) <= KINDS[kind].form.size:
+            unread[f"a {kind} beacon is cut off"] += 1
+        else:
+            rows.setdefault(kind, []).append((frame.time, frame.station, KINDS[kind].form.unpack_from(frame.content[1:])))
+    if not rows and not unread:
         raise TelemetryError(sentence("no raw beacon here", do="give the folder or zip of raw frames", where=str(path)))
-    return Beacons(sorted(rows), kinds, unread)
+    return Beacons({kind: sorted(rows[kind]) for kind in sorted(rows)}, dict(unread))
 
 
-def adcs_csv(beacons: Beacons) -> str:
-    """The attitude beacons as the CSV that the built-in vehicle reads."""
+def beacons_csv(beacons: Beacons, kind: str) -> str:
+    """The beacons of a kind as CSV; that of the attitude and power beacons is what the built-in vehicle reads."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["unix_s_rx", "station", *ADCS_COLUMNS])
-    writer.writerows([time, station, *fields] for time, station, fields in beacons.adcs)
+    writer.writerow(["unix_s_rx", "station", *(KINDS[kind].columns if kind in KINDS else ("frame",))])
+    writer.writerows([f"{time:.12g}", station, *fields] for time, station, fields in beacons.rows[kind])
     return text.getvalue()
 
 
-def _frames(path: Path) -> Iterator[tuple[str, bytes]]:
-    where = str(path)
+def _frames(path: Path) -> Iterator[Frame]:
+    if path.is_dir():
+        for file in sorted(entry for entry in path.iterdir() if is_plain(entry))[:MAX_FRAMES]:
+            with open(file, "rb") as stream:
+                yield _of_collector(file.name, stream.read(MAX_FRAME_BYTES))
+    elif is_plain(path) and _begins(path)[:1] in b"0123456789{[":
+        yield from _of_satnogs(path)
+    else:
+        yield from _zipped(path)
+
+
+def _begins(path: Path) -> bytes:
+    with open(path, "rb") as stream:
+        return stream.read(4)
+
+
+def _zipped(path: Path) -> Iterator[Frame]:
     try:
-        if path.is_dir():
-            for file in sorted(entry for entry in path.iterdir() if is_plain(entry))[:MAX_FRAMES]:
-                with open(file, "rb") as stream:
-                    yield file.name, stream.read(MAX_FRAME_BYTES)
-            return
         if not is_plain(path):
             raise OSError("no such file, or it is empty, a device or a pipe")
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist()[:MAX_FRAMES]:
                 if not info.is_dir():
                     with archive.open(info) as stream:
-                        yield Path(info.filename).name, stream.read(MAX_FRAME_BYTES)
+                        yield _of_collector(Path(info.filename).name, stream.read(MAX_FRAME_BYTES))
     except Exception as error:  # what zipfile raises on a damaged archive is not documented, and is much
-        raise TelemetryError(
-            sentence(f"the raw beacons cannot be read ({error})", do="give a folder or a zip of raw frames", where=where)
-        ) from None
+        do = "give a folder or a zip of raw frames, or SatNOGS's export of them"
+        raise TelemetryError(sentence(f"the raw beacons cannot be read ({error})", do=do, where=str(path))) from None
+
+
+def _of_collector(name: str, frame: bytes) -> Frame:
+    named = re.match(r"(\d{9,11})_([A-Za-z0-9]+)", name)
+    content = unescape(frame)[KISS_BYTES + AX25_BYTES :]
+    return Frame(None, "", content) if named is None else Frame(int(named[1]), named[2], content)
+
+
+def _of_satnogs(path: Path) -> Iterator[Frame]:
+    """Frames of SatNOGS DB, as its website exports them or its interface gives them (`timestamp`, `frame`, `observer`)."""
+    table = read_table(path)
+    if not {"timestamp", "frame"} <= set(table.header):
+        what = "raw frames of SatNOGS have a time and a frame each"
+        raise TelemetryError(sentence(what, got="columns " + ", ".join(table.header)[:200], where=str(path)))
+    time_at, frame_at = table.header.index("timestamp"), table.header.index("frame")
+    observer_at = table.header.index("observer") if "observer" in table.header else None
+    for row, line in zip(table.rows[:MAX_FRAMES], table.lines, strict=False):
+        moment = parse_utc(row[time_at])
+        try:
+            content = bytes.fromhex(row[frame_at][: 2 * MAX_FRAME_BYTES])
+        except ValueError:
+            what, where = "a frame is written in hexadecimal digits", f"{path}, line {line}"
+            raise TelemetryError(sentence(what, got=row[frame_at][:60] or "an empty cell", where=where)) from None
+        station = "" if observer_at is None else row[observer_at]
+        yield Frame(None if moment is None else moment.timestamp(), station, content[AX25_BYTES:])

@@ -10,8 +10,9 @@ from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle.part import Part, part
 from sunspin.vehicle.response.cosine import Cosine
 from sunspin.vehicle.response.grazing import Grazing
-from sunspin.vehicle.response.protocol import PanelResponse
-from sunspin.vehicle.response.tabled import Law, Tabled
+from sunspin.vehicle.response.joined import Input, Inputs, Joined, full_signal
+from sunspin.vehicle.response.protocol import Law, PanelResponse
+from sunspin.vehicle.response.tabled import Tabled
 from sunspin.vehicle.response.tilted import Tilted
 from sunspin.vehicle.response.wall import Wall
 
@@ -44,9 +45,14 @@ Triples = tuple[tuple[float, ...], ...]
 
 
 @lru_cache(maxsize=64)
-def response_of(law: Law | None, names: tuple[str, ...], normals_B: Triples, gains: tuple[float, ...]) -> PanelResponse:
-    """The response of panels with these names, normals and gains."""
+def response_of(
+    law: Law | None, names: tuple[str, ...], normals_B: Triples, gains: tuple[float, ...], inputs: tuple[Input, ...] = ()
+) -> PanelResponse:
+    """The response of panels with these names, normals and gains; of `inputs`, where panels share some."""
     normals, strength = np.array(normals_B).reshape(-1, 3), np.array(gains)
     normals.setflags(write=False)
+    if inputs:
+        full = np.array([full_signal(one, normals, strength) for one in inputs])
+        return Joined(normals, full, Inputs(law, inputs, gains, tuple(full.tolist())), names)
     strength.setflags(write=False)
     return Cosine(normals, strength) if law is None else Tabled(normals, strength, law, names)

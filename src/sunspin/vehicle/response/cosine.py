@@ -167,6 +167,13 @@ class Cosine(Flat):
             delta[part] = np.minimum(away_fixed[each, best_fixed], away[each, best])
         return direction, delta
 
+    def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        return self.best(readings)[0][:, None]
+
+    @property
+    def images(self) -> np.ndarray:
+        return np.eye(3)[None]
+
     def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
         values = np.linalg.svd(self.normals_B[lit], compute_uv=False) if lit.any() else np.zeros(0)
         return int(np.count_nonzero(values > RANK_TOLERANCE))

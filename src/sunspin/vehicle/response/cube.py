@@ -51,6 +51,10 @@ def nodes(size: int) -> np.ndarray:
     return every
 
 
+jit = njit(nogil=True, cache=True)
+
+
+@jit
 def place(size, x, y, z):
     """The first corner of the cell that a direction of any length lies in, and how far in it lies along rows and columns."""
     ax, ay, az = abs(x), abs(y), abs(z)
@@ -69,6 +73,7 @@ def place(size, x, y, z):
     return face * (size + 1) * (size + 1) + i * (size + 1) + j, row - i, column - j
 
 
+@jit
 def read(size, numbers, columns, k, x, y, z):
     """Column k of a table of 6 (size + 1)^2 rows of `columns` numbers, at a direction: linear along rows and columns."""
     at, u, v = place(size, x, y, z)
@@ -78,11 +83,8 @@ def read(size, numbers, columns, k, x, y, z):
     return (1 - u) * below + u * above
 
 
-TEXT = "\n\n".join(f"@jit\n{getsource(function)}" for function in (place, read))
+TEXT = "\n\n".join(getsource(reader.py_func) for reader in (place, read))
 """The reader as text, for kernels: compiled with their settings."""
-
-jit = njit(nogil=True, cache=True)
-place, read = jit(place), jit(read)
 
 
 def size_of(rows: int) -> int:

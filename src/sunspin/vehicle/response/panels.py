@@ -14,7 +14,8 @@ Pattern = frozenset[str]  # of panel names: the lit ones
 
 
 def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
-    """Signal of each panel by the law that the vehicle's file names, else ``gain * max(0, normal . sun)`` (paper, eq. 1).
+    """Signal of each panel by the law that the vehicle's file names, else ``gain * max(0, normal . sun)`` (paper, eq. 1); where
+    panels share inputs (channels), the reading of each input (`vehicle.input_names`).
 
     Parameters
     ----------
@@ -23,14 +24,14 @@ def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
 
     Returns
     -------
-    (..., n_panel) in the unit of the gains (`vehicle.gain_unit`), or relative.
+    (..., n_panel), or inputs, in the unit of the gains (`vehicle.gain_unit`), or relative.
     """
     vehicle.require_panels()
     return vehicle.response_in().power(np.asarray(sun_B, dtype=np.float64))
 
 
 def lit_patterns(vehicle: Vehicle) -> tuple[Pattern, ...]:
-    """The sets of panels that the Sun can light together, for directions on no edge (16 for Philae)."""
+    """The sets of panels (inputs) that the Sun can light together, for directions on no edge (16 for Philae)."""
     vehicle.require_panels()
     patterns = named(vehicle, vehicle.response_in().regions().lit)
     return tuple(sorted(patterns, key=lambda pattern: (len(pattern), sorted(pattern))))
@@ -48,5 +49,5 @@ def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
 
 def named(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
     """Sets of lit panels (m, n_panel) by name."""
-    names = np.array(vehicle.panel_names)
+    names = np.array(vehicle.input_names)
     return frozenset(frozenset(names[row].tolist()) for row in lit)

@@ -64,8 +64,21 @@ class Counted:
         return np.asarray(self.normals_B if self.table is None else self.table, dtype=np.float32).ravel()
 
 
+class Law(Protocol):
+    """What a new response must say. It is compared and hashed by content, since what was looked up is kept by it."""
+
+    def __hash__(self) -> int: ...
+
+    def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        """The power (..., n_panel) of panels `names` over their gains for the Sun at sun_B (..., 3), which meets their normals
+        (..., n_panel, 3) or (n_panel, 3) under angles with that `cosine` (..., n_panel)."""
+        ...
+
+
 class PanelResponse(Protocol):
     """How panels of one vehicle see light."""
+
+    def __hash__(self) -> int: ...
 
     @property
     def facing_B(self) -> np.ndarray:
@@ -124,6 +137,16 @@ class PanelResponse(Protocol):
 
     def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The direction (n, 3) with the smallest Delta (n) (paper, eq. 2) for readings (n, n_panel): the global minimum."""
+        ...
+
+    def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """Directions (n, k, 3), the best first, with a Delta that exceeds the smallest by no more than `slack` (n); else NaN. Of
+        one law, the cosine's, the best alone: there no two fit alike."""
+        ...
+
+    @property
+    def images(self) -> np.ndarray:
+        """Mirrors and turns (m, 3, 3) of the body that change readings little or not at all, the first of them none at all."""
         ...
 
     def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from sunspin.solve.least_squares import Stop, least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import moved, seen_turned, tangents
 from sunspin.vehicle.response.cosine import RANK_TOLERANCE, Flat, blurred
-from sunspin.vehicle.response.protocol import Counted, Regions, Slopes, misfit, sphere, unit_readings
+from sunspin.vehicle.response.protocol import Counted, Law, Regions, Slopes, misfit, sphere, unit_readings
 
 if TYPE_CHECKING:
     from sunspin.vehicle.response.cube import SphereTable
@@ -77,15 +77,6 @@ MASK_SIZE = 96
 
 CAP_SIZE, CAP_LOOKS, COARSE = 40, 10_000, 2e-3
 """The same of bounds, 2.3 degrees, of directions 2 degrees apart; the error (share of the gain) of powers inside compiled code."""
-
-
-class Law(Protocol):
-    """What a new response must say."""
-
-    def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-        """The power (..., n_panel) of panels `names` over their gains for the Sun at sun_B (..., 3), which meets their normals
-        (..., n_panel, 3) or (n_panel, 3) under angles with that `cosine` (..., n_panel)."""
-        ...
 
 
 @lru_cache(maxsize=4)
@@ -224,12 +215,16 @@ class Tabled(Flat):
     @cached_property
     def _base(self) -> Tabled:
         """The same law with gains of one, whose looks are shared by all gains."""
-        return _of_unit_gains(self.law, self.names, tuple(map(tuple, self.normals_B.tolist())))
+        return _of_unit_gains(type(self), self.law, self.names, tuple(map(tuple, self.normals_B.tolist())), len(self.gains))
 
     @cached_property
     def _seen(self) -> np.ndarray:
         """Shares (LOOKS, n_panel) all over the sphere."""
         return self.power(_even(LOOKS)) / self.gains
+
+    def sides(self, sun_B: np.ndarray) -> np.ndarray:
+        """What (..., m) is the same all over a region."""
+        return self.power(sun_B) > 0
 
     @cached_property
     def _regions(self) -> Regions:
@@ -238,8 +233,8 @@ class Tabled(Flat):
         from scipy.spatial import KDTree
 
         lit, where = self._seen > 0, _even(LOOKS)
-        a, b = _neighbours().T
-        same = (lit[a] == lit[b]).all(axis=1)
+        side, (a, b) = _code(self.sides(where)), _neighbours().T
+        same = side[a] == side[b]
         pairs = coo_array((np.ones(same.sum()), (a[same], b[same])), shape=(LOOKS, LOOKS))
         count, part = connected_components(pairs, directed=False)
         border = np.unique(np.concatenate([a[~same], b[~same]]))
@@ -254,13 +249,13 @@ class Tabled(Flat):
     @cached_property
     def _borders(self) -> tuple[np.ndarray, np.ndarray]:
         """Directions (m, 3) at edges, to both sides where a power jumps, and their shares (m, n_panel)."""
-        code = _code(self._seen > 0)
+        code = _code(self.sides(_even(LOOKS)))
         a, b = _neighbours()[code[_neighbours()[:, 0]] != code[_neighbours()[:, 1]]].T
         low, high = _even(LOOKS)[a], _even(LOOKS)[b]
         for _ in range(HALVINGS):
             middle = low + high
             middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-            near = (_code(self.power(middle) > 0) == code[a])[:, None]
+            near = (_code(self.sides(middle)) == code[a])[:, None]
             low, high = np.where(near, middle, low), np.where(near, high, middle)
         jump = (np.abs(self.power(low) - self.power(high)) > JUMP).any(axis=1)
         found = np.concatenate([low[jump], high[jump], low[~jump][::THINNED]])
@@ -322,12 +317,12 @@ class Tabled(Flat):
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Shares at the nodes (NODES, n_panel), and the numbers of the eight neighbours of each, of those
-        where other panels are lit its own: each region has its minima."""
+        of another region its own: each region has its minima."""
         from scipy.spatial import KDTree
 
         neighbours = np.asarray(KDTree(_even(NODES)).query(_even(NODES), k=9)[1])
         power = self.power(_even(NODES))
-        code = _code(power > 0)
+        code = _code(self.sides(_even(NODES)))
         neighbours = np.where(code[neighbours] == code[:, None], neighbours, neighbours[:, :1])
         return power, neighbours[:, 1:]
 
@@ -361,6 +356,16 @@ class Tabled(Flat):
             least = np.argmin(misfit(self.power(found), wanted[:, None]), axis=1)
             direction[part] = found[np.arange(len(found)), least]
         return direction, misfit(self.power(direction), target)
+
+    def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        best, delta = self.best(readings)
+        found = np.concatenate([best[:, None], self.candidates(readings)], axis=1)
+        away = misfit(self.power(found), unit_readings(readings)[:, None])
+        return np.where((away <= (delta + slack)[:, None])[..., None], found, np.nan)
+
+    @property
+    def images(self) -> np.ndarray:
+        return np.eye(3)[None]
 
     def _polished(self, start: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Directions (n, 3) moved to better ones around them, on whatever side of an edge, ever nearer."""
@@ -440,7 +445,7 @@ class Tabled(Flat):
         """The smallest table that gives powers to `error`, a share of the gain, beside edges."""
         from sunspin.vehicle.response.cube import SphereTable, nodes
 
-        asked = _even(LOOKS)
+        asked, reached = _even(LOOKS), np.inf
         for size in SIZES:
             power, to_sun = self._along_sphere(nodes(size))
             numbers = np.concatenate([power[..., None], to_sun], axis=-1) / self.gains[:, None]
@@ -448,11 +453,11 @@ class Tabled(Flat):
             away = np.abs(found.read(asked)[0] - self._base._seen)
             least, most = self._around(asked, 2.0 / size)
             edge = ((least > 0) != (most > 0)) | (most - least > 6.0 / size)
-            found = found._replace(error=float(away[~edge].max(initial=0.0)), edges=float(edge.any(axis=1).mean()))
-            if found.error <= error:
-                return found
+            reached = float(away[~edge].max(initial=0.0))
+            if reached <= error:
+                return found._replace(error=reached, edges=float(edge.any(axis=1).mean()))
         what = f"no table of {SIZES[-1]} cells along an edge of the cube tells the panels' law so well"
-        raise InputError(sentence(what, got=f"error {error:g}", do=f"allow {found.error:.1g}"))
+        raise InputError(sentence(what, got=f"error {error:g}", do=f"allow {reached:.1g}"))
 
     def _around(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest share (n, n_panel) on a ring around directions (n, 3)."""
@@ -461,8 +466,10 @@ class Tabled(Flat):
 
 
 @lru_cache(maxsize=16)
-def _of_unit_gains(law: Law, names: tuple[str, ...], normals_B: tuple[tuple[float, ...], ...]) -> Tabled:
-    return Tabled(np.array(normals_B).reshape(-1, 3), np.ones(len(names)), law, names)
+def _of_unit_gains(
+    kind: type[Tabled], law: Law, names: tuple[str, ...], normals_B: tuple[tuple[float, ...], ...], readings: int
+) -> Tabled:
+    return kind(np.array(normals_B).reshape(-1, 3), np.ones(readings), law, names)
 
 
 @lru_cache(maxsize=16)

@@ -1,0 +1,118 @@
+"""The option --set, its short names, and the list of what can be set."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from sunspin.base.errors import InputError, sentence
+
+if TYPE_CHECKING:
+    from sunspin.vehicle import Vehicle
+    from sunspin.vehicle.assumptions import Assumptions
+
+SHORT = {
+    "friction": ("wheel.friction", "NAME", "Wheel friction by the name of another law in the vehicle file, such as printed."),
+    "wheel_speed": ("wheel.speed_rad_s", "RAD_S", "Wheel speed at the first sample after the touchdown."),
+    "lead": ("study.lead_s", "S", "From the first touchdown to the first sample after it."),
+    "target_weights": ("study.target_weights", "equal|interval", "What each measured direction counts."),
+    "mask": ("study.mask", "reconstructible|everywhere", "Which simulated directions count."),
+    "factor": ("study.near_minimum_factor", "FACTOR", "Near-minimum factor of the paper's set."),
+    "confidence": ("study.confidence", "SHARE", "Of the calibrated set."),
+    "restitution": ("collision.restitution", "SHARE", "Of the collision: 0 sticks."),
+    "damper": ("collision.damper", "SHARE", "Part of the blow that the landing gear takes along z."),
+}
+"""Option -> key that it is a name for, its value, its help."""
+
+
+class Opened(NamedTuple):
+    """What a command works with: the vehicle file (with changes), the vehicle, the assumptions, in words what was changed."""
+
+    file: Any
+    craft: Vehicle
+    assumptions: Assumptions
+    said: tuple[str, ...]
+
+    def mark(self, result: Any) -> Any:
+        """The result, saying in its attributes all that was changed."""
+        if self.said:
+            result.attrs["changes"] = "\n".join(self.said)
+        return result
+
+
+class Changeable(click.Command):
+    """A command with --set: `--set list` needs nothing else but the vehicle."""
+
+    @property
+    def uses(self) -> tuple[str, ...]:
+        return getattr(self.callback, "uses", ())
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if any(word in ("list", "--set=list") for word in args):
+            given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
+            if "list" in given.get("sets", ()):
+                _print_list(str(given.get("vehicle") or "philae"), self.uses, bool(given.get("as_json")))
+                ctx.exit()
+        return super().parse_args(ctx, args)
+
+
+def set_options(*uses: str, short: tuple[str, ...] = ()) -> Callable:
+    """--set and some of its short names; `uses`: keys of the assumptions, or tables of them, that the command uses."""
+
+    def decorate(command: Any) -> Callable:
+        for name in reversed(short):
+            _, value, about = SHORT[name]
+            command = click.option(f"--{name.replace('_', '-')}", metavar=value, help=about)(command)
+        command = click.option(
+            "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change an assumption for this run, by its key in the "
+            "vehicle file: KEY=VALUE, KEY*=FACTOR or KEY+=STEP; `--set list` shows what can be set. Repeatable.",
+        )(command)  # fmt: skip
+        vars(command)["uses"] = uses
+        return command
+
+    return decorate
+
+
+def asked(sets: tuple[str, ...], uses: tuple[str, ...], **short: str | None) -> tuple[Any, ...]:
+    """All changes asked for; refused is one that the command does not use."""
+    from sunspin.vehicle.assumptions import TABLES
+    from sunspin.vehicle.changes import changes_of
+
+    changes = changes_of([*(f"{SHORT[name][0]}={value}" for name, value in short.items() if value is not None), *sets])
+    for change in changes:
+        table = change.key.partition(".")[0]
+        if table in TABLES and table not in uses and change.key not in uses:
+            raise InputError(sentence("this command does not use that assumption", got=change.key, do="`--set list` shows all"))
+    return changes
+
+
+def opened(vehicle: Any, sets: tuple[str, ...], *uses: str) -> Opened:
+    """The vehicle and the assumptions with the changes."""
+    from sunspin.vehicle import load_vehicle
+    from sunspin.vehicle.assumptions import read_assumptions, split
+    from sunspin.vehicle.file import changed_file
+
+    of_vehicle, of_study = split(asked(sets, uses))
+    file = changed_file(vehicle, of_vehicle)
+    craft, assumptions = load_vehicle(file), read_assumptions(of_study)
+    return Opened(file, craft, assumptions, tuple(map(str, (*craft.changes, *assumptions.changes))))
+
+
+def _print_list(vehicle: str, uses: tuple[str, ...], as_json: bool) -> None:
+    """Key, value, unit and source of all that the command can change."""
+    from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
+    from sunspin.vehicle.changes import settings, shown
+    from sunspin.vehicle.file import VehicleFile, vehicle_table
+
+    found = settings(vehicle_table(vehicle), VehicleFile)
+    found += [one for one in settings(assumptions_table(), AssumptionsFile) if one.key in uses or one.key.partition(".")[0] in uses]
+    if as_json:
+        click.echo(json.dumps([one._asdict() for one in found], indent=1))
+        return
+    width = max(len(one.key) for one in found)
+    for one in found:
+        about = f"({one.source})" if one.source else ""
+        click.echo(f"{one.key:{width}}  {' '.join(filter(None, (shown(one.value), one.unit, about)))}")

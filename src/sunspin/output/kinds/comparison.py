@@ -1,0 +1,76 @@
+"""Comparisons of two results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.folder import write_whole
+from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+
+MOST_LINES = 20
+"""Rows that are printed; the table has all."""
+
+COLUMNS = ("what", "a", "b", "unit", "change", "error", "of", "size", "beyond", "words")
+
+
+def comparison_summary(found: Any) -> Summary:
+    """How many rows moved, beyond their errors, and which."""
+    beyond, known = found["beyond"].values, np.isfinite(found["error"].values)
+    numbers: dict[str, Any] = {
+        "command": str(found.attrs["command"]), "a": str(found.attrs["folder_a"]), "b": str(found.attrs["folder_b"]),
+        "rows": int(beyond.size), "beyond": int(np.count_nonzero(beyond & known)),
+        "changed_without_error": int(np.count_nonzero(beyond & ~known)), "same_telemetry": bool(found.attrs["same_telemetry"]),
+        "synthetic_telemetry": bool(found.attrs.get("synthetic", 0)),
+        "moved": [_plain(found, i) for i in range(beyond.size) if beyond[i] or found["words"].values[i]],
+    }  # fmt: skip
+    lines = [f"{letter.upper()}: {found.attrs[f'folder_{letter}']}{_changes(found, letter)}" for letter in "ab"]
+    lines.append(
+        f"{numbers['beyond']} of {int(known.sum())} rows with a known error moved beyond it; of {int((~known).sum())} without one "
+        f"{numbers['changed_without_error']} changed"
+        + ("; both are of the same telemetry" if numbers["same_telemetry"] else "; the telemetry is not the same")
+    )  # fmt: skip
+    chosen = [i for i in range(beyond.size) if beyond[i] or found["words"].values[i]]
+    lines += [_line(found, i) for i in chosen[:MOST_LINES]]
+    rest = len(chosen) - MOST_LINES
+    return Summary(numbers, lines, [f"  and {rest} more: give --out for the whole table"] if rest > 0 else [])
+
+
+def _changes(found: Any, letter: str) -> str:
+    told = str(found.attrs.get(f"changes_{letter}", "")).splitlines()
+    return f", with {'; '.join(told)}" if told else ""
+
+
+def _line(found: Any, i: int) -> str:
+    row = {name: found[name].values[i] for name in COLUMNS}
+    unit = f" {row['unit']}" if row["unit"] else ""
+    size = f"{row['size']:7.2g} errors" if np.isfinite(row["error"]) else f"{100 * row['size']:7.2g} %     "
+    words = f"; {row['words']}" if row["words"] else ""
+    return f"  {size}  {found['row'].values[i]}: {row['a']}, now {row['b']}{unit}{words}"
+
+
+def _plain(found: Any, i: int) -> dict[str, Any]:
+    return {"row": str(found["row"].values[i])} | {name: found[name].values[i].item() for name in COLUMNS}
+
+
+def comparison_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures.comparison import comparison_figure
+
+    others = int(np.count_nonzero(~np.isfinite(found["error"].values) & found["beyond"].values))
+    yield Drawing(
+        "comparison", lambda: comparison_figure(found), "The rows that moved most between the two results, each in its own errors.",
+        f"What moved from A ({found.attrs['folder_a']}) to B ({found.attrs['folder_b']}), in errors of each row: half of the wider "
+        f"interval, or one sigma. Beyond the dashed line a row moved by more than its error. {others} more changed of which no "
+        "error is known; the table has them." + synthetic_note(found),
+    )  # fmt: skip
+
+
+def comparison_tables(found: Any, folder: Path, _: Beside) -> None:
+    import pandas as pd
+
+    table = {"row": found["row"].values} | {name: found[name].values for name in COLUMNS}
+    text = synthetic_label(found) + pd.DataFrame(table).to_csv(index=False, float_format="%.9g")
+    write_whole(folder / "comparison.csv", lambda part: part.write_text(text, "utf-8"))

@@ -1,0 +1,56 @@
+"""The effort of a search is counted and bounded: the best so far is kept, a cut search says so and is never decided."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import sunspin as ss
+from sunspin.cli.rates import rates as command
+from sunspin.estimate.effort import BATCH, Effort, allowed, may_go_on, spend
+from sunspin.vehicle import Panel, Vehicle
+
+NORMALS = np.vstack([np.eye(3), -np.eye(3)])
+SPHERE = Vehicle("sphere", gain_unit="W", panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)])
+
+
+def test_what_is_spent_counts_in_all_that_it_is_part_of():
+    with Effort(10.0 + 3 * BATCH) as whole:
+        part = whole.part(4.0 + 2 * BATCH)
+        with part:
+            spend(3)
+            assert may_go_on() and part.left == 1 + BATCH
+            spend(2)
+            assert not may_go_on() and part.cut and not whole.cut
+        assert may_go_on() and whole.spent == 5 + 2 * BATCH
+        spend(6)
+        with whole.part(100.0) as other:
+            assert not may_go_on() and other.cut  # nothing is left of the whole
+    spend(1)  # nobody counts
+    assert may_go_on() and whole.spent == 11 + 3 * BATCH
+
+
+@pytest.mark.parametrize("given", [0, -1, np.nan, True, "ten", None])
+def test_an_effort_is_positive(given):
+    with pytest.raises(ss.InputError, match="effort must be a positive number"):
+        allowed(given)
+
+
+@pytest.mark.parametrize("given", ["0", "nan", "-3"])
+def test_an_effort_on_the_command_line_is_positive(given):
+    done = CliRunner().invoke(command, ["vehicle", "telemetry", "--effort", given])
+    assert isinstance(done.exception, ss.InputError) and "--effort must be a positive number or inf" in str(done.exception)
+
+
+def test_a_cut_search_keeps_the_best_so_far_and_is_never_decided():
+    t = 40.0 * np.arange(4)
+    run = ss.propagate(Vehicle("truth", inertia_kg_m2=np.eye(3)), [0.004, -0.003, 0.012], [0.6, 0.0, 0.8], None, t)
+    power = np.maximum(ss.panel_power(SPHERE, run["sun_B"].values) + 0.02 * np.random.default_rng(1).normal(size=(4, 6)), 0)
+    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(4, dtype=np.uint8))}
+    data = xr.Dataset(variables, {"time": t, "panel": list("abcdef")}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
+    setting = {"acceleration_noise": 1e-4, "max_rate_rad_s": 0.04}
+    usual, cut = (ss.rates(SPHERE, data, effort=effort, **setting) for effort in (1.0, 1e-6))
+    assert usual.attrs["cut_passes"] == 0 and usual["search_complete"].all() and "CUT" not in usual.attrs["verdict"]
+    assert cut.attrs["cut_passes"] == 1 and not cut["search_complete"].any() and not cut["decided"].any()
+    assert "CUT SHORT" in cut.attrs["verdict"] and cut.attrs["effort"] < usual.attrs["effort"]
+    assert np.isfinite(cut["omega_mean_B"].values[:, 0]).all()

@@ -1,0 +1,139 @@
+"""Rates in an orbit that is known: what the terms make of it, and a pass end to end. All telemetry is synthetic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from orbit_rates_twins import judged, make, orbit_of
+from sunspin.environment import Surroundings
+from sunspin.environment.orbit import SunAlongZ
+from sunspin.estimate.field_calibration import FieldCalibration, field_calibration
+from sunspin.estimate.rates.observe import FIELD_ALONE, observations, usable
+from sunspin.estimate.rates.seed import field_leads
+from sunspin.estimate.terms.earth_light import EarthLight
+from sunspin.estimate.terms.known_field import KnownField
+from sunspin.estimate.terms.magnetic_torque import MagneticTorque
+from sunspin.estimate.terms.magnetometer import Magnetometer
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.term import SUN_N, Seen, normal
+from sunspin.solve.rotations import turn
+
+TWIN = 3
+TIMES = np.arange(12) * 30.0
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return make(1, TWIN, patches=1000)
+
+
+def seen(rng: np.random.Generator) -> Seen:
+    return Seen(Rotation.from_rotvec(2 * rng.normal(size=(12, 3))).as_matrix()[None], rng.normal(size=(1, 12, 3)))
+
+
+def known_field(rng: np.random.Generator, track: Seen) -> KnownField:
+    """Readings of a field that turns, without noise."""
+    field_N = 3e-5 * np.column_stack([np.cos(TIMES / 500), np.sin(TIMES / 500), 0.4 + TIMES / 900])
+    read = (track.attitude[0] @ field_N[..., None])[..., 0]
+    own, along = 1e-6 * rng.normal(size=(2, 12, 13, 3))
+    return KnownField(1e9 * read, read, np.full(12, 5e-7), field_N, own, along)
+
+
+def test_the_gradient_of_a_known_field_is_that_of_its_cost():
+    rng = np.random.default_rng(4)
+    track = seen(rng)
+    term, error = known_field(rng, track), 0.5 * rng.normal(size=(1, 13))
+    slope = normal(term, track, error)[1].sum(axis=1)[0]
+    small = [sign * 1e-6 * one for one in np.eye(19) for sign in (1, -1)]
+    changed = [(replace(track, attitude=turn(track.attitude, one[:3])), error + one[6:]) for one in small]
+    cost = np.array([normal(term, at, off)[2].sum() for at, off in changed])
+    np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-6, rtol=1e-4, atol=1e-3)
+    assert np.all(slope[3:6] == 0) and [one.kind for one in term.unknowns()] == 13 * ["magnetometer"]
+
+
+def test_the_turn_about_the_sun_that_the_search_leaves_open_is_found_from_the_field():
+    rng = np.random.default_rng(5)
+    track = seen(rng)
+    about = Rotation.from_rotvec(2.1 * SUN_N).as_matrix()
+    found = known_field(rng, track).begin(replace(track, attitude=track.attitude @ about))
+    np.testing.assert_allclose(found, track.attitude, atol=1e-9)
+
+
+def test_axes_that_follow_the_field_turn_as_it_does():
+    rng = np.random.default_rng(6)
+    term = known_field(rng, seen(rng))
+    unit = term.field_N / np.linalg.norm(term.field_N, axis=1, keepdims=True)
+    frames = term.frames()
+    np.testing.assert_allclose((frames @ unit[..., None])[..., 0], np.tile(SUN_N, (12, 1)), atol=1e-12)
+    turned = Rotation.from_matrix(np.swapaxes(frames[1:], 1, 2) @ frames[:-1]).as_rotvec() / 30.0
+    np.testing.assert_allclose(turned[5], (term.turning(TIMES)[5] + term.turning(TIMES)[6]) / 2, rtol=0.02)
+
+
+def test_a_dipole_in_a_known_field_pulls_across_both():
+    rng = np.random.default_rng(7)
+    track = seen(rng)
+    track = replace(track, attitude=np.repeat(track.attitude[:, :1], 12, axis=1), omega=np.zeros((1, 12, 3)))
+    field = np.tile([0.3, -0.4, 1.2], (12, 1))
+    term = MagneticTorque.beside(1e-4, field)
+    assert [one.name for one in term.unknowns()] == ["dipole_x", "dipole_y", "dipole_z"]
+    here = track.attitude[0, 0] @ field[0] / np.linalg.norm(field[0])
+    pushed = term.pushes(track, np.diff(TIMES))[0, 3]
+    np.testing.assert_allclose(pushed[3:, 1], 30 * term.sigma / np.sqrt(2) * np.cross([0.0, 1.0, 0.0], here), atol=1e-18)
+    np.testing.assert_allclose(pushed[:3], 15 * pushed[3:], atol=1e-18)
+
+
+def test_a_beam_that_is_known_has_its_brightness_as_an_unknown_and_turns_the_start_to_the_sun():
+    light = np.tile([0.2, 0.0, 0.05], (12, 1))
+    earth = EarthLight.prior(TIMES, 0.1, np.ones(6), light)
+    assert earth.unknowns(tuple("abcdef"))[0].name == "earth_reflectivity" and earth.unknowns(tuple("abcdef"))[0].limit == 2.0
+    both = SUN_N + light[0]
+    shown = Rotation.align_vectors([SUN_N], [both / np.linalg.norm(both)])[0].as_matrix()  # the search sees both together along z
+    found, error = earth.begin(np.tile(shown.T, (1, 12, 1, 1)) @ shown @ shown.T, lambda e, a: np.zeros(1), True)
+    np.testing.assert_allclose(found[0, 0] @ both / np.linalg.norm(both), shown.T @ SUN_N, atol=1e-9)
+    assert not error.any()
+
+
+def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
+    vehicle, data, given, truth, about = twin
+    orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
+    found = field_calibration(orbit, vehicle, data)
+    assert isinstance(found, FieldCalibration) and 2e-7 < found.noise_T < 1.2e-6
+    true = Rotation.from_quat(truth["B_from_N"].values).apply(orbit.at(data["time"].values).field_N)
+    off, spread = found.field(data["field_B"].values) - true, np.sqrt((found.columns(data["field_B"].values) ** 2).sum(axis=1))
+    assert np.sqrt(np.mean((off / np.hypot(spread, found.noise_T)) ** 2)) < 1.5
+    assert field_calibration(orbit, vehicle, data.drop_vars("field_B")) is None
+
+
+def test_a_sample_in_the_shadow_counts_by_its_field_and_its_panels_must_be_dark(twin):
+    vehicle, data, given, _, about = twin
+    orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
+    known, why, _ = observations(vehicle, data, None, SunAlongZ(orbit), field_calibration(orbit, vehicle, data))
+    plain, told, _ = observations(vehicle, data)
+    panels = known.of_sun[0]
+    assert isinstance(panels, Panels)
+    dark = np.flatnonzero(panels.lit == 0)
+    assert len(dark) and set(np.unique(why[dark])) == {FIELD_ALONE + "no panel lit"}
+    assert len(usable(known, why)) == len(data["time"]) > len(usable(plain, told))
+    assert np.isfinite(panels.sigma[dark]).all() and not known.informed[dark].any()
+    assert field_leads(known.take(dark[:6])) and not field_leads(known)
+
+
+def test_surroundings_without_a_field_change_no_magnetometer():
+    plain = Magnetometer(np.ones((12, 3)), 0.1)
+    assert plain.placed(Surroundings(np.tile(SUN_N, (12, 1)))) is plain
+
+
+@pytest.mark.long
+def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(twin):
+    vehicle, data, given, truth, about = twin
+    orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
+    t = data["time"].values - about["begin_s"][0]
+    calibration = field_calibration(orbit, vehicle, data)
+    result = ss.rates(vehicle, data.isel(time=(t > -1) & (t < 700)), environment=orbit, calibration=calibration)
+    found = judged(result, truth, 0)
+    assert result.attrs["frame_N"] == "J2000" and found["attitude_deg"] < 6 and max(np.abs(found["pulls"])) < 4

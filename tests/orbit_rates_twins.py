@@ -1,0 +1,220 @@
+"""Twins for `rates` with an orbit: CubeSats with a dipole in the Earth's field, gravity gradient, clouds, and real elements.
+
+    python tests/orbit_rates_twins.py OUT --first 0 --twins 10
+
+Orbits, field and Sun are those of `tests/tle_twins.py` (SGP4, IGRF, the Almanac), bodies, torques and the patchy light of the
+Earth those of `tests/orbit_twins.py`: nothing of the package's environment or dynamics makes them. A file has several passes,
+also in the shadow; those judged are drawn. All of it is synthetic.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from datetime import timedelta
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+from sgp4.api import Satrec, jday
+
+import sunspin as ss
+from orbit_twins import Ground, drawn_body, motion
+from strange_rates import campaign
+from strange_twins import FACES, unit
+from sunspin.base.errors import SunspinError
+from sunspin.compute.campaign import command
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.orbit import Orbit, in_orbit
+from sunspin.estimate.field_calibration import field_calibration
+from sunspin.estimate.orbit import judged_orbit
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle.parts import Fact
+from sunspin.vehicle.sensors import Magnetometer, Sensors
+from tle_twins import EARTH_KM, EPOCH, field_nT, lines, sun_of_date, turned
+
+STEP_S, LONGEST_S = 10.0, 700.0
+JUDGED = 2
+"""Passes of a file that are judged, at most: those that see the Sun in eight samples or more."""
+
+FIELD = Sensors(magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), 600.0))
+
+
+class Way(NamedTuple):
+    """A pass along an orbit: place (km) and field (T) at times from its begin, and the Sun."""
+
+    place: CubicSpline
+    field: CubicSpline
+    sun: np.ndarray
+    radius_km: float
+    rate_rad_s: float
+
+    @classmethod
+    def of(cls, given: tuple[str, str], begin_s: float, ahead_s: float, span_s: float) -> Way:
+        t = np.arange(-STEP_S, span_s + 2 * STEP_S, STEP_S)
+        day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)
+        _, place, speed = Satrec.twoline2rv(*given).sgp4_array(np.full(len(t), day), fraction + (begin_s + t + ahead_s) / 86400)
+        days = day - 2451545.0 + fraction + (begin_s + t) / 86400
+        sidereal = np.radians((280.46061837 + 360.98564736629 * days) % 360)
+        field = 1e-9 * field_nT(place, sidereal, EPOCH + timedelta(seconds=begin_s))
+        radius = float(np.linalg.norm(place, axis=1).mean())
+        rate = float(np.linalg.norm(np.cross(place, speed), axis=1).mean() / radius**2)
+        return cls(CubicSpline(t, place), CubicSpline(t, field), sun_of_date(days[:1])[0], radius, rate)
+
+
+class Moving(NamedTuple):
+    """The same for `orbit_twins.Body.change`, which asks for the field at the place that it was just given."""
+
+    way: Way
+    now: list[float]
+
+    @property
+    def radius_km(self) -> float:
+        return self.way.radius_km
+
+    @property
+    def rate_rad_s(self) -> float:
+        return self.way.rate_rad_s
+
+    def place_km(self, t: float) -> np.ndarray:
+        self.now[0] = t
+        return self.way.place(t)
+
+    def field_T(self, place: np.ndarray) -> np.ndarray:
+        return self.way.field(self.now[0])
+
+
+def sunlit(place: np.ndarray, sun: np.ndarray) -> bool:
+    along = place @ sun
+    return bool(along > 0 or np.linalg.norm(place - along * sun) > EARTH_KM)
+
+
+def make(seed: int, i: int, patches: int = 20_000) -> tuple[Vehicle, xr.Dataset, tuple[str, str], xr.Dataset, dict[str, Any]]:
+    """Vehicle, telemetry, the two lines, the true motion, and what was drawn."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
+    given, sigma = lines(rng), float(10 ** rng.uniform(0.3, 1.3))
+    ahead, interval, passes = sigma * rng.normal(), float(rng.uniform(15, 40)), int(rng.integers(4, 8))
+    ground, (body, units) = Ground.drawn(rng, patches), drawn_body(rng)
+    body, speed = body._replace(coil=0.0), np.radians(10 ** rng.uniform(-0.5, 0.6))
+    starts = np.sort(rng.choice(12, passes, replace=False)) * 5600.0 + rng.uniform(0, 2500, passes)
+    starts -= starts[0]
+    matrix, zero = np.eye(3) + 0.03 * rng.normal(size=(3, 3)), 4000 * rng.normal(size=3)
+    spread, parts = np.exp(0.04 * rng.normal(size=6)), []
+    for start in starts:
+        t = np.arange(0, rng.uniform(350, LONGEST_S - 50), interval)
+        way = Way.of(given, start, ahead, t[-1])
+        moving: Any = Moving(way, [0.0])
+        quaternion, rate = motion(body, moving, speed * unit(rng), t, rng)
+        body_from_N, place, field = Rotation.from_quat(quaternion), way.place(t), way.field(t)
+        power = np.zeros((len(t), 6))
+        for k, at in enumerate(place):
+            normals = body_from_N[k].inv().apply(FACES)
+            power[k] = np.maximum(normals @ way.sun, 0) * sunlit(at, way.sun) + ground.light(at, way.sun, normals)
+        power = np.maximum(power * spread + 0.01 * rng.normal(size=power.shape), 0.0)
+        reading = 1e9 * body_from_N.apply(field) @ matrix.T + zero + 600 * rng.normal(size=field.shape)
+        lit = [sunlit(at, way.sun) for at in place]
+        parts.append((start + t, power, reading, quaternion, rate, np.tile(way.sun, (len(t), 1)), np.array(lit)))
+    time_s, power, reading, quaternion, rate, sun, lit = (np.concatenate(each) for each in zip(*parts, strict=True))
+    inertia = np.diag(np.diag(body.inertia) * (1 + 0.02 * rng.normal(size=3)))
+    fact = Fact(value=tuple(map(tuple, inertia.tolist())),
+                sigma=tuple(map(tuple, (0.03 * np.diag(inertia).mean() * np.ones((3, 3))).tolist())))  # fmt: skip
+    known = bool(rng.random() < 0.7)
+    vehicle = Vehicle("in orbit", inertia_kg_m2=inertia if known else None, facts={"body.inertia_kg_m2": fact} if known else {},
+                      gain_unit="W", panels=tuple(Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)),
+                      telemetry=TelemetryForm(noise=0.01), sensors=FIELD)  # fmt: skip
+    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(time_s), dtype=np.uint8)),
+                 "field_B": (("time", "axis"), reading)}  # fmt: skip
+    attrs = {"epoch_utc": EPOCH.isoformat() + "Z", "synthetic": 1}
+    data = xr.Dataset(variables, {"time": time_s, "panel": list(vehicle.panel_names)}, attrs)
+    truth = xr.Dataset({"omega_B": (("time", "axis"), rate), "B_from_N": (("time", "quaternion"), quaternion),
+                        "sun_N": (("time", "axis"), sun)}, {"time": time_s})  # fmt: skip
+    about = {"deg_s": float(np.degrees(speed)), "interval_s": interval, "passes": passes, "samples": len(time_s), "units": units,
+             "inertia": known, "ahead_s": ahead, "sigma_s": sigma, "lit": float(lit.mean())}  # fmt: skip
+    sunny = [start for start, one in zip(starts, parts, strict=True) if one[-1].sum() >= 8]
+    about["begin_s"] = [float(x) for x in rng.permutation(sunny)[:JUDGED]]
+    return vehicle, data, given, truth, about
+
+
+def orbit_of(given: tuple[str, str], data: xr.Dataset, about: dict[str, Any], by_deg: float = 0.0) -> Orbit:
+    elements = parse_elements("\n".join((given[0], turned(given[1], by_deg))), "twin")
+    return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=about["sigma_s"])
+
+
+def judged(result: xr.Dataset, truth: xr.Dataset, k: int) -> dict[str, Any]:
+    """Rate at the middle, and Sun direction, against the truth of pass `k`."""
+    t = result["time"].values[result["pass_of"].values == k]
+    true = truth.sel(time=t)
+    at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+    best = np.array([result[f"omega_{axis}"].values[k, 0] for axis in "xyz"])
+    sigma = np.array([result[f"sigma_{axis}"].values[k, 0] for axis in "xyz"])
+    miss = best - true["omega_B"].values[at]
+    turned_by = Rotation.from_quat(true["B_from_N"].values)
+    sun = turned_by.apply(true["sun_N"].values)
+    off = np.degrees(np.linalg.norm(np.cross(result["sun_B"].sel(time=t).values, sun), axis=1))
+    found = {"pulls": (miss / sigma).tolist(), "miss_deg_s": np.degrees(miss).tolist(), "sigma_deg_s": np.degrees(sigma).tolist(),
+             "sun_deg": float(np.median(off)), "sun_sigma_deg": float(np.degrees(np.median(result["sun_sigma_rad"].sel(time=t)))),
+             "decided": bool(result["decided"].values[k]), "why_not": str(result["why_not_decided"].values[k])}  # fmt: skip
+    found["wrong"] = bool((np.abs(miss) > np.maximum(5 * sigma, np.radians(0.1))).any())
+    if result.attrs["frame_N"] == "J2000":
+        # the twins' N is the true equator of 2021, 0.3 deg from J2000
+        apart = (Rotation.from_quat(result["B_from_N"].sel(time=t).values).inv() * turned_by).magnitude()
+        found |= {"attitude_deg": float(np.degrees(np.median(apart))),
+                  "turn_sigma_deg": float(np.degrees(np.median(result["turn_sigma_rad"].sel(time=t))))}  # fmt: skip
+    return found
+
+
+def judge(seed: int, i: int) -> dict[str, Any]:
+    """What `rates` says of passes without an orbit, with the right one and with one whose node is turned by 2 degrees; and with
+    the magnetometer alone."""
+    vehicle, data, given, truth, about = make(seed, i)
+    for name, by_deg in (("without", None), ("right", 0.0), ("2 deg", 2.0), ("field alone", 0.0)):
+        began, orbit, words = time.process_time(), None, ""
+        if by_deg is not None:
+            orbit, check, _ = judged_orbit(orbit_of(given, data, about, by_deg), vehicle, data)
+            words = check.verdict.name
+        if name == "field alone" and orbit is None:
+            continue
+        calibration = None if orbit is None else field_calibration(orbit, vehicle, data)
+        dropped = ["power_W", "panel"] if name == "field alone" else []
+        about[name] = {"check": words, "passes": []}
+        for begin in about["begin_s"][: 1 if dropped else None]:
+            t = data["time"].values - begin
+            some = data.isel(time=(t > -1) & (t < LONGEST_S)).drop_vars(dropped)
+            try:
+                result = ss.rates(vehicle, some, environment=orbit, calibration=calibration)
+                about[name]["passes"].append(judged(result, truth, 0))
+            except SunspinError as error:
+                about[name]["passes"].append({"refused": str(error)})
+        about[name]["processor_s"] = time.process_time() - began
+    return about
+
+
+@command
+def main(arguments: list[str] | None = None) -> None:
+    """Run twins and print what becomes of them, and a table."""
+    rows = []
+    for i, row in campaign("tests/orbit_rates_twins.py", "rates in orbits", judge, arguments):
+        print(i, row, flush=True)
+        rows.append(row)
+    for name in ("without", "right", "2 deg", "field alone"):
+        print(name, table([part for row in rows if name in row for part in row[name]["passes"]]))
+
+
+def table(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Errors and shares of one kind of run."""
+    ran = [row for row in rows if "pulls" in row]
+    pulls = np.abs(np.array([row["pulls"] for row in ran if not row["wrong"]])).ravel()
+    decided = [row for row in ran if row["decided"]]
+    return {
+        "passes": len(rows), "ran": len(ran), "decided": len(decided), "wrong among decided": sum(row["wrong"] for row in decided),
+        "in 68": float((pulls < 1).mean()), "in 95": float((pulls < 1.96).mean()), "rms pull": float(np.sqrt((pulls**2).mean())),
+        "median miss deg/s": float(np.median(np.abs([row["miss_deg_s"] for row in ran]))),
+        "median sigma deg/s": float(np.median([row["sigma_deg_s"] for row in ran])),
+        "median Sun deg": float(np.median([row["sun_deg"] for row in ran])),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,112 @@
+"""What moved between two results: each change against its error, the largest first."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import sunspin as ss
+from sunspin.base.errors import InputError, SunspinError
+from sunspin.cli.common import Group
+from sunspin.output.folder import MARKER, write_netcdf
+
+
+def folder(path, command, **summary):
+    path.mkdir()
+    (path / MARKER).write_text(f"{command}\n")
+    (path / "summary.json").write_text(json.dumps(summary))
+    return path
+
+
+def row(name, ours, low=None, high=None, agrees=None, tolerance=None, **more):
+    return {"id": name, "what": f"what {name} is", "ours": ours, "low": low, "high": high, "agrees": agrees, "unit": "rad/s",
+            "tolerance": tolerance} | more  # fmt: skip
+
+
+@pytest.fixture
+def studies(tmp_path):
+    a = [row("far", 1.0, 0.9, 1.1, True), row("near", 1.0, 0.9, 1.1), row("pair", [1.0, 2.0], [0.5, 1.5], [1.5, 2.5]),
+         row("tolerated", 2.0, tolerance=0.5), row("bare", 4.0), row("text", "no"), row("ends", 1.0, 0.0, 2.0),
+         row("figure_3", "a.png"), row("mine", 1.0)]  # fmt: skip
+    b = [row("bare", 5.0), row("far", 2.0, 1.7, 2.3, False), row("near", 1.01, 0.91, 1.11), row("pair", [1.0, 3.5], [0.5, 3.0],
+         [1.5, 4.0]), row("tolerated", 2.1, tolerance=0.5), row("text", "yes"), row("ends", 1.0, 0.0, 8.0),
+         row("figure_3", "b.png"), row("theirs", 1.0)]  # fmt: skip
+    inputs = [{"what": "telemetry", "sha256": "x"}]
+    return (folder(tmp_path / "a", "reproduce", figures=a, inputs=inputs),
+            folder(tmp_path / "b", "reproduce", figures=b, inputs=inputs, changes=["wheel.speed_rad_s = 833"]))  # fmt: skip
+
+
+def test_rows_of_the_study_against_the_wider_of_two_intervals(studies):
+    found = ss.compare(*studies)
+    size = dict(zip(found["row"].values.tolist(), found["size"].values, strict=True))
+    assert size == pytest.approx({"far": 1.2 / 0.3, "near": 0.1, "pair": 1.5 / 0.5, "tolerated": 0.2, "bare": 0.2, "text": 1e-9,
+                                  "ends": 6 / 4})  # fmt: skip
+    assert found["row"].values.tolist()[:3] == ["far", "pair", "ends"]
+    assert set(found["row"].values[found["beyond"].values]) == {"far", "pair", "ends", "bare", "text"}
+    assert found.sel(row="far")["words"] == "agrees, now differs" and found.sel(row="far")["b"] == "2 (1.7 to 2.3)"
+    assert found.attrs["same_telemetry"] == 1 and found.attrs["changes_b"] == "wheel.speed_rad_s = 833"
+    same = ss.compare(studies[0], studies[0])
+    assert not same["beyond"].values.any() and not same["change"].values.any()
+
+
+def test_it_is_printed_drawn_and_written(studies, tmp_path):
+    ran = CliRunner().invoke(Group("sunspin"), ["compare", *map(str, studies), "--out", str(tmp_path / "out")])
+    assert ran.exit_code == 0 and "3 of 5 rows with a known error moved beyond it; of 2 without one 2 changed" in ran.output
+    assert ran.output.index("far:") < ran.output.index("pair:") < ran.output.index("bare:")
+    assert {"comparison.csv", "comparison.nc", "comparison.png", "summary.json"} <= {p.name for p in (tmp_path / "out").iterdir()}
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert told["beyond"] == 3 and told["moved"][0]["row"] == "far"
+    axes = ss.compare(*studies).sunspin.plot().axes[0]
+    assert [label.get_text().split(":")[0] for label in axes.get_yticklabels()] == ["far", "pair", "ends", "tolerated", "near"]
+
+
+def a_pass(number, start, x, sigma=0.1, **more):
+    motion = {f"omega_{axis}_deg_s": x for axis in "xyz"} | {f"sigma_{axis}_deg_s": sigma for axis in "xyz"}
+    motion |= {"speed_low_deg_s": x, "speed_median_deg_s": x + 0.1, "speed_high_deg_s": x + 0.2, "weight": 0.9}
+    utc = [f"2026-01-01T{start:02d}:{minute:02d}:00Z" for minute in (0, 10)]
+    return {"pass_id": number, "utc_start": utc[0], "utc_end": utc[1], "utc_at": utc[0], "decided": True, "wiring": "as_stated",
+            "modes": [motion]} | more  # fmt: skip
+
+
+def test_passes_in_common_are_compared_in_sigmas_of_both(tmp_path):
+    a = folder(tmp_path / "a", "rates", passes=[a_pass(0, 1, 1.0), a_pass(1, 2, 1.0), a_pass(2, 4, 1.0)])
+    later = a_pass(1, 3, 9.0), a_pass(2, 4, 1.5, decided=False, utc_at="2026-01-01T04:05:00Z")
+    b = folder(tmp_path / "b", "rates", passes=[a_pass(0, 2, 1.3), *later])
+    found = ss.compare(a, b)
+    assert {name.rpartition(" ")[0] for name in found["row"].values} == {"pass 1", "pass 2"}
+    assert found.sel(row="pass 1 omega_x")["size"] == pytest.approx(0.3 / np.hypot(0.1, 0.1))
+    assert "pass 2 omega_x" not in found["row"].values  # given for another instant
+    assert "decided True, now False" in str(found.sel(row="pass 2 speed")["words"].values)
+
+
+def test_medians_of_two_posteriors_in_sigmas(tmp_path):
+    def made(name, shift, word):
+        path = folder(tmp_path / name, "posterior", verdict_word=word)
+        draws = np.random.default_rng(1).normal(size=(1, 4000, 3)) + [shift, 0, 0]
+        group = xr.Dataset({"omega_B": (("chain", "draw", "axis"), draws, {"units": "rad s-1"})})
+        write_netcdf(path / "posterior.nc", xr.DataTree.from_dict({"/": xr.Dataset(), "posterior": group}))
+        return path
+
+    found = ss.compare(made("a", 0.0, "unique"), made("b", 3.0, "aliases"))
+    assert found["row"].values[0] == "omega_B_x" and found["size"].values[0] == pytest.approx(3 / np.sqrt(2), rel=0.05)
+    assert found["words"].values[0] == "verdict_word unique, now aliases" and not found["beyond"].values[1:].any()
+
+
+def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
+    rates = folder(tmp_path / "rates", "rates", passes=[a_pass(0, 1, 1.0)])
+    other = folder(tmp_path / "other", "rates", passes=[a_pass(0, 9, 1.0)])
+    (tmp_path / "plain").mkdir()
+    for b, words in ((rates, "different commands"), (tmp_path / "plain", "no results folder")):
+        with pytest.raises(InputError, match=words):
+            ss.compare(studies[0], b)
+    with pytest.raises(InputError, match="nothing in common"):
+        ss.compare(rates, other)
+    with pytest.raises(InputError, match="cannot be compared"):
+        ss.compare(*[folder(tmp_path / name, "simulate") for name in ("s", "t")])
+    (other / "summary.json").write_text("{")
+    with pytest.raises(InputError, match="summary cannot be read"):
+        ss.compare(rates, other)
+    told = CliRunner().invoke(Group("sunspin"), ["compare", str(studies[0]), "absent.bc"])
+    assert isinstance(told.exception, SunspinError) and "--frame is missing" in str(told.exception)

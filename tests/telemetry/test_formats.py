@@ -1,0 +1,152 @@
+"""Files as they come: JSON lines and pages, Sun vectors, two clocks, stations that heard the same frame, readings in turn."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.estimate.terms.panels import Instants
+from sunspin.vehicle.file import parse_vehicle
+
+TEMPLATE = resources.files("sunspin").joinpath("template")
+VEHICLE = """
+name = "two panels"
+[[panel]]
+name = "a"
+normal_B = [1, 0, 0]
+gain_W = 2
+[[panel]]
+name = "b"
+normal_B = [0, 1, 0]
+gain_W = 2
+[sun_vector]
+columns = ["sx", "sy", "sz"]
+sigma_rad = 0.02
+[telemetry]
+bad_rows = "flag"
+{telemetry}
+[telemetry.columns]
+a = "pa"
+b = "pb"
+"""
+
+
+def craft(telemetry='time_column = "t"'):
+    return parse_vehicle(VEHICLE.format(telemetry=telemetry), "test")
+
+
+def read(folder, text, vehicle):
+    path = folder / "telemetry"
+    path.write_text(text, "utf-8")
+    return ss.read_telemetry(path, vehicle)
+
+
+@pytest.mark.parametrize("form", ["lines", "list", "page", "decoded"])
+def test_a_json_file_says_what_the_csv_does(form, tmp_path):
+    text = TEMPLATE.joinpath("telemetry.csv").read_text("utf-8")
+    vehicle = parse_vehicle(TEMPLATE.joinpath("vehicle.toml").read_text("utf-8"), "template")
+    expected = read(tmp_path, text, vehicle)
+    rows = [{key: value if key == "time_utc" else float(value) for key, value in row.items()}
+            for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#"))]  # fmt: skip
+    if form == "decoded":  # as SatNOGS has it: the fields as a text beside the frame
+        rows = [{"timestamp": row.pop("time_utc"), "frame": "00FF", "decoded": json.dumps(row)} for row in rows]
+        columns = {panel: f"decoded.{name}" for panel, name in vehicle.telemetry.columns.items()}
+        vehicle = replace(vehicle, telemetry=replace(vehicle.telemetry, time_column="timestamp", columns=columns))
+    dumped = {"lines": "\n".join(map(json.dumps, rows)), "list": json.dumps(rows, indent=1),
+              "page": json.dumps({"next": None, "results": rows}), "decoded": "\n".join(map(json.dumps, rows))}[form]  # fmt: skip
+    found = read(tmp_path, dumped, vehicle)
+    np.testing.assert_array_equal(found["power_W"], expected["power_W"])
+    np.testing.assert_array_equal(found["time"], expected["time"])
+    assert found.attrs["epoch_utc"] == expected.attrs["epoch_utc"]
+
+
+ROW = '{"t": "2026-01-01T00:00:00Z", "pa": 1, "pb": 0}'
+HOSTILE = {
+    "cut off": (ROW + '\n{"t": "2026-01-0', "line 2"),
+    "no object": (ROW + "\n[1, 2]", "must be an object"),
+    "a key twice": ('{"t": 1, "t": 2}', "twice"),
+    "nested for ever": ('{"t": ' * 5000 + "1" + "}" * 5000, "nested|deep"),
+    "deep": ('{"t": ' * 12 + "1" + "}" * 12, "deep"),
+    "a number of ten thousand digits": ('{"t": ' + "9" * 10000 + "}", "cannot be read"),
+    "nothing in it": ("[]", "no samples"),
+    "no columns": ("{}", "no samples"),
+    "a number": ("[1]", "must be an object"),
+    "no such column": ('{"t": "2026-01-01T00:00:00Z", "p": 1}', "column 'pa'"),
+    "raw frames": ('[{"timestamp": "2026-01-01T00:00:00Z", "frame": "00FF"}]', "raw frames"),
+    "raw frames, exported": ("2026-01-01 00:00:00|00FF\n", "raw frames"),
+    "many columns": ("{" + ",".join(f'"c{k}": 1' for k in range(10_001)) + "}", "more than 10000 columns"),
+}
+
+
+@pytest.mark.parametrize(("text", "told"), HOSTILE.values(), ids=HOSTILE)
+def test_json_that_is_no_telemetry_is_a_sentence(text, told, tmp_path):
+    with pytest.raises(ss.TelemetryError, match=told) as error:
+        read(tmp_path, text, craft())
+    assert "\n" not in str(error.value) and len(str(error.value)) < 1000
+
+
+def test_what_is_no_number_in_json_is_flagged(tmp_path):
+    rows = [ROW, ROW.replace("00Z", "10Z").replace("1,", "NaN,"), ROW.replace("00Z", "20Z").replace('"pa": 1', '"pa": null')]
+    assert read(tmp_path, "\n".join(rows), craft())["flag"].values.tolist() == [0, 1, 1]
+
+
+def test_sun_vectors_of_any_length_are_directions_and_short_ones_are_none(tmp_path):
+    vectors = ["0,300,400", "0,0,0", "30,0,0", "-500,0,0", "a,1,1"]
+    text = "t,sx,sy,sz\n" + "".join(f"2026-01-01T00:00:0{k}Z,{vector}\n" for k, vector in enumerate(vectors))
+    found = read(tmp_path, text, craft())
+    none = 3 * [np.nan]
+    np.testing.assert_allclose(found["sun_sensor_B"], [[0, 0.6, 0.8], none, none, [-1, 0, 0], none], atol=1e-12)
+    across = found["sun_sensor_cov_B"].values[3]
+    np.testing.assert_allclose(np.sqrt(np.diag(across)), [0.02, 0.02, 0.02], rtol=1e-9)
+
+
+def test_rates_from_sun_vectors(tmp_path):
+    t = 5.0 * np.arange(20)
+    omega = np.array([0.02, -0.01, 0.03])
+    sun = ss.propagate(ss.Vehicle("sphere", inertia_kg_m2=np.eye(3)), omega, [0.6, 0.0, 0.8], None, t)["sun_B"].values
+    sun = sun + 0.01 * np.random.default_rng(1).normal(size=sun.shape)
+    text = "t,sx,sy,sz\n" + "".join(f"{a},{x},{y},{z}\n" for a, (x, y, z) in zip(t, sun, strict=True))
+    vehicle = craft('time_column = "t"\ntime_format = "unix"')
+    result = ss.rates(vehicle, read(tmp_path, text, vehicle), max_rate_rad_s=0.1, acceleration_noise=1e-6)
+    assert result.attrs["source"] == "sun_sensor" and result["unique"].item()
+    assert np.all(np.abs(result["omega_mean_B"].values[0, 0] - omega) < 4 * result["omega_sigma_B"].values[0, 0])
+
+
+def test_stations_that_heard_one_frame_are_one_row_and_both_clocks_are_kept(tmp_path):
+    form = 'time_column = "up"\ntime_format = "elapsed"\nreceive_time_column = "rx"'
+    rows = ["500,2026-01-01T00:00:10,A,1,0", "500,2026-01-01T00:00:11,B,1,", "490,2026-01-01T00:00:00,B,0.5,1", "510,,A,0,1"]
+    text = "\n".join(["up,rx,station,pa,pb", *rows])
+    found = read(tmp_path, text, craft(form))
+    assert found.attrs["rows_merged"] == 1 and found.attrs["rows_sorted"] == 1
+    assert found.attrs["epoch_utc"] == "2025-12-31T23:51:50Z"
+    assert found["time"].values.tolist() == [490, 500, 510] and found["power_W"].values[1].tolist() == [1, 0]
+    np.testing.assert_array_equal(found["received_s"], [490, 500, np.nan])
+    with pytest.raises(ss.TelemetryError, match="column 'rx'"):
+        read(tmp_path, text.replace("rx", "received at"), craft(form))
+
+
+def test_an_epoch_that_nothing_tells_is_asked_for(tmp_path):
+    form = 'time_column = "up"\ntime_format = "elapsed"\nreceive_time_column = "rx"'
+    with pytest.raises(ss.TelemetryError, match="epoch_utc"):
+        read(tmp_path, "up,rx,pa,pb\n1,,1,0\n", craft(form))
+
+
+def test_panels_read_in_turn_and_averaged():
+    offsets = Instants(np.array([0.0, 2.0, 0.0]), 3.0)
+    shifts = list(offsets.shifts())
+    np.testing.assert_allclose(sum(weight for _, weight in shifts), 1.0)
+    mean = sum(np.exp(0.3 * shift) * weight for shift, weight in shifts)
+    exact = np.exp(0.3 * offsets.offset_s) * np.sinh(0.45) / 0.45
+    np.testing.assert_allclose(mean, exact, rtol=1e-6)
+    assert len(list(Instants(np.zeros(3)).shifts())) == 1
+
+
+@pytest.mark.parametrize("text", ['[telemetry.offset_s]\nc = 1', "averaged_s = -1", "[telemetry.offset_s]\na = inf"])
+def test_offsets_that_make_no_sense_are_a_sentence(text):
+    with pytest.raises(ss.VehicleError, match="panel that the vehicle does not have|must not be negative|number"):
+        craft('time_column = "t"\n' + text)

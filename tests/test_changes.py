@@ -1,0 +1,195 @@
+"""Changing an assumption: by its key, within the file's ranges, said in the results, and followed by what depends on it."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import sunspin as ss
+from sunspin.base.errors import InputError, SunspinError
+from sunspin.cli.changes import opened
+from sunspin.cli.common import Group
+from sunspin.cli.outcomes import _candidates
+from sunspin.compute.identity import plain
+from sunspin.output.folder import write_netcdf
+from sunspin.philae import rebound as rb
+from sunspin.philae import study
+from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
+from sunspin.vehicle.changes import Change, changed, changes_of, settings
+from sunspin.vehicle.file import ChangedFile, VehicleFile, parse_vehicle, vehicle_table, vehicle_text
+
+OWN = ss.load_vehicle("philae")
+
+
+def with_changes(*changes):
+    return ss.load_vehicle("philae", changes)
+
+
+def test_numbers_factors_and_steps_by_key():
+    craft = with_changes("wheel.speed_rad_s=833", "body.inertia_kg_m2[2][2]*=0.9", "leg[2].tip_B_m[0]+=0.1", "panel[6].gain*=1.1")
+    assert craft.wheels[0].speed_rad_s == 833 and craft.inertia_kg_m2[2, 2] == pytest.approx(0.9 * 16.523)
+    assert craft.legs[1].tip_B_m[0] == pytest.approx(-0.6784) and craft.panels[5].gain == pytest.approx(253)
+    assert [one.key for one in craft.changes] == [
+        "wheel.speed_rad_s", "body.inertia_kg_m2[2][2]", "leg[2].tip_B_m[0]", "panel[6].gain"
+    ]  # fmt: skip
+    assert str(craft.changes[0]).startswith("wheel.speed_rad_s = 833 rad/s (was 865 rad/s; paper, section 2.2")
+    assert craft.facts["wheel.wheel.speed_rad_s"].source.startswith("set for this run; was 865")
+    same = ss.load_vehicle("philae", {"wheel.speed_rad_s": 833, "body.inertia_kg_m2[2][2]": "*=0.9"})
+    assert same.wheels[0].speed_rad_s == 833 and same.inertia_kg_m2[2, 2] == craft.inertia_kg_m2[2, 2]
+
+
+def test_an_element_beside_the_diagonal_sets_its_mirror_and_a_law_of_friction_goes_by_its_name():
+    assert with_changes("body.inertia_kg_m2[0][1]=0.1").inertia_kg_m2[1, 0] == 0.1
+    printed = with_changes("wheel.friction=printed").wheels[0].friction
+    assert printed == OWN.with_friction("printed").wheels[0].friction
+    own = OWN.wheels[0].friction
+    stiffer = with_changes("wheel.friction.coulomb_N_m*=1.1").wheels[0].friction
+    assert stiffer.coulomb_N_m == pytest.approx(1.1 * own.coulomb_N_m) and stiffer.viscous_N_m_s == own.viscous_N_m_s
+    assert with_changes("panel_response.grazing.loss=0.3").panel_response.law.loss == 0.3
+    assert with_changes("sun_rule=[]").sun_rules == ()
+
+
+def test_what_changes_nothing_is_no_change():
+    assert with_changes("wheel.speed_rad_s=865", "wheel.speed_rad_s*=1") == OWN
+    assert "changes" not in plain(with_changes("wheel.speed_rad_s=833"))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("wheel.sped_rad_s=3", "did you mean wheel.speed_rad_s?"),
+        ("speed=3", "`--set list` shows all"),
+        ("panel.gain=3", "say which in brackets: 1, 2, 3, 4, 5, 6"),
+        ("panel[9].gain=3", "known: 1, 2, 3, 4, 5, 6"),
+        ("body.mass_kg=-1", "body.mass_kg set: mass_kg must be positive"),
+        ("body.inertia_kg_m2[2][2]*=3", "not that of any body"),
+        ("panel_response.grazing.loss=2", "must be a share between 0 and 1"),
+        ("wheel.friction=plain", "known: printed"),
+        ("wheel.speed_rad_s=fast", "a number is expected"),
+        ("telemetry.scale*=2", "not set"),
+        ("wheel.speed_rad_s", "write KEY=VALUE"),
+        ("body=3", "this is a table of values"),
+        ("study.lad_s=3", "did you mean study.lead_s?"),
+        ("collision.damper=2", "must be a share between 0 and 1"),
+        ("study.mask=none", "'reconstructible' or 'everywhere'"),
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused_with_the_nearest_name_or_the_files_own_sentence(change, words):
+    with pytest.raises(SunspinError) as refused:
+        ss.load_case("philae", [change])
+    assert words in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["philae", "skcube"])
+def test_all_that_is_listed_can_be_set(name):
+    """Set to what it is, each is found and nothing changes; what the file leaves out is known by its key."""
+    table = vehicle_table(name)
+    for one in settings(table, VehicleFile):
+        if one.value == "as below":
+            continue
+        if one.value is not None:
+            assert changed(table, [Change(one.key, "=", one.value)], VehicleFile) == (table, ()), one.key
+        else:
+            assert changed(table, [Change(one.key, "=", "x")], VehicleFile)[1][0].was is None, one.key
+    listed = {one.key: one for one in settings(assumptions_table(), AssumptionsFile)}
+    assert all(one.source for one in listed.values()) and listed["study.lead_s"].unit == "s"
+
+
+def test_the_changed_file_is_a_vehicle_file():
+    asked = changes_of(["wheel.friction=printed", "wheel.speed_rad_s=833", "panel_response.wall.panel=\"6\"",
+                        "panel_response.wall.toward_B=[1, 0, 0]", "panel_response.wall.above=0.5"])  # fmt: skip
+    for name in ("philae", "skcube"):
+        mine = asked if name == "philae" else ()
+        written = parse_vehicle(vehicle_text(ChangedFile(name, mine)), "here")
+        direct = ss.load_vehicle(name, mine)
+        assert plain(written) == plain(direct)
+
+
+def test_assumptions_follow_into_the_study():
+    case = ss.load_case("philae", ["study.lead_s=30", "study.target_weights=interval", "study.mask=everywhere"])
+    usual = ss.load_case("philae")
+    sun = ss.sun_directions(usual.vehicle, usual.telemetry)
+    mine, theirs = rb.rebound_of(case, sun), rb.rebound_of(usual, sun)
+    assert mine.lead_s == 30 and theirs.lead_s == pytest.approx(56.02) and rb.after_touchdown_s(case) == 30
+    assert theirs.weights is None and mine.weights.sum() == pytest.approx(np.ptp(mine.t_s[mine.told]))
+    assert rb.counted(case) is None and rb.counted(usual) is not None
+    assert len(case.changes) == 3 and usual.assumptions == read_assumptions()
+
+
+def test_what_was_found_for_another_body_is_not_kept():
+    """The shipped study of twins and the printed lines hold for the case as it is; legs do not enter them."""
+    case = ss.load_case("philae", ["wheel.speed_rad_s=833"])
+    assert not rb.moves_and_sees_alike(case.vehicle, OWN)
+    assert rb.moves_and_sees_alike(with_changes("leg[2].tip_B_m[0]+=0.1"), OWN)
+    with pytest.raises(InputError, match="another body"):
+        study._worth(study.Inputs(case, None))
+    assert study._worth(study.Inputs(ss.load_case("philae", ["collision.restitution=0.2"]), None))[1].twins
+
+
+def command(*words):
+    result = CliRunner().invoke(Group("sunspin"), [str(word) for word in words])
+    return result
+
+
+def test_the_command_lists_changes_and_says_them(tmp_path):
+    listed = json.loads(command("simulate", "philae", "--set", "list", "--json").output)
+    assert {"wheel.speed_rad_s", "body.inertia_kg_m2"} <= {one["key"] for one in listed}
+    speed = next(one for one in listed if one["key"] == "wheel.speed_rad_s")
+    assert speed["value"] == 865 and speed["unit"] == "rad/s" and speed["source"].startswith("paper")
+    assert "study.lead_s" in command("reproduce", "--set", "list").output
+    ran = command("simulate", "philae", "--omega", "0.1,0,0", "--sun", "0,0,1", "--duration", "10", "--out", tmp_path / "run",
+                  "--set", "wheel.speed_rad_s=833")  # fmt: skip
+    assert ran.exit_code == 0 and "Changed for this run: wheel.speed_rad_s = 833 rad/s" in ran.output
+    told = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert told["changes"][0].startswith("wheel.speed_rad_s = 833") and "833" in (tmp_path / "run" / "vehicle.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1", "--set", "study.mask=everywhere"),
+         "does not use that assumption"),
+        (("outcomes", "philae", "--set", "wheel.speed_rad_s=833"), "keep the lines with --printed-lines"),
+        (("outcomes", "philae", "--printed-lines", "--omega", "0,0,1"), "give one of them"),
+    ],
+)  # fmt: skip
+def test_a_command_refuses_what_it_cannot_use(words, said):
+    result = command(*words)
+    assert isinstance(result.exception, SunspinError) and said in str(result.exception)
+
+
+def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
+    axes = {f"omega_{axis}": [0.0, 0.1] for axis in "xyz"}
+    volume = xr.DataArray(np.arange(1.0, 9.0).reshape(2, 2, 2), axes, list(axes), "emd")
+    changed = with_changes("wheel.speed_rad_s=833").said["changes"]
+    scan = volume.to_dataset().assign_attrs(vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere")
+    write_netcdf(tmp_path / "scan.nc", scan)
+    for sets, words in ((("wheel.speed_rad_s=833",), ""), ((), "of another body than this run's: philae, wheel.speed_rad_s = 833")):
+        points, whose = _candidates(opened("philae", sets), tmp_path / "scan.nc", 1.1, (), False)
+        assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
+
+
+@pytest.mark.parametrize(("restitution", "damper"), [(0, 0), (1, 0), (0, 1), (0.4, 0.3), (1, 1)])
+def test_a_blow_never_gains_energy(restitution, damper):
+    rng, leg = np.random.default_rng(3), OWN.legs[1].tip_B_m
+    omega, velocity = rng.normal(0, 0.3, (50, 3)), rng.normal(0, 0.3, (50, 3))
+    hit = ss.impact(OWN, omega, 300.0, velocity, "2", restitution=restitution, damper=damper)
+
+    def energy(omega, velocity, speed):
+        wheel, axis = OWN.wheels[0], OWN.wheels[0].axis_B
+        turning = np.einsum("ni,ij,nj->n", omega, OWN.inertia_kg_m2, omega) / 2 + wheel.inertia_kg_m2 * speed * (omega @ axis)
+        return turning + wheel.inertia_kg_m2 * speed**2 / 2 + OWN.mass_kg * (velocity**2).sum(axis=1) / 2
+
+    after = hit["omega_B"].values, hit["velocity_B"].values
+    lost = energy(omega, velocity, np.full(50, 300.0)) - energy(*after, hit["wheel_speed_rad_s"].values[:, 0])
+    assert np.all(lost > -1e-10)
+    before, behind = velocity + np.cross(omega, leg), after[1] + np.cross(after[0], leg)
+    if damper == 0:
+        np.testing.assert_allclose(behind, -restitution * before, atol=1e-12)
+    if damper == 1:
+        assert np.all(hit["impulse_B"].values[:, 2] == 0)
+        np.testing.assert_allclose(behind[:, :2], -restitution * before[:, :2], atol=1e-12)
+    if restitution == 1 and damper == 0:
+        np.testing.assert_allclose(lost, 0, atol=1e-10)

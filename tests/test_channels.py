@@ -1,0 +1,229 @@
+"""Panels that share an input of the power system: what the file says, what is read, and what that leaves open."""
+
+from importlib import resources
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.compute.identity import plain
+from sunspin.estimate.rates.images import imaged
+from sunspin.estimate.rates.state import Track
+from sunspin.telemetry.sun import reconstructible_patterns
+from sunspin.vehicle.file import parse_vehicle
+from sunspin.vehicle.response.joined import Joined
+from sunspin.vehicle.response.tabled import Tabled
+
+FACES = {"+X": [1, 0, 0], "-X": [-1, 0, 0], "+Y": [0, 1, 0], "-Y": [0, -1, 0], "+Z": [0, 0, 1], "-Z": [0, 0, -1]}
+THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
+ONE = {"X": THREE["X"]}
+MOVES = """
+[body]
+inertia_kg_m2 = [[0.042, 0, 0], [0, 0.041, 0], [0, 0, 0.012]]
+[disturbance]
+acceleration_noise = 5e-6
+max_rate_rad_s = 0.06
+"""
+GYRO = '[gyro]\ncolumns = ["gx", "gy", "gz"]\nscale_rad_s = 1.0\nnoise_rad_s = 1e-3\n'
+NOISE = 0.005
+
+
+def text(channels, reads="sum", more="", telemetry="", channel=""):
+    panels = "".join(f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\ngain_A = 0.5\n' for name, normal in FACES.items())
+    shared = "".join(
+        f'[[channel]]\nname = "{name}"\npanels = [{", ".join(repr(each) for each in names)}]\nreads = "{reads}"\n{channel}\n'
+        for name, names in channels.items()
+    )  # fmt: skip
+    return f'name = "c"\n{panels}{shared}[telemetry]\nquantity = "current_A"\nnoise = {NOISE}\n{telemetry}\n{more}'
+
+
+def craft(channels, **said):
+    return parse_vehicle(text(channels, **said), "c.toml")
+
+
+def directions(n, seed=0):
+    sun = np.random.default_rng(seed).normal(size=(n, 3))
+    return sun / np.linalg.norm(sun, axis=1, keepdims=True)
+
+
+# ------------------------------------------------------------------------------------------------------------------- what is said
+
+
+def test_readings_are_those_of_inputs():
+    """In the order of the panels, a channel where its first panel stands."""
+    vehicle = craft({"Y": THREE["Y"], "odd": ("+X", "+Z")})
+    assert vehicle.input_names == ("odd", "-X", "Y", "-Z") and len(vehicle.panels) == 6
+    np.testing.assert_allclose(ss.panel_power(vehicle, [0.6, 0.0, 0.8]), [0.5 * 1.4, 0, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(ss.panel_power(vehicle, [-0.6, -0.8, 0.0]), [0, 0.3, 0.4, 0], atol=1e-15)
+    np.testing.assert_allclose(vehicle.input_gains, [0.5 * np.sqrt(2), 0.5, 0.5, 0.5], rtol=1e-12)
+    largest = craft({"odd": ("+X", "+Z")}, reads="largest")
+    np.testing.assert_allclose(ss.panel_power(largest, [0.6, 0.0, 0.8])[0], 0.4, atol=1e-15)
+    each = vehicle.panels_in().power(np.array([0.6, 0.0, 0.8]))
+    np.testing.assert_allclose(each, [0.3, 0, 0, 0, 0.4, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [
+        (text({"X": ("+X", "top")}), "channel 'X' names a panel that the vehicle does not have"),
+        (text({"X": ("+X", "-X"), "Y": ("-X", "+Y")}), "a panel is in two channels"),
+        (text({"X": ("+X", "+X")}), "channel 'X' names a panel twice"),
+        (text({"X": ()}), "channel 'X' names no panel"),
+        (text(ONE, reads="mean"), "should be 'sum' or 'largest'"),
+        (text({"+Y": THREE["X"]}), "channel '+Y' is called like a panel that is not in it"),
+        (text(ONE, more='[telemetry.columns]\n"+X" = "px"'), "telemetry.columns names a panel that is read through a channel"),
+        (text(ONE, channel="throttled = true"), "some inputs are throttled and others are not"),
+        (text(ONE, channel="throttled = 1"), "should be a valid boolean"),
+        (text(ONE, channel="throtled = true"), "did you mean throttled?"),
+        (text({}, more='[telemetry.columns]\n"+X" = "i"\n"-X" = "i"'), "panels that share an input"),
+    ],
+)  # fmt: skip
+def test_a_wrong_channel_is_one_sentence(written, told):
+    with pytest.raises(ss.VehicleError) as caught:
+        parse_vehicle(written, "c.toml")
+    assert told in str(caught.value) and "\n" not in str(caught.value) and str(caught.value).startswith("c.toml")
+
+
+def test_the_template_shows_a_channel_that_works():
+    told = resources.files("sunspin").joinpath("template", "vehicle.toml").read_text("utf-8")
+    lines = told[told.index("#   [[channel]]") :].splitlines()[:5]
+    opened = told.replace('"+X" = "px"\n"-X" = "mx"', '"X" = "ix"') + "\n".join(line.removeprefix("#   ") for line in lines)
+    assert parse_vehicle(opened, "template").input_names == ("X", "+Y", "-Y", "+Z")
+
+
+def test_a_vehicle_without_channels_keeps_its_identity():
+    """Stored results belong to a vehicle by its content; keys that say nothing are new and change nothing."""
+    assert "channels" not in plain(craft({})) and "throttled" not in plain(craft({}))["telemetry"]
+    assert "channels" in plain(craft(ONE))
+
+
+def test_a_file_is_read_by_inputs(tmp_path):
+    file = tmp_path / "samples.csv"
+    file.write_text("time,IX_A,+Y,-Y,zp,-Z\n2026-01-01T00:00:00Z,0.1,0,0.2,0,0.3\n")
+    vehicle = craft(ONE, more='[telemetry.columns]\n"+Z" = "zp"\n')
+    samples = ss.read_telemetry(file, vehicle)
+    assert samples["panel"].values.tolist() == ["X", "+Y", "-Y", "+Z", "-Z"] and samples.attrs["unused_columns"] == ""
+    np.testing.assert_array_equal(samples["current_A"].values, [[0.1, 0, 0.2, 0, 0.3]])
+
+
+# --------------------------------------------------------------------------------------------------------------------- directions
+
+
+@pytest.mark.parametrize(("channels", "reads"), [(THREE, "sum"), (ONE, "largest"), ({"odd": ("+X", "+Y")}, "sum")])
+def test_directions_that_fit_alike(channels, reads):
+    """Against a fine grid of directions: none fits better, and one is given only where all that fit are in one place."""
+    vehicle = craft(channels, reads=reads)
+    readings = ss.panel_power(vehicle, directions(12, 1))
+    grid = directions(40_000, 2)
+    unit = ss.panel_power(vehicle, grid)
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    away = np.linalg.norm(unit - (readings / np.linalg.norm(readings, axis=1, keepdims=True))[:, None], axis=-1)
+    response = vehicle.response_in()
+    delta = response.best(readings)[1]
+    assert (delta <= away.min(axis=1) + 1e-12).all()
+    alike = response.alike(readings, np.full(12, 0.05))
+    for some, off, least in zip(alike, away, delta, strict=True):
+        some = some[np.isfinite(some[:, 0])]
+        for place in grid[off < 0.02]:  # an apart neighbourhood without a direction in it were one that is missed
+            assert (some @ place).max() > np.cos(0.15) or least > 0.01
+    sun = ss.sun_directions(vehicle, readings)
+    given = np.isfinite(sun["sun_B"].values[:, 0])
+    for is_given, status, off in zip(given, sun["status"].values, away, strict=True):
+        near = grid[off < 0.02]
+        apart = (near @ near.T).min() < np.cos(0.3)
+        assert not (is_given and apart) and (is_given or apart or status != ss.SunStatus.SEVERAL)
+
+
+def test_with_three_channels_no_set_of_lit_inputs_gives_a_direction():
+    assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(craft({"odd": ("+X", "+Y")}))
+    assert len(craft(THREE).response_in().images) == 8 and len(craft(ONE).response_in().images) == 2
+    assert len(craft({}).response_in().images) == 1
+
+
+def test_images_change_no_reading_and_keep_rates_and_directions_together():
+    """A body that turns at its rate takes the Sun from one sample to the next, its image likewise at the rate of the image."""
+    vehicle, dt = craft(THREE), 1e-4
+    omega, sun = directions(1, 3)[0] * 0.05, directions(1, 4)[0]
+    track = Track(np.eye(3)[None, None], omega[None, None])
+    for image in vehicle.response_in().images:
+        other = imaged(track, image).omega[0, 0]
+        moved, seen = sun - dt * np.cross(omega, sun), image @ sun
+        np.testing.assert_allclose(image @ moved, seen - dt * np.cross(other, seen), atol=1e-12)
+        np.testing.assert_allclose(ss.panel_power(vehicle, seen), ss.panel_power(vehicle, sun), atol=1e-12)
+
+
+@pytest.mark.parametrize("reads", ["sum", "largest"])
+def test_slopes_of_flat_panels_are_those_of_the_differences(reads):
+    response, sun = craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads).response_in(), directions(50, 5)
+    gain = np.array([1.1, 0.9, 1.2, 1.0])
+    assert isinstance(response, Joined)
+    for own, differences in zip(response.slopes(sun, gain=gain)[:2], Tabled._along_sphere(response, sun, gain), strict=True):
+        np.testing.assert_allclose(own, differences, atol=1e-5)
+
+
+# ------------------------------------------------------------------------------------------------------------------------- motion
+
+
+def flight(vehicle, seed, samples=16, step_s=12.0):
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(step_s * rng.uniform(0.8, 1.2, samples))
+    omega, sun = 0.03 * directions(1, seed + 1)[0], directions(1, seed + 2)[0]
+    truth = ss.propagate(vehicle, omega, sun, [], t - t[0])
+    data = ss.twin(vehicle, {"omega_B": omega, "sun_B": sun, "t_s": t - t[0], "noise": NOISE}, seed=seed)
+    if vehicle.sensors.gyro:
+        read = truth["omega_B"].values + 1e-3 * rng.normal(size=(samples, 3))
+        data["gyro_B"] = ("time", "axis"), read
+    if vehicle.throttled:
+        data["current_A"] = data["current_A"] * xr.DataArray(rng.uniform(0.2, 1.0, samples), dims="time")
+    return data, truth
+
+
+def away(result, truth):
+    """Distance (K) of the modes from the truth, in the largest of the components' sigmas."""
+    omega, sigma = (np.stack([result[f"{name}_{axis}"].values[0] for axis in "xyz"], axis=-1) for name in ("omega", "sigma"))
+    middle = np.argmin(np.abs(truth["time"].values - truth["time"].values.mean()))
+    return np.abs((omega - truth["omega_B"].values[middle]) / sigma).max(axis=-1)
+
+
+def test_three_channels_leave_the_signs_open():
+    vehicle = craft(THREE, more=MOVES)
+    data, truth = flight(vehicle, 0)
+    result = ss.rates(vehicle, data)
+    assert not result["decided"].values[0] and not result["unique"].values[0] and result["fits"].values[0]
+    assert np.nanmin(away(result, truth)) < 4
+    sizes = np.abs(np.stack([result[f"omega_{axis}"].values[0, :8] for axis in "xyz"], axis=-1))
+    assert np.ptp(sizes, axis=0).max() < 1e-3  # eight motions of one size, component by component
+    assert "7 mirror images and turned copies" in result.attrs["verdict"]
+
+
+def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_side_of_the_sun():
+    vehicle = craft(THREE, more=MOVES + GYRO)
+    data, truth = flight(vehicle, 1)
+    result = ss.rates(vehicle, data)
+    assert result["decided"].values[0] and away(result, truth)[0] < 4
+    assert "the attitude is not known" in result.attrs["verdict"]
+
+
+def test_a_gyro_decides_one_channel():
+    vehicle = craft(ONE, more=MOVES + GYRO)
+    data, truth = flight(vehicle, 2)
+    result = ss.rates(vehicle, data)
+    assert result["decided"].values[0] and away(result, truth)[0] < 4
+    assert (result["sun_B"].values * truth["sun_B"].sel(time=result["time"].values).values).sum(axis=1).min() > 0.97
+
+
+def test_throttled_samples_count_by_their_ratios():
+    """A full battery leaves a fifth of the light in some samples: none is left out, and their directions are as good."""
+    vehicle = craft(THREE, more=MOVES, channel="throttled = true")
+    data, truth = flight(vehicle, 3)
+    quality = ss.panel_quality(vehicle, data)
+    assert (quality["use"].values == 0).all() and quality["scale_sigma"].values.min() >= 2
+    np.testing.assert_allclose(quality["scale"].values * 0.5, np.linalg.norm(data["current_A"].values, axis=1), rtol=0.1)
+    assert np.nanmin(away(ss.rates(vehicle, data), truth)) < 4
+
+
+def test_the_posterior_refuses_channels_in_one_sentence():
+    vehicle = craft(ONE, more=MOVES)
+    with pytest.raises(ss.InputError, match="does not know panels that share an input"):
+        ss.posterior(vehicle, flight(vehicle, 4)[0])

@@ -1,0 +1,182 @@
+"""``python -m validation real``: rates of real satellites against what was withheld from them, and the page that says so."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+import sunspin as ss
+from docs.skcube_gyro import FREE_S, fit, pairs
+
+PAGE = Path(__file__).parents[1] / "docs" / "real-data.md"
+
+SIDES = {"Sun sensors and magnetometer": ["gyro_B"], "Sun sensors alone": ["gyro_B", "field_B"]}
+"""What `rates` is given, and the variables that are taken away for it."""
+
+DRAWS = 4000
+"""Resamplings of passes, behind the range of a share."""
+
+
+class Gyro(NamedTuple):
+    """Scale (deg/s per count), zero (3) in counts, and one sigma of each."""
+
+    scale: float
+    zero: np.ndarray
+    scale_sigma: float
+    zero_sigma: np.ndarray
+
+
+class Compared(NamedTuple):
+    """A pass: when it began, samples, whether the coils were off, what is said of it, mean rate (3) and sigma (3), how far that is
+    from the gyro's (3, NaN where there is none) and one sigma of the gyro (3); all deg/s."""
+
+    utc: str
+    samples: int
+    free: bool
+    status: str
+    rate: np.ndarray
+    sigma: np.ndarray
+    miss: np.ndarray
+    gyro_sigma: np.ndarray
+
+    @property
+    def pull(self) -> np.ndarray:
+        return self.miss / np.hypot(self.sigma, self.gyro_sigma)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", type=Path, default=os.environ.get("SUNSPIN_DATA"), help="folder of docs/data.md")
+    parser.add_argument("--page", type=Path, default=PAGE, help="where the page is written")
+
+
+def run(options: Any) -> int:
+    """Write the page; one if the data are not there."""
+    if options.data is None or not (Path(options.data) / "skcube" / "skcube_adcs.csv").is_file():
+        print("no skcube/skcube_adcs.csv: name the folder with --data or SUNSPIN_DATA (docs/data.md says what is in it)")
+        return 1
+    craft = ss.load_vehicle("skcube")
+    data = ss.read_telemetry(Path(options.data) / "skcube" / "skcube_adcs.csv", craft)
+    gyros = of_other_days(craft, data)
+    found = {}
+    for name, without in SIDES.items():
+        found[name] = compared(craft, data, ss.rates(craft, data.drop_vars(without)), gyros)
+        print(f"{name}: {len(found[name])} passes", flush=True)
+    options.page.write_text(page(found, gyros), "utf-8")
+    print(f"written: {options.page}")
+    return 0
+
+
+def of_other_days(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
+    """Of each day with a gyro: its scale and zero as the Sun of all other days tells them (`docs/skcube_gyro.py`)."""
+    every = pairs(craft, data)
+    noise = craft.sensors.disturbance.acceleration_noise
+    found = {}
+    for day in np.unique(every.day):
+        value, sigma, _ = fit(every.take(every.day != day), noise)
+        found[str(day)] = Gyro(value[0], value[1:], sigma[0], sigma[1:])
+    return found
+
+
+def compared(craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dict[str, Gyro]) -> list[Compared]:
+    """Each pass of a result against the gyro's counts at the same samples."""
+    gyro = craft.sensors.gyro
+    assert gyro is not None
+    counts = (data["gyro_B"] / gyro.scale_rad_s + gyro.zero).sel(time=result["time"]).values
+    rows = []
+    for k in range(result.sizes["pass_id"]):
+        at = result["pass_of"].values == k
+        utc = str(result["utc_start"].values[k])
+        known = at & np.isfinite(counts).all(axis=1)
+        miss, gyro_sigma = np.full(3, np.nan), np.full(3, np.nan)
+        if known.any() and utc[:10] in gyros:
+            own = gyros[utc[:10]]
+            read = own.scale * (counts[known] - own.zero)
+            miss = (np.degrees(result["omega_B"].values[known]) - read).mean(axis=0)
+            gyro_sigma = np.hypot(own.scale * own.zero_sigma, read.mean(axis=0) * own.scale_sigma / own.scale)
+        rows.append(Compared(
+            utc[:16].replace("T", " "), int(at.sum()), bool(result["time"].values[at][0] > FREE_S),
+            str(result["why_not_decided"].values[k]) or "decided", np.degrees(result["omega_mean_B"].values[k, 0]),
+            np.degrees(result["omega_sigma_all_B"].values[k]), miss, gyro_sigma,
+        ))  # fmt: skip
+    return rows
+
+
+def figures(rows: list[Compared]) -> str:
+    """Passes, decided, share of components within one and two sigma with the range of nine in ten resamplings of passes, rms and
+    largest pull, median sigma and error."""
+    rows = [row for row in rows if np.isfinite(row.miss).all()]
+    if not rows:
+        return "0 | | | | | | | "
+    pull = np.abs([row.pull for row in rows])
+    drawn = np.random.default_rng(0).integers(len(rows), size=(DRAWS, len(rows)))
+    shares = []
+    for limit in (1.0, 2.0):
+        inside = (pull < limit).mean(axis=1)
+        low, high = np.quantile(inside[drawn].mean(axis=1), [0.05, 0.95])
+        shares.append(f"{inside.mean():.0%} ({low:.0%} to {high:.0%})")
+    decided = sum(row.status == "decided" for row in rows)
+    sigma, miss = (np.median(np.abs([getattr(row, name) for row in rows])) for name in ("sigma", "miss"))
+    rms = np.sqrt((pull**2).mean())
+    return f"{len(rows)} | {decided} | {' | '.join(shares)} | {rms:.2f} | {pull.max():.1f} | {sigma:.2f} | {miss:.2f}"
+
+
+SHORT = ("| given | passes | with gyro | decided | in 1 sigma (68 %) | in 2 sigma (95 %) | rms pull | largest "
+         "| median sigma, deg/s | median miss, deg/s |")  # fmt: skip
+ALL = "| began (UTC) | samples | coils | status | rate, deg/s | one sigma | off by, deg/s | largest pull |"
+
+KINDS = {"free, decided": (True, True), "free, not decided": (True, False), "coils driven, decided": (False, True),
+         "coils driven, not decided": (False, False)}  # fmt: skip
+
+
+def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
+    """The page, in Markdown."""
+    lines = [HEAD, SHORT, "|---" * SHORT.count(" |") + "|"]
+    for name, rows in found.items():
+        for kind, (free, decided) in KINDS.items():
+            own = [row for row in rows if row.free == free and (row.status == "decided") == decided]
+            lines.append(f"| {name} | {kind} | {figures(own)} |")
+    lines += [GYRO, "| day left out | scale, deg/s per count | zero, counts |", "|---|---|---|"]
+    for day, own in gyros.items():
+        zero = ", ".join(f"{z:.0f} +- {s:.0f}" for z, s in zip(own.zero, own.zero_sigma, strict=True))
+        lines.append(f"| {day} | {own.scale:.4f} +- {own.scale_sigma:.4f} | {zero} |")
+    for name, rows in found.items():
+        lines += [f"\n## All passes: {name}\n", ALL, "|---" * ALL.count(" |") + "|"]
+        for row in sorted(rows, key=lambda row: -np.nan_to_num(np.abs(row.pull).max(), nan=-1.0)):
+            rate, sigma, miss = (", ".join(f"{v:.2f}" for v in part) for part in (row.rate, row.sigma, row.miss))
+            told = (miss, f"{np.abs(row.pull).max():.1f}") if np.isfinite(row.miss).all() else ("no gyro in this file", "")
+            coils = "off" if row.free else "driven"
+            lines.append(f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(told)} |")
+    return "\n".join(lines) + "\n"
+
+
+HEAD = """# How right is it on real data
+
+Written by `make validate-real` (`python -m validation real`), which repeats the comparison wherever the data lie in `SUNSPIN_DATA`;
+[Other people's data](data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else
+has measured too, is rare: skCUBE's is the one set so far.
+
+- **skCUBE**, a 1U CubeSat, 23 to 28 June 2017: Sun sensors, magnetometer, gyro of unknown scale, 40 s apart in passes of ten
+  minutes. *Where*: raw frames in the public repository `yangwao/skCube-data-collector` (MIT licence, commit
+  59258b0de91c7828915a3137cc758bbdbec15402), folder `rawdata`; `sunspin decode ZIP --out skcube` makes tables of them.
+  *Compared*: rates from the Sun sensors, with and without the magnetometer, against the gyro, which is withheld from them.
+
+**The gyro is not independent of the Sun sensors.** Its scale and zero are in no document: they were fitted to how these sensors saw
+the Sun go round. So for each day the fit is made on all *other* days, and its own uncertainty counts. The gyro readings of 28 June
+are not in this file. The sensors' scales and the strength of torques were chosen on 23 to 27 June too
+(`cases/skcube/vehicle.toml`), which flatters these passes. While the coils were driven (until 25 June 18:41) a torque acts that is
+not modelled.
+
+A pull is the difference of a pass's mean rate over both sigmas together. The range behind a share is that of nine in ten
+resamplings of whole passes: components of one pass are not independent.
+
+## In short
+"""
+
+GYRO = """
+The gyro of each day, as the Sun of the other days tells it:
+"""
