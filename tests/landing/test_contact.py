@@ -81,7 +81,7 @@ def test_a_centre_of_mass_outside_the_hull_has_no_rest():
     assert shape.outward_B is None
     with pytest.raises(ss.InputError, match="no facet"):
         c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
-    assert c.shape_of(Vehicle("flat", hull=[HullPart("plate", BOX[:4])])).normals_B is None
+    assert c.shape_of(Vehicle("flat", hull=[HullPart("plate", BOX[:4])])).outward_B is None
     assert c.shape_of(Vehicle("nothing")) is None
 
 
