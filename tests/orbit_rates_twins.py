@@ -130,8 +130,8 @@ def make(seed: int, i: int, patches: int = 20_000) -> tuple[Vehicle, xr.Dataset,
     data = xr.Dataset(variables, {"time": time_s, "panel": list(vehicle.panel_names)}, attrs)
     truth = xr.Dataset({"omega_B": (("time", "axis"), rate), "B_from_N": (("time", "quaternion"), quaternion),
                         "sun_N": (("time", "axis"), sun)}, {"time": time_s})  # fmt: skip
-    about = {"deg_s": float(np.degrees(speed)), "interval_s": interval, "passes": passes, "samples": len(time_s), "units": units,
-             "inertia": known, "ahead_s": ahead, "sigma_s": sigma, "lit": float(lit.mean())}  # fmt: skip
+    about: dict[str, Any] = {"deg_s": float(np.degrees(speed)), "interval_s": interval, "passes": passes, "samples": len(time_s),
+             "units": units, "inertia": known, "ahead_s": ahead, "sigma_s": sigma, "lit": float(lit.mean())}  # fmt: skip
     sunny = [start for start, one in zip(starts, parts, strict=True) if one[-1].sum() >= 8]
     about["begin_s"] = [float(x) for x in rng.permutation(sunny)[:JUDGED]]
     return vehicle, data, given, truth, about

@@ -11,8 +11,10 @@ import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli.changes import opened
 from sunspin.cli.common import Group
-from sunspin.cli.outcomes import _candidates
+from sunspin.cli.outcomes import _candidates, _scenario
 from sunspin.compute.identity import plain
+from sunspin.landing.outcomes import _own_scenario
+from sunspin.landing.scenario import case_scenario, paper_scenario
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
 from sunspin.philae import study
@@ -169,6 +171,16 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
     for sets, words in ((("wheel.speed_rad_s=833",), ""), ((), "of another body than this run's: philae, wheel.speed_rad_s = 833")):
         points, whose = _candidates(opened("philae", sets), tmp_path / "scan.nc", 1.1, (), False)
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
+
+
+def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
+    craft = with_changes("wheel.speed_rad_s=833")
+    assert _scenario("philae", craft, {}, None).wheel_speed_rad_s == (833.0,)
+    assert _own_scenario(craft).wheel_speed_rad_s == (833.0,) and _own_scenario(OWN).wheel_speed_rad_s == (865.0,)
+    case = ss.load_case("philae", ["collision.restitution=0.2", "collision.damper=0.5", "study.lead_s=30"])
+    found = case_scenario(case)
+    assert (found.restitution, found.damper, found.lead_s) == (0.2, 0.5, 30.0)
+    assert paper_scenario(case).restitution == 0.2
 
 
 @pytest.mark.parametrize(("restitution", "damper"), [(0, 0), (1, 0), (0, 1), (0.4, 0.3), (1, 1)])

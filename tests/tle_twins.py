@@ -67,15 +67,9 @@ def field_nT(place: np.ndarray, sidereal: np.ndarray, when: datetime) -> np.ndar
                             up * np.cos(theta) - south * np.sin(theta)])  # fmt: skip
 
 
-def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, tuple[str, str], dict[str, Any]]:
-    """Vehicle, telemetry, the two lines, and what was drawn: `ahead_s` of the elements, `days` since their epoch."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
-    given, sigma = lines(rng), float(10 ** rng.uniform(0.5, 1.8))
-    ahead, begin = sigma * rng.normal(), rng.uniform(0, 5) * 86400
-    interval, passes = rng.uniform(20, 60), int(rng.integers(3, 9))
-    starts = np.sort(rng.choice(30, passes, replace=False)) * 5600.0 + rng.uniform(0, 2000, passes)
-    t = np.concatenate([start + np.arange(0, rng.uniform(300, 650), interval) for start in starts])
-    t -= t[0]
+def sky(given: tuple[str, str], begin: float, t: np.ndarray, ahead: float) -> tuple[np.ndarray, ...]:
+    """Direction to the Sun (n, 3), field (n, 3) in nT, whether the Sun is up (n) and the ground below lit (n), at s from `begin`
+    after the epoch, so many s ahead of the elements."""
     day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)
     true = begin + t
     _, place, _ = Satrec.twoline2rv(*given).sgp4_array(np.full(len(t), day), fraction + (true + ahead) / 86400)
@@ -85,11 +79,24 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, tuple[str, str], dict[
     field = field_nT(place, sidereal, EPOCH + timedelta(seconds=begin))
     along = (place * sun).sum(axis=1)
     lit = (along > 0) | (np.linalg.norm(place - along[:, None] * sun, axis=1) > EARTH_KM)
+    return sun, field, lit, along > 0
+
+
+def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, tuple[str, str], dict[str, Any]]:
+    """Vehicle, telemetry, the two lines, and what was drawn: `ahead_s` of the elements, `days` since their epoch."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
+    given, sigma = lines(rng), float(10 ** rng.uniform(0.5, 1.8))
+    ahead, begin = sigma * rng.normal(), rng.uniform(0, 5) * 86400
+    interval, passes = rng.uniform(20, 60), int(rng.integers(3, 9))
+    starts = np.sort(rng.choice(30, passes, replace=False)) * 5600.0 + rng.uniform(0, 2000, passes)
+    t = np.concatenate([start + np.arange(0, rng.uniform(300, 650), interval) for start in starts])
+    t -= t[0]
+    sun, field, lit, day = sky(given, begin, t, ahead)
     spin = np.radians(10 ** rng.uniform(-0.5, 0.7)) * unit(rng)
     body = Rotation.from_rotvec(t[:, None] * spin) * Rotation.random(random_state=int(rng.integers(2**31)))
     sun_B, field_B = body.apply(sun), body.apply(field)
     power = np.maximum(sun_B @ FACES.T, 0) * lit[:, None] * np.exp(0.03 * rng.normal(size=6))
-    power = np.maximum(power + 0.06 * rng.uniform(size=power.shape) * (along > 0)[:, None] + 0.01 * rng.normal(size=power.shape), 0)
+    power = np.maximum(power + 0.06 * rng.uniform(size=power.shape) * day[:, None] + 0.01 * rng.normal(size=power.shape), 0)
     matrix = np.eye(3) + 0.03 * rng.normal(size=(3, 3))
     reading = field_B @ matrix.T + 4000 * rng.normal(size=3) + 600 * rng.normal(size=field.shape)
     sensors = Sensors(magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), 600.0))

@@ -6,6 +6,7 @@ Nothing of the package's own dynamics makes them: Euler's equations with a torqu
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -22,12 +23,12 @@ MOMENTS = np.array([0.042, 0.05, 0.03])
 GYRO = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3, zero_sigma=np.full(3, 2e-3), scale_sigma=0.01)
 STEP_S = 0.25
 
-CHANGE = np.radians(1.0)
-"""rad/s by which a torque or a step changes the rate over a pass."""
+CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
+"""rad/s by which a torque or a step changes the rate over a pass, and a strong torque."""
 
 KINDS = {
     "right model": 24, "steady torque": 8, "step of the rate": 8, "jitter": 12, "columns exchanged": 12, "stop and go": 8,
-    "prior given back": 12,
+    "prior given back": 12, "strong torque in the body": 6, "strong torque in space": 6, "slews": 6, "time tags": 8,
 }  # fmt: skip
 """Kind of pass -> how many."""
 
@@ -100,16 +101,32 @@ def tumbling(rng: np.random.Generator, push: Callable[[np.random.Generator, floa
     return seen(FACES, *spin(start, t, None if push is None else push(rng, t[-1])), t, noise, rng, gyro)
 
 
-def steady(rng: np.random.Generator, span_s: float) -> Push:
-    """A torque that changes the rate by `CHANGE`, fixed in the body or in space."""
-    size, in_body = CHANGE / span_s * unit(rng), rng.random() < 0.5
-    return lambda _, attitude: size if in_body else attitude @ size
+def steady(rng: np.random.Generator, span_s: float, change: float = CHANGE, in_body: bool | None = None) -> Push:
+    """A torque that changes the rate by `change`, fixed in the body or in space."""
+    size = change / span_s * unit(rng)
+    in_body = rng.random() < 0.5 if in_body is None else in_body
+    return lambda _, attitude: size if in_body else attitude @ size * MOMENTS.mean() / MOMENTS
 
 
 def stepped(rng: np.random.Generator, span_s: float) -> Push:
     """A thruster that changes the rate by `CHANGE` within two seconds."""
     size, at = CHANGE / 2 * unit(rng), rng.uniform(0.2, 0.8) * span_s
     return lambda t, _: size if at <= t < at + 2 else np.zeros(3)
+
+
+def slews(rng: np.random.Generator, span_s: float) -> Push:
+    """Two to four thrusts of two seconds, each of which changes the rate by half of `CHANGE` to twice that."""
+    count = int(rng.integers(2, 5))
+    sizes = np.array([CHANGE / 2 * rng.uniform(0.5, 2.0) * unit(rng) for _ in range(count)])
+    at = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / count * span_s
+    return lambda t, _: sizes[(at <= t) & (t < at + 2)].sum(axis=0)
+
+
+def badly_timed(made: Made, rng: np.random.Generator) -> Made:
+    """The same with every time tag off by a second or two at random, in whole seconds."""
+    t = made.telemetry["time"].values
+    tags = np.round(t + rng.uniform(0.5, 2.0) * rng.normal(size=len(t)))
+    return made._replace(telemetry=made.telemetry.assign_coords(time=np.maximum.accumulate(tags + 1e-3 * np.arange(len(t)))))
 
 
 def given_back(rng: np.random.Generator) -> Made:
@@ -157,12 +174,14 @@ def stop_and_go(rng: np.random.Generator) -> Made:
 
 
 def make(kind: str, seed: int, i: int) -> Made:
-    """Pass `i` of a kind; one whose columns are exchanged is that of the right model otherwise."""
-    base = "right model" if kind == "columns exchanged" else kind
+    """Pass `i` of a kind; one whose columns are exchanged, or times are off, is that of the right model otherwise."""
+    base = {"columns exchanged": "right model", "time tags": "right model"}.get(kind, kind)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i)))
     makers = {
         "right model": tumbling, "steady torque": lambda r: tumbling(r, steady), "step of the rate": lambda r: tumbling(r, stepped),
-        "jitter": jitter, "stop and go": stop_and_go, "prior given back": given_back,
+        "jitter": jitter, "stop and go": stop_and_go, "prior given back": given_back, "slews": lambda r: tumbling(r, slews),
+        "strong torque in the body": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=True)),
+        "strong torque in space": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=False)),
     }  # fmt: skip
     made = makers[base](rng)
-    return exchanged(made, rng) if kind == "columns exchanged" else made
+    return {"columns exchanged": exchanged, "time tags": badly_timed}.get(kind, lambda made, _: made)(made, rng)

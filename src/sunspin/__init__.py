@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.estimate.scan.lines import fit_lines as fit_lines
     from sunspin.estimate.scan.metrics import direction_error as direction_error, emd as emd
     from sunspin.estimate.posterior.estimate import posterior as posterior
+    from sunspin.estimate.calibrate.sensors import calibrate_sensors as calibrate_sensors
     from sunspin.estimate.rates.estimate import rates as rates
     from sunspin.estimate.scan.volume import near_minimum as near_minimum, scan as scan
     from sunspin.telemetry.health import panel_health as panel_health
@@ -71,6 +72,7 @@ _HOME = {
     "SunStatus": "sunspin.telemetry.sun",
     "panel_health": "sunspin.telemetry.health",
     "panel_quality": "sunspin.telemetry.quality",
+    "calibrate_sensors": "sunspin.estimate.calibrate.sensors",
     "rates": "sunspin.estimate.rates.estimate",
     "propagate": "sunspin.dynamics.propagate",
     "impact": "sunspin.dynamics.impact",

@@ -41,7 +41,7 @@ def test_sgp4_gives_the_published_verification_states():
     table = np.array([line.split()[:7] for line in lines[1:end]], dtype=float)
     assert len(table) > 10
     day, fraction = elements.epoch_jd
-    place, speed = elements.states_TEME(np.full(len(table), day), fraction + table[:, 0] / 1440)
+    place, speed = elements.states(np.full(len(table), day), fraction + table[:, 0] / 1440)
     np.testing.assert_allclose(place / 1e3, table[:, 1:4], atol=2e-5)  # the date's last bit is 40 microseconds
     np.testing.assert_allclose(speed / 1e3, table[:, 4:7], atol=2e-8)
 
@@ -52,7 +52,7 @@ def test_TEME_is_turned_to_J2000_as_published():
     The book's nutation is that of 1980; the one used here differs by 0.05 arcseconds, 2 m at that distance."""
     (elements,) = parse_elements(VANGUARD, "case")
     when = Instants(np.array([elements.epoch_jd[0] + 3]), np.array([elements.epoch_jd[1]]), 64.184 / 86400)
-    place, speed = elements.states_TEME(when.jd, when.fraction)
+    place, speed = elements.states(when.jd, when.fraction)
     np.testing.assert_allclose(place[0], [-9060473.73569, 4658709.52502, 813686.73153], atol=0.01)
     turn = J2000_from_TEME(when)[0]
     np.testing.assert_allclose(turn @ place[0], [-9059941.3786, 4659697.2000, 813958.8875], atol=2.5)
@@ -252,7 +252,7 @@ def test_an_OMM_is_read_in_each_of_its_forms(text, tmp_path):
     assert (elements.number, elements.name) == (25544, "ISS (ZARYA)")
     assert sum(elements.epoch_jd) == pytest.approx(2460371.0, abs=1e-9)
     assert elements.period_s == pytest.approx(86400 / 15.49)
-    place, _ = elements.states_TEME(*(np.array([part]) for part in elements.epoch_jd))
+    place, _ = elements.states(*(np.array([part]) for part in elements.epoch_jd))
     assert np.linalg.norm(place) == pytest.approx(6.79e6, rel=3e-3)
 
 

@@ -53,7 +53,7 @@ def test_between_kept_samples_it_is_the_true_motion(pass_):
     attitude, omega, every = attitudes(run), run["omega_B"].values, np.arange(len(o))
     track = Track(attitude[None, kept], omega[None, kept], covariance=np.zeros((1, len(kept), 6, 6)))
     motion = Motion(Body.of(CRAFT), NOISE, 0.1)
-    found = Dense.of(o, every, kept, track, motion).filled(track, motion)
+    found = Dense.of(o, every, kept, track, motion).filled(track)
     assert len(kept) <= MAX_SAMPLES and np.diff(kept).max() > 5
     np.testing.assert_allclose(found.omega[0], omega, rtol=0, atol=5e-6)  # a step of the smoother is good to 1e-4 of a turn
     np.testing.assert_allclose(found.sun_B[0], run["sun_B"].values, rtol=0, atol=2e-4)
@@ -68,7 +68,7 @@ def test_the_mean_answers_as_differences_say(pass_):
 
     def mean(rates: np.ndarray) -> np.ndarray:
         track = Track(attitude, rates, covariance=np.zeros((1, len(kept), 6, 6)))
-        return Dense.of(o, every, kept, track, motion).filled(track, motion).omega[0].mean(axis=0)
+        return Dense.of(o, every, kept, track, motion).filled(track).omega[0].mean(axis=0)
 
     answer = Dense.of(o, every, kept, Track(attitude, omega), motion).mean_map()[0]
     for sample, axis in ((0, 0), (7, 1), (20, 2), (len(kept) - 1, 0)):
@@ -85,7 +85,7 @@ def test_a_pass_of_which_all_is_kept_stays_as_it_is(pass_):
     track = Track(attitudes(run)[None, :30], run["omega_B"].values[None, :30], covariance=np.tile(np.eye(6), (1, 30, 1, 1)))
     motion = Motion(Body.of(CRAFT), NOISE, 0.1)
     found = Dense.of(o, every, every, track, motion)
-    np.testing.assert_array_equal(found.filled(track, motion).covariance, track.covariance)
+    np.testing.assert_array_equal(found.filled(track).covariance, track.covariance)
     np.testing.assert_array_equal(found.mean_map()[0], np.tile(np.hstack([np.zeros((3, 3)), np.eye(3)]) / 30, (30, 1, 1)))
 
 

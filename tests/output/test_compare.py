@@ -59,7 +59,7 @@ def test_it_is_printed_drawn_and_written(studies, tmp_path):
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert told["beyond"] == 3 and told["moved"][0]["row"] == "far"
     axes = ss.compare(*studies).sunspin.plot().axes[0]
-    assert [label.get_text().split(":")[0] for label in axes.get_yticklabels()] == ["far", "pair", "ends", "tolerated", "near"]
+    assert [label.get_text().split()[1] for label in axes.get_yticklabels()] == ["far", "pair", "ends", "tolerated", "near"]
 
 
 def a_pass(number, start, x, sigma=0.1, **more):

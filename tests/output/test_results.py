@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import sunspin as ss
 from sunspin.output.kinds import KINDS
 
-NO_FIGURE = {"impact", "lines"}
+NO_FIGURE = {"impact", "lines", "calibration"}
 
 
 def vehicle():
@@ -58,6 +58,7 @@ MADE = {
     "telemetry": telemetry,
     "sun_directions": lambda: ss.sun_directions(vehicle(), telemetry()),
     "panel_quality": lambda: ss.panel_quality(vehicle(), telemetry()),
+    "calibration": lambda: ss.calibrate_sensors(vehicle(), telemetry()),
     "rates": rates,
     "trajectory": motion,
     "impact": impact,

@@ -103,12 +103,14 @@ def opened(vehicle: Any, sets: tuple[str, ...], *uses: str) -> Opened:
 
 def _print_list(vehicle: str, uses: tuple[str, ...], as_json: bool) -> None:
     """Key, value, unit and source of all that the command can change."""
-    from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
+    from sunspin.vehicle.assumptions import LEFT_OUT, AssumptionsFile, assumptions_table
     from sunspin.vehicle.changes import settings, shown
     from sunspin.vehicle.file import VehicleFile, vehicle_table
 
     found = settings(vehicle_table(vehicle), VehicleFile)
-    found += [one for one in settings(assumptions_table(), AssumptionsFile) if one.key in uses or one.key.partition(".")[0] in uses]
+    for one in settings(assumptions_table(), AssumptionsFile):
+        if one.key in uses or one.key.partition(".")[0] in uses:
+            found.append(one._replace(source=LEFT_OUT.get(one.key, one.source)))
     if as_json:
         click.echo(json.dumps([one._asdict() for one in found], indent=1))
         return

@@ -25,6 +25,7 @@ COMMANDS = {
     "check": "sunspin.cli.files:check",
     "decode": "sunspin.cli.files:decode",
     "sun": "sunspin.cli.sun:sun",
+    "calibrate-sensors": "sunspin.cli.calibrate:calibrate_sensors",
     "rates": "sunspin.cli.rates:rates",
     "simulate": "sunspin.cli.simulate:simulate",
     "scan": "sunspin.cli.scan:scan",
@@ -37,7 +38,7 @@ COMMANDS = {
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
 SECTIONS = {
-    "Your satellite": ("init", "check", "sun", "rates", "posterior", "report", "export", "compare"),
+    "Your satellite": ("init", "check", "sun", "calibrate-sensors", "rates", "posterior", "report", "export", "compare"),
     "Motions": ("simulate", "scan", "outcomes"),
     "Philae": ("reproduce", "coverage", "worth"),
     "Data of others": ("decode",),
@@ -52,6 +53,7 @@ SUMMARIES = {
     "check": "What is wrong with my files, in plain words.",
     "decode": "Raw beacons of skCUBE into a table.",
     "sun": "Directions to the Sun from panel powers or currents.",
+    "calibrate-sensors": "Gains, zeros, scales and soft iron from the telemetry itself.",
     "rates": "Body rates and attitude of each pass, all motions that fit.",
     "simulate": "One trajectory of a vehicle with its wheels.",
     "scan": "Which initial rates fit, and the lines they lie on.",

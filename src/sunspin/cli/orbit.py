@@ -10,14 +10,14 @@ import click
 
 
 def orbit_options(command: Callable) -> Callable:
-    """--tle and --omm, which are one, and --tle-shift-sigma."""
+    """--tle, --omm and --ephemeris, which are one, and --tle-shift-sigma."""
     command = click.option(
         "--tle-shift-sigma", "shift_sigma", type=click.FloatRange(0, min_open=True),
         help="One sigma of the place along the track, s; default: by the elements' age.",
     )(command)  # fmt: skip
     return click.option(
-        "--tle", "--omm", "elements", type=click.Path(path_type=Path),
-        help="Orbital elements of one satellite, as TLE or OMM; default: those of the vehicle file.",
+        "--tle", "--omm", "--ephemeris", "elements", type=click.Path(path_type=Path),
+        help="The orbit of the satellite: elements as TLE or OMM, or positions as OEM, CSV or SPK; default: the vehicle file's.",
     )(command)  # fmt: skip
 
 

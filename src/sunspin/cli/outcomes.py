@@ -94,7 +94,7 @@ def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float
         given["collision_speed_m_s"] = collision_speed or None
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is not None and case.timeline is not None:
-        return replace(case_scenario(replace(case, timeline=timeline or case.timeline)), **given)
+        return replace(case_scenario(replace(case, vehicle=craft, timeline=timeline or case.timeline)), **given)
     given = dict[str, Any](times_of(timeline)) | given
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in given:

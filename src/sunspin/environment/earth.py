@@ -16,6 +16,9 @@ import numpy as np
 EQUATOR_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
 """The Earth's equatorial radius (m) and flattening: WGS 84."""
 
+MU_M3_S2 = 3.986004418e14
+"""Its gravitational parameter: WGS 84."""
+
 SUN_M = 6.957e8
 """The Sun's radius: IAU 2015, resolution B3."""
 

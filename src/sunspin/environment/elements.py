@@ -57,8 +57,9 @@ class Elements:
     name: str
     epoch_jd: tuple[float, float]
     where: str
+    frame: str = "TEME"
 
-    def states_TEME(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (n, 3) m and velocities (n, 3) m/s in the true equator and mean equinox of date, at UTC Julian dates (n) and
         fractions of a day (n). `InputError` where SGP4 gives none: the orbit has decayed, or is none."""
         error, place, speed = _satrec(self.given).sgp4_array(np.ascontiguousarray(jd), np.ascontiguousarray(fraction))
@@ -68,6 +69,9 @@ class Elements:
             what = f"these elements cannot be propagated to the telemetry: {SGP4_ERRORS[int(error[error > 0][0])]}"
             raise InputError(sentence(what, do="give elements of the telemetry's time", where=self.where))
         return 1e3 * place, 1e3 * speed
+
+    def require(self, jd: np.ndarray) -> None:
+        """SGP4 gives a place at any time."""
 
     @property
     def period_s(self) -> float:

@@ -9,12 +9,13 @@ determine well is the sum.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sunspin.environment.earth import EQUATOR_M, Instants, J2000_from_TEME, earth_from_J2000, sun_J2000_m
-from sunspin.environment.elements import OLD_DAYS, Elements
+from sunspin.environment.elements import OLD_DAYS
 from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, lit
@@ -33,6 +34,32 @@ def age_sigma_s(days: float) -> float:
     return 0.3 + 0.2 * abs(days) + 0.01 * days**2
 
 
+class Source(Protocol):
+    """What gives positions: a set of elements (:mod:`sunspin.environment.elements`), or a table of them
+    (:mod:`sunspin.environment.ephemeris`).
+
+    `states`: positions (n, 3) m and velocities (n, 3) m/s in `frame`, "TEME" or "J2000", at UTC Julian dates (n) and fractions
+    (n). `days_to`: from its epoch, or the table's nearer end, to a UTC Julian date. `require`: `InputError` where telemetry at such
+    dates (n) has no position.
+    """
+
+    @property
+    def frame(self) -> str: ...
+    @property
+    def number(self) -> int | str: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def where(self) -> str: ...
+    @property
+    def epoch_jd(self) -> tuple[float, float]: ...
+    @property
+    def period_s(self) -> float: ...
+    def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
+    def days_to(self, jd: float) -> float: ...
+    def require(self, jd: np.ndarray) -> None: ...
+
+
 @dataclass(frozen=True)
 class Orbit:
     """An environment by elements; times are s from `epoch_utc`, the telemetry's. Made by :func:`in_orbit`.
@@ -41,7 +68,7 @@ class Orbit:
     """
 
     epoch_utc: str
-    elements: tuple[Elements, ...]
+    elements: tuple[Source, ...]
     shift_s: float
     shift_sigma_s: float
     clock_s: float = 0.0
@@ -60,8 +87,8 @@ class Orbit:
         which = np.abs((jd + fraction)[:, None] - [sum(one.epoch_jd) for one in self.elements]).argmin(axis=1)
         both = np.empty((2, len(jd), 3))
         for k in np.unique(which):
-            both[:, which == k] = self.elements[k].states_TEME(jd[which == k], fraction[which == k])
-        turn = J2000_from_TEME(when)
+            both[:, which == k] = self.elements[k].states(jd[which == k], fraction[which == k])
+        turn = J2000_from_TEME(when) if self.elements[0].frame == "TEME" else np.eye(3)
         if self.node_rad:
             c, s = np.cos(self.node_rad), np.sin(self.node_rad)
             turn = turn @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -157,7 +184,7 @@ def _spread(here: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarr
 
 
 def in_orbit(
-    elements: tuple[Elements, ...],
+    elements: tuple[Source, ...],
     epoch_utc: str,
     t_s: npt.ArrayLike,
     *,
@@ -166,12 +193,15 @@ def in_orbit(
     clock_s: float = 0.0,
     clock_sigma_s: float | None = None,
 ) -> Orbit:
-    """The environment of telemetry whose times (n) count from `epoch_utc`, in an orbit by these elements (`read_elements`).
+    """The environment of telemetry whose times (n) count from `epoch_utc`, in an orbit by these elements (`read_elements`), or by
+    this table of positions (`read_ephemeris`).
 
     Of several element sets the one whose epoch is nearest serves each time. `shift_s`, `clock_s` and their sigmas (s): see the
     module; by default the shift is as uncertain as the elements are old, and the clock by 1 s.
     """
     orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s)
+    when = orbit.instants(t_s).later(shift_s)
+    elements[0].require(when.jd + when.fraction)
     if shift_sigma_s is None:
         middle = orbit.instants(t_s).middle
         shift_sigma_s = age_sigma_s(min((one.days_to(middle) for one in elements), key=abs))

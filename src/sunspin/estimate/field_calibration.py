@@ -62,7 +62,7 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     size = np.linalg.norm(seen.field, axis=1)
     median = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)) * np.array([-1.0, 0.0, 1.0])
-    every = check._predict(orbit, seen, check._Grid(along, np.zeros(3)), 0.0, 0.0)
+    every = check._predict(orbit, seen, check._Grid.of(orbit)._replace(shifts=along), 0.0, 0.0)
     predicted = every.take([1])
     strength = float(np.median(predicted.strength))
     model = check._Model(seen.field / median, seen.sun, seen.covariance)
@@ -70,19 +70,36 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     for _ in range(check.ROUNDS):
         state = least_squares(model.linearise, check._stepped, dense, state, steps=3 * check.STEPS).state
         state = state._replace(scatter=model.scatter(state))
-    fitted = np.sqrt(len(size) / max(len(size) - 12, len(size) / 4))  # twelve unknowns follow the noise
-    scatter = np.maximum(fitted * state.scatter[0], [FEW_SCATTER if len(size) < FEW else 0.0, 0.0])
-    state = state._replace(scatter=scatter[None])
-    by_strength, by_sun = model.residuals(state)[2:]
-    moved = [(part[2] - part[0]) / 2 / strength for part in (every.strength, every.to_sun)]
-    weight = 1 / (state.strength[0] * scatter[0]), 1 / (state.strength[0][model.with_sun] * model.sigma * scatter[1])
-    by_place = -np.concatenate([moved[0] * weight[0], moved[1][model.with_sun] * weight[1]])
-    normal = np.eye(13)
-    normal[:12, :12] = model.linearise(state).matrix[0]
-    normal[:12, 12] = normal[12, :12] = np.concatenate([by_strength[0], by_sun[0]]).T @ by_place
-    normal[12, 12] += by_place @ by_place
-    scale = strength / median
+    state = state._replace(scatter=_scatter(model, state))
+    along_track = [(part[2] - part[0]) / 2 / strength for part in (every.strength, every.to_sun)]
+    scale, unknown = strength / median, state.unknown[0]
     units = np.concatenate([np.full(9, scale), np.full(3, strength), [1.0]])
-    matrix = scale * (np.eye(3) + state.unknown[0, :9].reshape(3, 3))
-    errors = np.linalg.cholesky(np.linalg.inv(normal)).T * units
-    return FieldCalibration(matrix, strength * state.unknown[0, 9:], errors, scatter[0] / OF_GAUSSIAN * strength, scale)
+    return FieldCalibration(
+        scale * (np.eye(3) + unknown[:9].reshape(3, 3)), strength * unknown[9:], _errors(model, state, along_track) * units,
+        float(state.scatter[0, 0]) / OF_GAUSSIAN * strength, scale,
+    )  # fmt: skip
+
+
+def _scatter(model: check._Model, state: check._State) -> np.ndarray:
+    """The scatters (1, 2), that of the strength with what the fit has taken of it counted."""
+    residual, _, by_strength, _ = (part[0] for part in model.residuals(state))
+    covariance = np.linalg.inv(model.linearise(state).matrix[0])
+    left = max(len(residual) - float(np.einsum("ni,ij,nj->", by_strength, covariance, by_strength)), 1.0)
+    size = state.scatter[0, 0] * np.sqrt((_weight(residual) * residual**2).sum() / left)
+    return np.array([[max(size, FEW_SCATTER if len(residual) < FEW else 0.0), state.scatter[0, 1]]])
+
+
+def _errors(model: check._Model, state: check._State, along_track: list[np.ndarray]) -> np.ndarray:
+    """One sigma (13, 13) of each independent error of the twelve unknowns and of the place along the track, which changes strength
+    and component to the Sun (n) by `along_track`."""
+    strength, to_sun, by_strength, by_sun = (part[0] for part in model.residuals(state))
+    there, (field, sine) = state.strength[0], state.scatter[0]
+    moved = [along_track[0] / (there * field), (along_track[1] / there)[model.with_sun] / (model.sigma * sine)]
+    jacobian = np.concatenate([np.column_stack([by_strength, -moved[0]]), np.column_stack([by_sun, -moved[1]])])
+    normal = (jacobian * _weight(np.concatenate([strength, to_sun]))[:, None]).T @ jacobian + np.eye(13)
+    normal[:12, :12] += model.prior - np.eye(12)
+    return np.linalg.cholesky(np.linalg.inv(normal)).T
+
+
+def _weight(residual: np.ndarray) -> np.ndarray:
+    return (check.STUDENT + 1) / (check.STUDENT + residual**2)

@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.environment.elements import Elements, parse_elements, read_elements
-from sunspin.environment.orbit import Orbit, in_orbit
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.ephemeris import read_orbit
+from sunspin.environment.orbit import Orbit, Source, in_orbit
 from sunspin.estimate.orbit_check import OrbitCheck, Verdict, check_orbit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.parts import Orbit as Stated
@@ -18,8 +19,9 @@ from sunspin.vehicle.parts import Orbit as Stated
 
 def elements_of(
     vehicle: Vehicle, path: Path | str | None = None, shift_sigma_s: float | None = None
-) -> tuple[Elements, ...] | None:
-    """The element sets of a file (TLE, OMM), else those of the vehicle file; None without either.
+) -> tuple[Source, ...] | None:
+    """The element sets of a file (TLE, OMM), or its table of positions (OEM, CSV, SPK), else the elements of the vehicle file; None
+    without any.
 
     Raises
     ------
@@ -28,7 +30,7 @@ def elements_of(
     """
     stated = vehicle.orbit or Stated()
     if path is not None:
-        return read_elements(path)
+        return read_orbit(path)
     if stated.tle:
         return parse_elements("\n".join(stated.tle), f"[orbit] of {vehicle.name}")
     if shift_sigma_s is not None:

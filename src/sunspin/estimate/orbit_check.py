@@ -50,8 +50,9 @@ MATRIX_SIGMA = 0.2
 ZERO_SIGMA = 1.0
 """Of its zero, in medians of its readings: the file's may be missing."""
 
-LEAST_FIELD, LEAST_SINE = 0.003, 0.01
-"""The smallest scatter that residuals may have, as a part of the field and in units of the Sun's sigma: models are no better."""
+LEAST_FIELD, LEAST_SINE = 0.003, 0.5
+"""The smallest scatter that residuals may have, as a part of the field and in units of the Sun's sigma: models are no better. Where
+few samples have a Sun, a calibration fits their angles nearly exactly, and they would then outvote the field's strength."""
 
 SEEN_IN_SHADOW = 0.02
 """Samples that show a Sun where there is none: a clock's jitter, the Moon, noise."""
@@ -71,8 +72,14 @@ MOST_SCATTER = np.array([0.1, 3.0])
 HOURS, CLEARLY = range(-12, 15), 12.0
 """Errors of a clock that are tried, those of time zones; and by how much (in log likelihood) one must fit better."""
 
-BLOCKS, BESIDE = 8, 3
-"""Parts of the file that are left out in turn, and steps of the shift on either side that are tried then."""
+FINE, DEEP = 33, 10.0
+"""The shift is found among so many steps, between the ends of what costs no more than this above the least: all minima count."""
+
+BLOCKS, AROUND, BESIDE = 8, 9, 3.0
+"""Parts of the file that are left out in turn, with so many steps of the shift within so many sigmas."""
+
+FEW = 1.15
+"""By so much a sigma from so few parts is too small for 90 % to lie within 1.645 of it: Student's law, 7 degrees of freedom."""
 
 ROUNDS, STEPS, TOLERANCE = 3, 10, 0.05
 
@@ -170,17 +177,21 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
 
 
 class _Grid(NamedTuple):
-    """Shifts (K) s beside the orbit's own, and their cost by the prior (K)."""
+    """Shifts (K) s beside the orbit's own, their cost by the prior (K), and one sigma of that, s."""
 
     shifts: np.ndarray
     prior: np.ndarray
+    along: float = 1.0
 
     @classmethod
     def of(cls, orbit: Orbit) -> _Grid:
         along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
         half = int(np.clip(np.ceil(SPAN * along / STEP_S), 3, MOST_STEPS // 2))
-        shifts = SPAN * along / half * np.arange(-half, half + 1)
-        return cls(shifts, (shifts / along) ** 2 / 2)
+        return cls(np.zeros(0), np.zeros(0), along).at(SPAN * along / half * np.arange(-half, half + 1))
+
+    def at(self, shifts: np.ndarray) -> _Grid:
+        """The same prior at other shifts."""
+        return self._replace(shifts=shifts, prior=(shifts / self.along) ** 2 / 2)
 
 
 # ---------------------------------------------------------------------------------------------------------- what is seen, predicted
@@ -243,7 +254,8 @@ def _fit(seen: Seen, predicted: Predicted, prior: np.ndarray, scatter: np.ndarra
     for _ in range(ROUNDS if scatter is None else 1):
         state = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE).state
         state = state if scatter is not None else state._replace(scatter=model.scatter(state))
-    cost = cost + model.linearise(state).cost
+    system = model.linearise(state)
+    cost = cost + system.cost + np.linalg.slogdet(system.matrix)[1] / 2  # all calibrations count, not the best alone
     scale = size / np.median(np.linalg.norm(seen.field[use], axis=1))
     calibration = np.concatenate([scale * (np.eye(3).ravel() + state.unknown[:, :9]), size * state.unknown[:, 9:]], axis=1)
     return Fits(cost, calibration, state.scatter)
@@ -302,12 +314,14 @@ class _Model:
         return Dense(cost, matrix, slope)
 
     def scatter(self, state: _State) -> np.ndarray:
-        """The scatters (K, 2) that make the residuals likeliest, given their weights."""
-        least = np.array([LEAST_FIELD, LEAST_SINE])
+        """The scatters (K, 2) that make the residuals likeliest, given their weights and how much of them has been fitted."""
+        least, covariance = np.array([LEAST_FIELD, LEAST_SINE]), np.linalg.inv(self.linearise(state).matrix)
         found = []
-        for k, residual in enumerate(self.residuals(state)[:2]):
+        strength, to_sun, by_strength, by_sun = self.residuals(state)
+        for k, (residual, by) in enumerate(((strength, by_strength), (to_sun, by_sun))):
             weight = (STUDENT + 1) / (STUDENT + residual**2)
-            rms = np.sqrt((weight * residual**2).mean(axis=1)) if residual.shape[1] else 1.0
+            free = residual.shape[1] - ((by @ covariance) * by).sum(axis=(1, 2))
+            rms = np.sqrt((weight * residual**2).sum(axis=1) / np.maximum(free, 1.0)) if residual.shape[1] else 1.0
             found.append(np.maximum(state.scatter[:, k] * rms, least[k]))
         return np.stack(found, axis=1)
 
@@ -388,7 +402,7 @@ def _answer(
     orbit: Orbit, seen: Seen, grid: _Grid, here: Predicted, own: Fits, verdict: Verdict, rank: tuple[int, float],
     beside: tuple[float, float],
 ) -> OrbitCheck:
-    shift, sigma, at_border = _shift(seen, grid, here, own)
+    shift, sigma, at_border = _shift(orbit, seen, grid, own)
     k = int(own.cost.argmin())
     dark, shadow = seen.light == 0, here.lit[k] < 0.5
     known = np.isfinite(seen.light)
@@ -412,25 +426,27 @@ def _answer(
     )  # fmt: skip
 
 
-def _shift(seen: Seen, grid: _Grid, here: Predicted, own: Fits) -> tuple[float, float, bool]:
+def _shift(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, float, bool]:
     """The shift beside the orbit's own, its sigma, and whether it lies at the border of what was tried.
 
-    The sigma is the larger of what the cost's curvature says, if samples erred independently, and of what leaving out each eighth
-    of the file changes (jackknife): calibration drifts, and a pass of beacons errs as one.
+    Mean and sigma are those of the density that falls with the cost, all minima counted. The sigma is at least what leaving out
+    each eighth of the file changes (jackknife): calibration drifts, and a pass of beacons errs as one.
     """
-    k = int(own.cost.argmin())
-    near = slice(max(k - BESIDE, 0), k + BESIDE + 1)
-    part = here.take(near)
-    mean, sigma = _lowest(grid.shifts[near], own.cost[near])
+    k, step = int(own.cost.argmin()), grid.shifts[1] - grid.shifts[0]
+    deep = grid.shifts[own.cost < own.cost.min() + DEEP]
+    fine = grid.at(np.linspace(deep.min() - step, deep.max() + step, FINE))
+    mean, sigma = _lowest(fine.shifts, _fit(seen, _predict(orbit, seen, fine, 0.0, 0.0), fine.prior).cost)
+    near = grid.at(mean + sigma * np.linspace(-BESIDE, BESIDE, AROUND))
+    part, found = _predict(orbit, seen, near, 0.0, 0.0), []
     blocks = np.array_split(np.arange(len(seen.t_s)), BLOCKS)
-    found = []
     for block in blocks if len(seen.t_s) >= BLOCKS * FEWEST / 2 else ():
         rest = np.setdiff1d(np.arange(len(seen.t_s)), block)
         some = Seen(*(each[rest] for each in seen))
-        cost = _fit(some, Predicted(*(each[:, rest] for each in part)), grid.prior[near]).cost
-        found.append(_lowest(grid.shifts[near], cost)[0])
+        cost = _fit(some, Predicted(*(each[:, rest] for each in part)), near.prior).cost
+        found.append(_lowest(near.shifts, cost)[0])
     if found:
-        sigma = max(sigma, float(np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum())))
+        apart = float(np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum()))
+        sigma = max(sigma, FEW * apart)
     return mean, sigma, k < 2 or k > len(grid.shifts) - 3
 
 

@@ -7,7 +7,7 @@ the orbiter is), see :mod:`sunspin.landing.scenario`; the runs go through the en
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -376,7 +376,7 @@ def outcomes(
 
 def _own_scenario(vehicle: Vehicle) -> sc.Scenario:
     if vehicle.name in case_names():
-        return sc.case_scenario(load_case(vehicle.name))
+        return sc.case_scenario(replace(load_case(vehicle.name), vehicle=vehicle))
     raise InputError(
         sentence(f"nothing is known of what happens to {vehicle.name!r}", do="give scenario=Scenario(...) with times and speeds")
     )

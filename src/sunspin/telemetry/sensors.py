@@ -30,6 +30,9 @@ NEIGHBOUR_RAD = 0.73
 
 NEIGHBOUR_SIGMA_RAD = 0.2
 
+STEEPEST_RAD = 1.4
+"""No Sun sensor reads an angle from its normal beyond this."""
+
 
 def sensor_columns(vehicle: Vehicle) -> list[str]:
     """Columns that the vehicle's sensors read."""
@@ -44,7 +47,9 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """Variables for a Dataset over `time` from the sensor columns that the table has (missing ones are left out).
 
     `sun_sensor_B` (time, axis) unit, body axes, with `sun_sensor_cov_B` (time, axis, axis2): NaN where no sensor sees the Sun;
-    `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in the column's unit, zero taken off;
+    `sun_sensor_angle` (time, sun_sensor, side) rad, the angles of each from its normal, NaN where it sees no Sun or reads none;
+    `sun_sensor_y_turned` (time, sun_sensor), where its y runs the other way; `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in
+    the column's unit, zero taken off, times the matrix;
     `attitude_B_from_N` (time, quaternion); `wheel_speed_rad_s` (time, wheel).
     Cells without a number are NaN.
     """
@@ -54,7 +59,12 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     vector = sensors.sun_vector
     vector = vector if vector is not None and all(name in table.header for name in vector.columns) else None
     if present or vector is not None:
-        sun, covariance = _sun(present, vector, table)
+        sun, covariance, angle = _sun(present, vector, table, sensors.sun_sensors)
+        if present:
+            about = {"units": "rad", "long_name": "angles of each Sun sensor from its normal, along its x and its y"}
+            found["sun_sensor_angle"] = (("time", "sun_sensor", "side"), angle, about)
+            turned = np.stack([_turned(sensor, table) for sensor in sensors.sun_sensors], axis=1)
+            found["sun_sensor_y_turned"] = (("time", "sun_sensor"), turned.astype(np.int8), {"units": "1"})
         found["sun_sensor_B"] = (("time", "axis"), sun, {"units": "1", "long_name": "Sun by the Sun sensors, body axes"})
         found["sun_sensor_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
     gyro, magnetometer = sensors.gyro, sensors.magnetometer
@@ -63,7 +73,8 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
         found["gyro_B"] = (("time", "axis"), value, {"units": "rad s-1", "long_name": "gyro, body axes"})
     if magnetometer is not None and all(name in table.header for name in magnetometer.columns):
         value = unwrapped(_numbers(table, magnetometer.columns), magnetometer.wraps_at) - magnetometer.zero
-        found["field_B"] = (("time", "axis"), value, {"long_name": "magnetometer less its zero, body axes"})
+        about = {"long_name": "magnetometer less its zero, times its matrix, body axes"}
+        found["field_B"] = (("time", "axis"), value @ magnetometer.matrix.T, about)
     attitude = sensors.attitude
     if attitude is not None and all(name in table.header for name in attitude.columns):
         value = _quaternions(attitude, _numbers(table, attitude.columns))
@@ -106,13 +117,19 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
     return np.where(np.abs(values) < ABSURD, values, np.nan)
 
 
-def _sun(sensors: list[SunSensor], vector: SunVector | None, table: Table) -> tuple[np.ndarray, np.ndarray]:
-    """The Sun from all sensors that see it, each weighted by its information about each axis."""
+def _sun(
+    sensors: list[SunSensor], vector: SunVector | None, table: Table, every: tuple[SunSensor, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The Sun from all sensors that see it, each weighted by its information about each axis, and the angles (n, every, 2)."""
     n = len(table.rows)
+    angles = np.full((n, len(every), 2), np.nan)
     light = np.array([_light(sensor, table) for sensor in sensors]).reshape(len(sensors), n).T
     lit = light > [sensor.lit_above for sensor in sensors]
-    information, weighted = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    seen = [(*_one_sensor(sensor, sensors, lit, table), lit[:, k]) for k, sensor in enumerate(sensors)]
+    information, weighted, seen = np.zeros((n, 3, 3)), np.zeros((n, 3)), []
+    for k, sensor in enumerate(sensors):
+        x, y = _angles(sensor, table)
+        angles[lit[:, k], every.index(sensor)] = np.column_stack([x, y])[lit[:, k]]
+        seen.append((*_one_sensor(sensor, sensors, lit, x, y), lit[:, k]))
     for direction, part, sees in [*seen, *([] if vector is None else [_vector(vector, table)])]:
         use = sees & np.isfinite(direction).all(axis=1)
         information[use] += part[use]
@@ -125,7 +142,7 @@ def _sun(sensors: list[SunSensor], vector: SunVector | None, table: Table) -> tu
     agree = seen & (size > AGREE)
     sun[agree] /= size[agree, None]
     sun[~agree], covariance[~agree] = np.nan, np.nan
-    return sun, covariance
+    return sun, covariance, angles
 
 
 def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -145,20 +162,30 @@ def _light(sensor: SunSensor, table: Table) -> np.ndarray:
     return np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
 
 
+def _angles(sensor: SunSensor, table: Table) -> tuple[np.ndarray, np.ndarray]:
+    """The Sun's angles (n) from a sensor's normal towards its x and its y; NaN where it reads none."""
+    x = np.clip(sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad, -STEEPEST_RAD, STEEPEST_RAD)
+    if sensor.y_column is None or sensor.y_scale is None:
+        return x, np.full(len(x), np.nan)
+    scale = np.where(_turned(sensor, table), sensor.y_turned_scale or 0.0, sensor.y_scale)
+    return x, np.clip(scale * _numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad, -STEEPEST_RAD, STEEPEST_RAD)
+
+
+def _turned(sensor: SunSensor, table: Table) -> np.ndarray:
+    """Whether the y of each row (n) runs the other way."""
+    if sensor.y_turned_above is None or sensor.light_column not in table.header:
+        return np.zeros(len(table.rows), dtype=bool)
+    return _light(sensor, table) > sensor.y_turned_above
+
+
 def _one_sensor(
-    sensor: SunSensor, sensors: list[SunSensor], lit: np.ndarray, table: Table
+    sensor: SunSensor, sensors: list[SunSensor], lit: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (n, 3) of one sensor and their information (n, 3, 3)."""
+    """Directions (n, 3) of one sensor and their information (n, 3, 3), from its angles (n)."""
     u, v = sensor.x_axis_B, np.cross(sensor.normal_B, sensor.x_axis_B)
-    n = len(table.rows)
-    x = np.clip(sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0], -1.4, 1.4)
+    n = len(x)
     y_sigma = np.full(n, sensor.y_sigma_rad)
-    if sensor.y_column is not None:
-        scale = np.full(n, sensor.y_scale)
-        if sensor.y_turned_above is not None:
-            scale[_light(sensor, table) > sensor.y_turned_above] = sensor.y_turned_scale
-        y = np.clip(scale * _numbers(table, [sensor.y_column])[:, 0], -1.4, 1.4)
-    else:
+    if sensor.y_column is None:
         towards = np.array([other.normal_B @ v for other in sensors])
         beside = (lit * (np.abs(towards) > 0.5)) @ np.sign(towards)
         y = NEIGHBOUR_RAD * np.clip(beside, -1, 1)

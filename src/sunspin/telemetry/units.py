@@ -144,7 +144,8 @@ def _magnetometer(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
     if size == 0:
         return []
     zero = np.linalg.norm(magnetometer.zero)
-    reading = float(np.median(np.linalg.norm(field + magnetometer.zero, axis=1)))
+    raw = field @ np.linalg.inv(magnetometer.matrix).T + magnetometer.zero
+    reading = float(np.median(np.linalg.norm(raw, axis=1)))
     if zero > OFFSET * reading:  # then neither noise nor dipole can be judged
         what = f"the magnetometer reads {reading:.3g} and its stated zero is {zero:.3g}: the zero is in another unit"
         return [WrongUnit(what, "magnetometer", "zero")]

@@ -70,6 +70,9 @@ class AssumptionsFile(Part):
     collision: Collision = Collision()
 
 
+LEFT_OUT = {"study.lead_s": "left out: as the times of the telemetry say"}
+"""Key of what has no value in the file -> what holds then."""
+
 TABLES = tuple(keys_of(AssumptionsFile))
 
 

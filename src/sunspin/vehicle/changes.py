@@ -33,6 +33,9 @@ SHOWN = 60
 SET = "set for this run"
 """How the source of a changed value begins."""
 
+OF_READINGS = ("telemetry.noise", "telemetry.lit_threshold")
+"""Keys whose unit is that of the panels' readings."""
+
 NO_NUMBERS = ("name", "description", "source")
 
 
@@ -335,7 +338,9 @@ def settings(table: Mapping[str, Any], kind: Any, path: str = "") -> list[Settin
     """All that can be set: what the file holds, and what it could hold in the tables that it has, in the file's order."""
     found = list(_held(table, path))
     held = {one.key for one in found}
-    return found + [one for one in _absent(table, kind, path) if one.key not in held]
+    found += [one for one in _absent(table, kind, path) if one.key not in held]
+    read_in = unit_of(str(table.get("telemetry", {}).get("quantity", "power_W")))  # what a panel's reading is in
+    return [one._replace(unit=read_in) if one.key in OF_READINGS else one for one in found]
 
 
 def _held(table: Mapping[str, Any], path: str) -> Iterator[Setting]:

@@ -11,7 +11,20 @@ import numpy as np
 from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
 
 from sunspin.base.errors import VehicleError, sentence
-from sunspin.vehicle.part import UNIT_TOLERANCE, FloatArray, Name, Number, Part, Positive, Vector, frozen_array, numbers, part, unit
+from sunspin.vehicle.part import (
+    UNIT_TOLERANCE,
+    FloatArray,
+    Name,
+    Number,
+    Part,
+    Positive,
+    Vector,
+    array,
+    frozen_array,
+    numbers,
+    part,
+    unit,
+)
 
 
 def _sigma_of(key: str, *shape: int) -> PlainValidator:
@@ -46,6 +59,7 @@ class SunSensor(Part):
     the reading times `x_scale` (rad); likewise y, or nothing where `y_scale` is None: then it is known only that the Sun is
     in view. `x_sigma_rad` and `y_sigma_rad` are one-sigma errors of these angles. A sensor whose y wraps has
     `y_turned_above`: where its light exceeds that, the Sun being near its normal, y is the reading times `y_turned_scale`.
+    `x_bias_rad` and `y_bias_rad` are then taken off: the angles read where the Sun stands on the normal.
     """
 
     left_out = {"y_column": None, "light_column": None, "lit_above": 0.0, "y_scale": None}
@@ -63,6 +77,8 @@ class SunSensor(Part):
     y_sigma_rad: Positive
     y_turned_above: Number | None = None
     y_turned_scale: Number | None = None
+    x_bias_rad: Number = 0.0
+    y_bias_rad: Number = 0.0
 
     def __post_init__(self) -> None:
         if abs(self.normal_B @ self.x_axis_B) > UNIT_TOLERANCE:
@@ -112,11 +128,16 @@ class Gyro(Part):
             raise VehicleError(sentence("{path}.scale_rad_s must not be zero"))
 
 
+def _turns_back(matrix: FloatArray) -> bool:
+    return matrix.shape == (3, 3) and bool(np.isfinite(matrix).all()) and np.linalg.cond(matrix) < 1e6
+
+
 @part
 class Magnetometer(Part):
-    """Three columns along the body axes, in any unit: field is reading less `zero`.
+    """Three columns along the body axes, in any unit: field is `matrix` times (reading less `zero`).
 
-    `noise` (same unit) is None where the reading may not be used as a direction (zero or axes not known well enough).
+    `matrix` (3, 3) is soft iron, axes and unequal scales, near one. `noise` (same unit) is None where the reading may not be used
+    as a direction (zero or axes not known well enough). `scale_T`: a unit in tesla; None where not known.
     """
 
     left_out = {"zero": [0.0, 0.0, 0.0], "noise": None}
@@ -125,6 +146,10 @@ class Magnetometer(Part):
     zero: Vector
     noise: Positive | None
     wraps_at: Positive | None = None
+    matrix: Annotated[FloatArray, array(_turns_back, "{path} must be three rows of three numbers that can be inverted")] = Field(
+        default_factory=lambda: frozen_array(np.eye(3))
+    )
+    scale_T: Positive | None = None
 
 
 @part

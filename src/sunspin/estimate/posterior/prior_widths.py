@@ -49,8 +49,8 @@ def _one(model: Model, drawn: Sample, found: Found, key: str, factor: float) -> 
     if not np.any(np.isfinite(log_weight)):
         return said | {"effective": 0.0}
     before, after = (np.exp(x - logsumexp(x)) for x in (drawn.log_weight, log_weight))
-    effective, tail = float(1 / np.sum(after**2)), pareto_tail(log_weight[np.isfinite(log_weight)])
-    if effective < LEAST_DRAWS or tail > LARGEST_TAIL:
+    effective = float(1 / np.sum(after**2))
+    if effective < LEAST_DRAWS or pareto_tail(log_weight[np.isfinite(log_weight)]) > LARGEST_TAIL:
         return said | {"effective": effective}
     (old, was), (new, now) = (_moments(weight, drawn.state.omega) for weight in (before, after))
     regions = np.array([after[drawn.region == k].sum() for k in range(len(found.weight))])

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.estimate.rates.motion import Body, step
-from sunspin.estimate.rates.smooth import Intervals, between, damping_scale, followed, moved, normal_equations, whitening
+from sunspin.estimate.rates.smooth import Intervals, between, damping_scale, followed, moved, noises, normal_equations, whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
-from sunspin.solve.least_squares import least_squares, take
+from sunspin.solve.least_squares import TOLERANCE, least_squares, take
 from sunspin.solve.linear import Bordered, bordered, spread
 from sunspin.solve.rotations import turn
 
@@ -125,7 +125,21 @@ def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = N
     return _fitted(o, fit.track, fit.error, motion, clock, steps)
 
 
-def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int) -> Common:
+def again(
+    o: Observations, fit: Common, before: Observations, motion: Motion, clock: Clock | None, steps: int, tolerance: float
+) -> Common:
+    """Other observations of the same samples fitted from where a fit of those `before` ended, with the same errors in common."""
+    old, new = ([one.name for one in places_of(each, motion, clock).unknowns] for each in (before, o))
+    error = np.zeros((len(fit.error), len(new)))
+    for i, name in enumerate(new):
+        if name in old:
+            error[:, i] = fit.error[:, old.index(name)]
+    return _fitted(o, fit.track, error, motion, clock, steps, tolerance)
+
+
+def _fitted(
+    o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int, tolerance: float = TOLERANCE
+) -> Common:
     """K hypotheses and their common errors fitted at once."""
     places = places_of(o, motion, clock)
     farthest = np.array([unknown.limit for unknown in places.unknowns])
@@ -138,7 +152,7 @@ def _fitted(o: Observations, track: Track, error: np.ndarray, motion: Motion, cl
     found = least_squares(
         lambda state: _equations(o, Track(state[0], state[1]), state[2], motion, clock),
         lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
-        bordered, (track.attitude, track.omega, error), steps=steps, limit=limit,
+        bordered, (track.attitude, track.omega, error), steps=steps, tolerance=tolerance, limit=limit,
     )  # fmt: skip
     (attitude, omega, error), system, told = found.state, found.system, spread(found.system)
     fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)
@@ -266,7 +280,7 @@ def _linear(o: Observations, track: Track, motion: Motion, shape: tuple[int, ...
     """What one sigma of each unknown of these terms adds to the residuals between neighbours (K, n - 1, m) = `shape`; that it
     changes with the states is left out of their equations."""
     spans = np.diff(o.t_s)
-    white, found = -whitening(spans, motion.noise), []
+    white, found = -whitening(spans, *noises(o, motion)), []
     for term in o.of_motion:
         found.append((slice(0, 6), white @ term.pushes(track, spans)))
     for i, term in enumerate(o.of_pairs):

@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sunspin.estimate.rates.motion import Ends, step_with_answer
+from sunspin.estimate.rates.smooth import noises
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.rotations import turn, turn_between
 
@@ -31,7 +33,7 @@ class Way:
 @dataclass(frozen=True)
 class Dense:
     """How the samples of a pass (n) follow from those kept (n_kept, at the places `there`): the others (at `new`) carried `on` and
-    `back`, `share` (m) of an interval of `span_s` (m) behind its first."""
+    `back`, `share` (m) of an interval of `span_s` (m) behind its first, under `noise` (m), rad/s^1.5, and `rate_noise`."""
 
     count: int
     there: np.ndarray
@@ -40,6 +42,8 @@ class Dense:
     back: Way
     share: np.ndarray
     span_s: np.ndarray
+    noise: np.ndarray
+    rate_noise: float
 
     @classmethod
     def of(cls, o: Observations, every: np.ndarray, kept: np.ndarray, track: Track, motion: Motion) -> Dense:
@@ -52,7 +56,8 @@ class Dense:
         weight = share**2 * (3 - 2 * share)  # level at both ends, so that the attitude's rate of change there is the rate
         on = _carried(o, track, before, kept[before], every[new], motion, 1 - weight)
         back = _carried(o, track, before + 1, kept[before + 1], every[new], motion, weight)
-        return cls(len(every), there, new, on, back, share, span)
+        noise, rate_noise = noises(o.take(kept), motion)
+        return cls(len(every), there, new, on, back, share, span, noise[before], rate_noise)
 
     def mean_map(self) -> np.ndarray:
         """What the mean rate over all samples answers to turn and rate at the kept ones, (K, n_kept, 3, 6)."""
@@ -63,7 +68,7 @@ class Dense:
             np.add.at(made, place, way.weight[:, None, None] * way.answer[..., 3:, :])
         return made / self.count
 
-    def filled(self, track: Track, motion: Motion) -> Track:
+    def filled(self, track: Track) -> Track:
         """Attitude, rate and covariance at all samples; at the kept ones they are those given."""
         attitude = np.empty((len(track.omega), self.count, 3, 3))
         omega, covariance = np.empty((*attitude.shape[:2], 3)), np.empty((*attitude.shape[:2], 6, 6))
@@ -71,7 +76,7 @@ class Dense:
         weight = self.back.weight[:, None]
         attitude[:, self.new] = turn(self.on.attitude, weight * turn_between(self.on.attitude, self.back.attitude))
         omega[:, self.new] = self.on.omega + weight * (self.back.omega - self.on.omega)
-        spread = bridge(self.share, self.span_s, motion.noise)
+        spread = bridge(self.share, self.span_s, self.noise, self.rate_noise)
         for way in (self.on, self.back):
             start = track.covariance[:, way.number]
             spread = spread + way.weight[:, None, None] * (way.answer @ start @ np.swapaxes(way.answer, -1, -2))
@@ -98,11 +103,11 @@ def _carried(
     return Way(number, made @ track.attitude[:, number], omega, answer, weight)
 
 
-def bridge(share: np.ndarray, span_s: np.ndarray, noise: float) -> np.ndarray:
+def bridge(share: np.ndarray, span_s: np.ndarray, noise: npt.ArrayLike, rate_noise: float = 0.0) -> np.ndarray:
     """Covariance (m, 6, 6) of turn and rate at a part `share` of an interval whose ends are held, under white angular
-    acceleration: the variance of a bridge of its integral and twofold integral."""
-    s = share * (1 - share)
+    acceleration: the variance of a bridge of its integral and twofold integral; and of the turn under white noise of the rate."""
+    s, square = share * (1 - share), np.square(noise)
     made = np.zeros((len(share), 6, 6))
-    made[:, :3, :3] = (noise**2 * span_s**3 * s**3 / 3)[:, None, None] * np.eye(3)
-    made[:, 3:, 3:] = (noise**2 * span_s * s * (1 - 3 * s))[:, None, None] * np.eye(3)
+    made[:, :3, :3] = (square * span_s**3 * s**3 / 3 + rate_noise**2 * span_s * s)[:, None, None] * np.eye(3)
+    made[:, 3:, 3:] = (square * span_s * s * (1 - 3 * s))[:, None, None] * np.eye(3)
     return made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,8 +21,9 @@ from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
 from sunspin.estimate.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED, PassMotions, speeds, table
+from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
 from sunspin.estimate.rates.clock import lateness, suspected
-from sunspin.estimate.rates.common import LOOSER, Clock, Common, has_common, with_common
+from sunspin.estimate.rates.common import LOOSER, Clock, Common, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
@@ -45,8 +47,10 @@ from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import NARROWER, answers, misfit
 from sunspin.estimate.wiring import Better, better
+from sunspin.solve.rotations import turn_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
+from sunspin.vehicle.timeline import utc_after
 
 MAX_MODES = 6
 """Modes reported for each pass."""
@@ -73,6 +77,9 @@ DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
 
+NAMED = 0.05
+"""Another model of the motion is named where the one as stated holds less of the weight."""
+
 MOST_LATE = 0.1
 """A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
 
@@ -83,7 +90,8 @@ SUSPECTED = "the data alone, not counted"
 class Pass(NamedTuple):
     """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
     smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3);
-    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`."""
+    `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`; `model`: the hypothesis that holds most
+    of the weight, and how much of it."""
 
     index: np.ndarray
     kept: np.ndarray
@@ -92,11 +100,13 @@ class Pass(NamedTuple):
     mean: np.ndarray
     mean_sigma: np.ndarray
     residual: dict[str, np.ndarray]
+    model: tuple[str, float] = (AS_READ, 1.0)
 
     def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
         """The modes `order` with these weights."""
         left = {name: part[order] for name, part in self.residual.items()}
-        return Pass(self.index, self.kept, self.track.take(order), weight, self.mean[order], self.mean_sigma[order], left)
+        mean, sigma = self.mean[order], self.mean_sigma[order]
+        return Pass(self.index, self.kept, self.track.take(order), weight, mean, sigma, left, self.model)
 
 
 def rates(
@@ -169,8 +179,10 @@ def rates(
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
         mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
-        `passes.csv` (:func:`sunspin.estimate.passes.table`); `misfit` (pass_id, sensor, figure) of the best mode. On `sample`:
-        `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
+        `passes.csv` (:func:`sunspin.estimate.passes.table`); `model`, `model_weight`: the hypothesis of the motion
+        (:mod:`sunspin.estimate.rates.alternatives`) and its weight, NaN where the effort left none for others; `misfit` (pass_id,
+        sensor, figure) of the best mode.
+        On `sample`: `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
         `sensors_late_sigma_s`; `wiring_doubt`, where another wiring or a sensor left out would make a pass fit.
 
     Raises
@@ -211,7 +223,8 @@ def rates(
         if given is None:
             motion = replace(motion, noise=refined(ready, motion))
         clock, late = _clock(sensors.clock, ready, motion)
-        each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent)
+        others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
+        each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others)
     found, walk = link(o, each, motion)
     cut = np.logical_or(cut, fewer) | judged.cut
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
@@ -249,14 +262,15 @@ def _searched(
 
 def _all_finished(
     o: Observations, wholes: list[np.ndarray], parts: list[np.ndarray], tracks: list[tuple[Observations, Track]], motion: Motion,
-    clock: Clock | None, rate_max: float, begin: float, spent: Effort,
+    clock: Clock | None, rate_max: float, begin: float, spent: Effort, others: Others,
 ) -> tuple[list[Pass], list[bool]]:
     """All passes `finished`, and where only some of the modes were, the effort being spent."""
     found, fewer = [], []
     for k, (whole, part, (_, track)) in enumerate(zip(wholes, parts, tracks, strict=True)):
         spent.doing(f"fit of pass {k + 1} of {len(parts)}")
         fewer.append(len(track.omega) > FEW_MODES and not may_go_on())
-        found.append(finished(o, whole, part, track.take(slice(FEW_MODES)) if fewer[-1] else track, motion, clock, rate_max, begin))
+        track = track.take(slice(FEW_MODES)) if fewer[-1] else track
+        found.append(finished(o, whole, part, track, motion, clock, rate_max, begin, others if may_go_on() else None))
     spent.close()
     return found, fewer
 
@@ -317,6 +331,9 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration
     return result.assign_attrs(wiring_doubt=found.words)
 
 
+def _clock_time(epoch_utc: str | None, t_s: float) -> str:
+    """A time (s) as a person says it."""
+    return f"{t_s:.0f} s" if epoch_utc is None else utc_after(t_s, epoch_utc)[11:19]
 def _in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations) -> xr.Dataset:
     """The result with the turn about the Sun and its sigma; where a magnetometer was used, with attitudes from J2000."""
     best = [p.track.take(np.array([0])) for p in found]
@@ -433,27 +450,75 @@ def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max:
 
 def finished(
     every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
-    rate_max: float, begin: float,
+    rate_max: float, begin: float, others: Others | None = None,
 ) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
-    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them."""
+    found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them; with what else may have
+    moved the body counted in, if `others` are to be tried."""
     plain = every.take(kept)
     o = plain.freed()
-    common = settled(o, track, motion, clock, begin) if has_common(o, clock, motion) else None
-    if common is not None and len(motion.body.errors) and common.track.cost.min() > cost_limit(o):
+    fit = settled(o, track, motion, clock, begin)
+    if len(motion.body.errors) and fit.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
-        common = other if other.track.cost.min() < common.track.cost.min() else common
-    if common is not None:  # with their common errors two hypotheses may have become one
-        common = common.take(distinct_index(common.track, o.t_s))
-    fit = Fitted.of(o, track, common, motion, clock)
-    between = Dense.of(every, index, kept, track if common is None else common.seen, motion)
-    track, sigma = with_spread(o, track if common is None else common.track, motion, between.mean_map(), common, clock)
-    if common is not None:
-        track = replace(track, attitude=common.seen.attitude, omega=common.seen.omega)
-    whole = between.filled(track, motion)
-    left = residuals(every.take(index).freed(), np.searchsorted(index, kept), whole, fit)
-    order, weight = _ranked(track)
-    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), sigma, left).take(order, weight / weight.sum())
+        fit = other if other.track.cost.min() < fit.track.cost.min() else fit
+    fit = fit.take(distinct_index(fit.track, o.t_s))  # with their common errors two hypotheses may have become one
+    stated = weighed(Hypothesis(AS_READ, every.take(index), np.searchsorted(index, kept), motion, clock), fit)
+    trials = [stated] if others is None else alternatives(stated, others)
+    groups = counted(trials)
+    used = sorted({i for group in groups for i, _ in group.members})
+    heads = {group.members[0][0] for group in groups}
+    each = {i: completed(trials[i], stated.hypothesis, index, kept, i in heads) for i in used}
+    modes = [mixed([each[i].take(np.array([k]), np.ones(1)) for i, k in group.members], group.weights) for group in groups]
+    shares = [(trials[i].hypothesis.what, float(w)) for one in groups for (i, _), w in zip(one.members, one.weights, strict=True)]
+    found = stacked(modes)._replace(model=(AS_READ, np.nan) if others is None else likeliest(shares))
+    return found.take(np.arange(len(modes)), np.array([group.weights.sum() for group in groups]))
+
+
+def completed(trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndarray, whole_story: bool = True) -> Pass:
+    """A trial's modes with their sigmas, at all samples, with residuals of sensors as good as stated if the `whole_story` is asked
+    for."""
+    one, fit, o = trial.hypothesis, trial.fit, trial.hypothesis.fitted()
+    between = Dense.of(one.o, np.arange(len(one.o)), one.kept, fit.seen, one.motion)
+    track, sigma = with_spread(o, one.motion, between.mean_map(), fit, one.clock)
+    whole = between.filled(replace(track, attitude=fit.seen.attitude, omega=fit.seen.omega))
+    left = {}
+    if whole_story:
+        left = residuals(stated.o.freed(), one.kept, whole, Fitted(o, fit.track, fit.error, one.motion, one.clock))
+    hidden = sum(term.hidden_variance(np.diff(o.t_s)) for term in o.of_motion)
+    whole.covariance[..., 3:, 3:] += hidden * np.eye(3)
+    whole = replace(whole, log_weight=trial.log_evidence)
+    weight = np.exp(trial.log_evidence - trial.best)
+    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), np.sqrt(sigma**2 + hidden / len(o)), left)
+
+
+def mixed(members: list[Pass], weights: np.ndarray) -> Pass:
+    """One motion that several hypotheses lead to: as the heaviest has it, with what the others are off counted in its sigmas."""
+    head = members[0]
+    covariance, variance = np.zeros_like(head.track.covariance), np.zeros_like(head.mean_sigma)
+    for one, share in zip(members, weights / weights.sum(), strict=True):
+        turned = turn_between(head.track.attitude, one.track.attitude)
+        off = np.concatenate([turned, one.track.omega - head.track.omega], axis=-1)
+        covariance += share * (one.track.covariance + off[..., :, None] * off[..., None, :])
+        variance += share * (one.mean_sigma**2 + (one.mean - head.mean) ** 2)
+    log_weight = np.logaddexp.reduce([one.track.log_weight for one in members])
+    track = replace(head.track, covariance=covariance, log_weight=log_weight)
+    return head._replace(track=track, mean_sigma=np.sqrt(variance))
+
+
+def stacked(modes: list[Pass]) -> Pass:
+    """All of a pass's modes."""
+    first = modes[0]
+    left = {name: np.concatenate([one.residual[name] for one in modes]) for name in first.residual}
+    weight, mean, sigma = (np.concatenate([getattr(one, name) for one in modes]) for name in ("weight", "mean", "mean_sigma"))
+    return Pass(first.index, first.kept, joined([one.track for one in modes]), weight, mean, sigma, left)
+
+
+def likeliest(shares: list[tuple[str, float]]) -> tuple[str, float]:
+    """Of what hypotheses say, each with a weight, what is named, and its weight: the model as stated unless that is improbable."""
+    total = {AS_READ: 0.0}
+    for what, weight in shares:
+        total[what] = total.get(what, 0.0) + weight
+    return (AS_READ, total[AS_READ]) if total[AS_READ] > NAMED else max(total.items(), key=lambda one: one[1])
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:
@@ -509,6 +574,8 @@ def _believed(o: Observations, found: list[Pass], motion: Motion, missed: list[b
     return table(rows, epoch_utc) | {
         "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
         "sensor": names, "figure": ["readings", "beyond", "chance"],
+        "model": ("pass_id", [p.model[0] for p in found], {"long_name": "what holds most of the weight of all that was tried"}),
+        "model_weight": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
     }  # fmt: skip
 
 
@@ -587,6 +654,8 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if other := sum(one != AS_READ for one in result["model"].values):
+        text += f"; in {other} the motion is not that of the model as stated: what it may be is named"
     text += _left_open(result, fits & unique, fits & ~unique)
     if cut := result.attrs["cut_passes"]:
         text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"

@@ -38,6 +38,18 @@ class Hypothesis:
     clock: Clock | None = None
     debt: float = 0.0
 
+    def fitted(self) -> Observations:
+        """What is fitted."""
+        return self.o.take(self.kept).freed()
+
+    def beside(self, what: str, term: Term, odds: float = 0.0) -> Hypothesis:
+        """The same with one more term, at log odds before the data."""
+        return replace(self, what=what, o=replace(self.o, terms=(*self.o.terms, term)), debt=self.debt + odds)
+
+    def swapped(self, old: Term, new: Term) -> Hypothesis:
+        """The same with another term in the place of one."""
+        return replace(self, o=self.o.swapped(old, new))
+
     def without(self, terms: Iterable[Term]) -> Hypothesis:
         """The same with some of its terms left out."""
         out = list(terms)

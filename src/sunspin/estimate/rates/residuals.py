@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.common import Clock, Common, places_of
+from sunspin.estimate.rates.common import Clock, places_of
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, StateTerm, SunTerm
 from sunspin.estimate.verdict import in_sigma
@@ -24,13 +24,6 @@ class Fitted(NamedTuple):
     error: np.ndarray
     motion: Motion
     clock: Clock | None
-
-    @classmethod
-    def of(cls, o: Observations, track: Track, common: Common | None, motion: Motion, clock: Clock | None) -> Fitted:
-        """From a fit with errors in common, or one without any."""
-        if common is None:
-            return cls(o, track, np.zeros((len(track.omega), places_of(o, motion, None).n)), motion, None)
-        return cls(o, common.track, common.error, motion, clock)
 
 
 def residuals(every: Observations, kept: np.ndarray, whole: Track, fit: Fitted) -> dict[str, np.ndarray]:

@@ -24,7 +24,7 @@ from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.term import SUN_N, SunTerm
+from sunspin.estimate.terms.term import SUN_N, Seen, SunTerm
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -150,7 +150,7 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
     if not len(order):
         return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
-    angle = _features(track, times)
+    angle = outline(track, times)
     chosen = np.zeros(0, dtype=int)
     for i in order:
         apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
@@ -161,7 +161,7 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
     return chosen
 
 
-def _features(track: Track, times: np.ndarray) -> np.ndarray:
+def outline(track: Seen, times: np.ndarray) -> np.ndarray:
     """Turns between neighbours and directions of the Sun (K, m, 3) by which hypotheses differ."""
     turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
     return np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
@@ -217,8 +217,8 @@ def with_images(o: Observations, track: Track, motion: Motion) -> Track:
         return track
     chosen: list[int] = []
     for i in range(len(track.cost)):
-        as_seen = _features(joined_images(track.take(np.array([i])), images), o.t_s)
-        apart = ((as_seen[:, None] - _features(track.take(np.array(chosen, dtype=int)), o.t_s)) ** 2).sum(axis=-1).max(axis=-1)
+        as_seen = outline(joined_images(track.take(np.array([i])), images), o.t_s)
+        apart = ((as_seen[:, None] - outline(track.take(np.array(chosen, dtype=int)), o.t_s)) ** 2).sum(axis=-1).max(axis=-1)
         if not chosen or apart.min() > ALIKE_RAD**2:
             chosen.append(i)
         if len(chosen) == FAMILIES:

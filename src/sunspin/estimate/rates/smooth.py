@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sunspin.estimate.rates.motion import Body, Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
@@ -69,7 +70,7 @@ class Intervals(NamedTuple):
             if pair.any():
                 ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
         ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
-        return cls(dt, relative, motion.body.seen(ends, start, o.t_s[:-1]), whitening(dt, motion.noise))
+        return cls(dt, relative, motion.body.seen(ends, start, o.t_s[:-1]), whitening(dt, *noises(o, motion)))
 
     def step(self, body: Body, omega: np.ndarray, derive: Callable[..., Any]) -> Any:
         """What a step of the motion (`step` or `step_with_answer`) makes of rates (K, n, 3) at the samples."""
@@ -94,14 +95,32 @@ def between(o: Observations, track: Track, motion: Motion, over: Intervals | Non
     return value, first, second
 
 
-def whitening(dt: np.ndarray, noise: float) -> np.ndarray:
-    """Inverse square roots (n, 6, 6) of the covariance of turn and rate that white angular acceleration makes in `dt` (n)."""
+def noises(o: Observations, motion: Motion) -> tuple[np.ndarray, float]:
+    """White angular acceleration (n - 1), rad/s^1.5, between neighbours, and white noise of the rate, rad s^-0.5."""
+    dt = np.diff(o.t_s)
+    acceleration = motion.noise**2 + sum(term.acceleration_noise(dt) ** 2 for term in o.of_motion)
+    rate = sum(term.rate_noise() ** 2 for term in o.of_motion)
+    return np.sqrt(np.broadcast_to(acceleration, dt.shape)), float(np.sqrt(rate))
+
+
+def wandering(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) -> np.ndarray:
+    """Covariance (n, 6, 6) of turn and rate that such noises, of :func:`noises`, make in `dt` (n)."""
     covariance = np.zeros((len(dt), 6, 6))
-    eye = np.eye(3)
-    covariance[:, :3, :3] = (dt**3 / 3)[:, None, None] * eye
-    covariance[:, :3, 3:] = covariance[:, 3:, :3] = (dt**2 / 2)[:, None, None] * eye
-    covariance[:, 3:, 3:] = dt[:, None, None] * eye
-    return np.linalg.inv(np.linalg.cholesky(covariance)) / noise
+    eye, square = np.eye(3), np.square(acceleration)
+    covariance[:, :3, :3] = (square * dt**3 / 3 + rate**2 * dt)[:, None, None] * eye
+    covariance[:, :3, 3:] = covariance[:, 3:, :3] = (square * dt**2 / 2)[:, None, None] * eye
+    covariance[:, 3:, 3:] = (square * dt)[:, None, None] * eye
+    return covariance
+
+
+def whitening(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) -> np.ndarray:
+    """Inverse square roots (n, 6, 6) of that covariance."""
+    return np.linalg.inv(np.linalg.cholesky(wandering(dt, acceleration, rate)))
+
+
+def log_noise(o: Observations, motion: Motion) -> float:
+    """What motions under other noises differ in, beside their cost: half the log of the determinants of that covariance."""
+    return float(np.linalg.slogdet(wandering(np.diff(o.t_s), *noises(o, motion)))[1].sum() / 2)
 
 
 def cost_limit(o: Observations) -> float:

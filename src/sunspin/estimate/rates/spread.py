@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.estimate.rates.common import Clock, Common, sun_part
-from sunspin.estimate.rates.smooth import measured, normal_equations
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.linear import bordered
 
@@ -23,20 +22,18 @@ Shift = Callable[[Observations, np.ndarray], np.ndarray]
 
 
 def with_spread(
-    o: Observations, track: Track, motion: Motion, mean: np.ndarray, common: Common | None = None, clock: Clock | None = None
+    o: Observations, motion: Motion, mean: np.ndarray, common: Common, clock: Clock | None = None
 ) -> tuple[Track, np.ndarray]:
     """Modes whose covariance counts the common errors of gains and the Earth's light, and the sigma (K, 3) of their mean rates
-    over the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: errors in common, fitted with
-    this `clock`."""
-    system = normal_equations(o, track, motion) if common is None else common.system
+    over the pass, which answer to turn and rate at the samples by `mean` (K, n, 3, 6). `common`: them with their errors in common,
+    fitted with this `clock`."""
+    track, system = common.track, common.system
 
     def answer(slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
-        downhill = None if system.border_slope is None else error_slope + np.zeros_like(system.border_slope)
+        downhill = error_slope + np.zeros_like(system.border_slope)
         return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[0][0]
 
-    def slopes(other: Observations) -> tuple[np.ndarray, ...]:
-        if common is None:
-            return (measured(other, track)[1],)
+    def slopes(other: Observations) -> tuple[np.ndarray, np.ndarray]:
         part = sun_part(other, track, common.error, motion, clock)
         return part.slope, part.error_slope
 
@@ -44,8 +41,7 @@ def with_spread(
     for axis in range(3):
         variance[:, axis] = np.einsum("kni,kni->k", mean[..., axis, :], answer(-mean[..., axis, :]))
     covariance, before = track.covariance, slopes(o)
-    seen = track if common is None else common.seen
-    for other, share in [(o.swapped(term, other), share) for term in o.terms for other, share in term.considered(seen)]:
+    for other, share in [(o.swapped(term, other), share) for term in o.terms for other, share in term.considered(common.seen)]:
         shift = share * answer(*(new - old for new, old in zip(slopes(other), before, strict=True)))
         covariance = covariance + shift[..., :, None] * shift[..., None, :]
         variance += np.einsum("knji,kni->kj", mean, shift) ** 2

@@ -46,6 +46,9 @@ class Gyro(StateTerm):
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
+    def coarser(self, factor: float) -> Self:
+        return replace(self, sigma=factor * self.sigma)
+
     def forgiving(self) -> Self:
         return replace(self, sigma=float(np.hypot(self.sigma, np.sqrt((self.common**2).sum(axis=1).mean()))))
 

@@ -69,4 +69,4 @@ class MagneticTorque(MotionTerm):
 
 def _pull(attitude: np.ndarray) -> np.ndarray:
     """e_j x A e_l (..., 3, 9) for all j and l; if the products m_j b_l have a variance of one, m x A b has one of six."""
-    return np.stack([np.cross(dipole, attitude[..., axis]) for dipole in np.eye(3) for axis in range(3)], axis=-1)
+    return np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude).reshape(*attitude.shape[:-1], 9)

@@ -178,6 +178,10 @@ class Panels(SunTerm):
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None]))
 
+    def coarser(self, factor: float) -> Self:
+        power, sigma, scale_sigma = self.whole
+        return replace(self, sigma=factor * self.sigma, whole=(power, factor * sigma, scale_sigma))
+
     def forgiving(self) -> Self:
         if not len(self.gain_unknowns):
             return self

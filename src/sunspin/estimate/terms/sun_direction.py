@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -68,6 +68,9 @@ class SunDirection(SunTerm):
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return type(self)(self.direction_B, self.covariance + (drift_rad**2)[:, None, None] * np.eye(3))
+
+    def coarser(self, factor: float) -> Self:
+        return replace(self, covariance=factor**2 * self.covariance)
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
         sun, read = seen.sun_B, self.present()

@@ -102,6 +102,10 @@ class Term:
         """The same trusted no further than its common errors, which the search holds at what the vehicle file says."""
         return self
 
+    def coarser(self, factor: float) -> Self:
+        """The same with sigmas so many times those stated."""
+        raise NotImplementedError("readings at a sample can be worse than stated")
+
     def guesses(self) -> list[Self]:
         """What is searched."""
         return [self.forgiving()]
@@ -217,11 +221,23 @@ class PairTerm(Term):
 
 @dataclass(frozen=True)
 class MotionTerm(Term):
-    """Moves the body."""
+    """Moves the body, over the intervals `dt` (n - 1) between samples: by what is estimated, or as noise."""
 
     def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
-        """What one sigma of each unknown adds to turn and rate over the intervals `dt` (n - 1), (K, n - 1, 6, u)."""
-        raise NotImplementedError("every term of the motion pushes")
+        """What one sigma of each unknown adds to turn and rate (K, n - 1, 6, u)."""
+        return np.zeros((*seen.omega[:, 1:].shape[:2], 6, 0))
+
+    def acceleration_noise(self, dt: np.ndarray) -> np.ndarray:
+        """White angular acceleration (n - 1), rad/s^1.5, beside that of the motion."""
+        return np.zeros(len(dt))
+
+    def rate_noise(self) -> float:
+        """White noise of the rate, rad s^-0.5: the attitude wanders, the rate between samples does not."""
+        return 0.0
+
+    def hidden_variance(self, dt: np.ndarray) -> float:
+        """Variance (rad2/s2) of the rate at an instant about that of the fit."""
+        return 0.0
 
 
 def normal(term: SunTerm | StateTerm, seen: Seen, error: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

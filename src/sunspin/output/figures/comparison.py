@@ -11,7 +11,7 @@ from sunspin.output.figures import COLOURS, named
 MOST_ROWS = 30
 """Rows that are drawn: those that moved most."""
 
-LONGEST = 62
+LONGEST = 72
 """Characters of a row's name."""
 
 LEAST = 1e-2
@@ -37,6 +37,8 @@ def comparison_figure(found: xr.Dataset) -> Figure:
     axes.set_yticks(place, [_label(found, i) for i in known], fontsize=8)
     axes.set_ylim(-0.8, len(known) - 0.2)
     axes.set_xlabel("change from A to B over its error (dashed: as large as the error)")
+    whose = " (synthetic telemetry)" if found.attrs.get("synthetic") else ""
+    axes.set_title(f"What moved{whose}", loc="left")
     axes.legend(loc="lower right", fontsize=8, framealpha=0.9)
     if not len(known):
         axes.text(0.5, 0.5, "no row with a known error moved", transform=axes.transAxes, ha="center", color="0.3")
@@ -44,5 +46,5 @@ def comparison_figure(found: xr.Dataset) -> Figure:
 
 
 def _label(found: xr.Dataset, i: int) -> str:
-    text = f"{found['row'].values[i]}: {found['what'].values[i]}"
+    text = str(found["what" if found.attrs["command"] == "reproduce" else "row"].values[i])
     return named(text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}...")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from sunspin.output.kinds import comparison, motion, outcomes, posterior, rates, scan, seen
+from sunspin.output.kinds import calibration, comparison, motion, outcomes, posterior, rates, scan, seen
 from sunspin.output.kinds.kind import Kind
 
 KINDS: dict[str, Kind] = {
     "telemetry": Kind("telemetry", "telemetry.nc", seen.telemetry_summary, seen.telemetry_drawings),
     "sun_directions": Kind("sun", "sun.nc", seen.sun_summary, seen.sun_drawings, seen.sun_tables),
     "panel_quality": Kind("panel_quality", "panel-quality.nc", seen.quality_summary, seen.quality_drawings),
+    "calibration": Kind(
+        "calibrate-sensors", "calibration.nc", calibration.calibration_summary, tables=calibration.calibration_tables
+    ),
     "rates": Kind("rates", "rates.nc", rates.rates_summary, rates.rates_drawings, rates.rates_tables),
     "trajectory": Kind("simulate", "trajectory.nc", motion.trajectory_summary, motion.trajectory_drawings),
     "impact": Kind("impact", "impact.nc", motion.impact_summary),

@@ -14,6 +14,9 @@ from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label,
 MOST_LINES = 20
 """Rows that are printed; the table has all."""
 
+OF = {"half of the wider interval": "half widths", "tolerance of the row": "tolerances", "one sigma of both together": "sigmas"}
+"""What a change is held against -> how it is counted."""
+
 COLUMNS = ("what", "a", "b", "unit", "change", "error", "of", "size", "beyond", "words")
 
 
@@ -27,7 +30,10 @@ def comparison_summary(found: Any) -> Summary:
         "synthetic_telemetry": bool(found.attrs.get("synthetic", 0)),
         "moved": [_plain(found, i) for i in range(beyond.size) if beyond[i] or found["words"].values[i]],
     }  # fmt: skip
-    lines = [f"{letter.upper()}: {found.attrs[f'folder_{letter}']}{_changes(found, letter)}" for letter in "ab"]
+    lines = []
+    for letter in "ab":
+        lines.append(f"{letter.upper()}: {found.attrs[f'folder_{letter}']}")
+        lines += [f"   {line}" for line in str(found.attrs.get(f"changes_{letter}", "")).splitlines()]
     lines.append(
         f"{numbers['beyond']} of {int(known.sum())} rows with a known error moved beyond it; of {int((~known).sum())} without one "
         f"{numbers['changed_without_error']} changed"
@@ -39,17 +45,12 @@ def comparison_summary(found: Any) -> Summary:
     return Summary(numbers, lines, [f"  and {rest} more: give --out for the whole table"] if rest > 0 else [])
 
 
-def _changes(found: Any, letter: str) -> str:
-    told = str(found.attrs.get(f"changes_{letter}", "")).splitlines()
-    return f", with {'; '.join(told)}" if told else ""
-
-
 def _line(found: Any, i: int) -> str:
     row = {name: found[name].values[i] for name in COLUMNS}
     unit = f" {row['unit']}" if row["unit"] else ""
-    size = f"{row['size']:7.2g} errors" if np.isfinite(row["error"]) else f"{100 * row['size']:7.2g} %     "
+    size = f"{row['size']:7.2g} {OF[str(row['of'])]}" if np.isfinite(row["error"]) else f"{100 * row['size']:7.2g} %"
     words = f"; {row['words']}" if row["words"] else ""
-    return f"  {size}  {found['row'].values[i]}: {row['a']}, now {row['b']}{unit}{words}"
+    return f"  {size:22}{found['row'].values[i]}: {row['a']}, now {row['b']}{unit}{words}"
 
 
 def _plain(found: Any, i: int) -> dict[str, Any]:

@@ -16,6 +16,9 @@ from sunspin.output.kinds.rate_words import clock_of, rate_at
 from sunspin.output.text import digits_of
 from sunspin.vehicle.timeline import utc_after
 
+AS_STATED = "as stated"
+"""The model of a pass that nothing was added to."""
+
 READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
 """Variables of telemetry of which residuals are drawn."""
 
@@ -67,6 +70,8 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     numbers |= {"speed_deg_s": [rate.low, rate.mean, rate.high], "at_s": rate.at_s, "omega_at_deg_s": rate.omega.tolist()}
     best = f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
     best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
+    if numbers.get("model", AS_STATED) != AS_STATED:
+        best += f"  likeliest: {numbers['model']} (weight {numbers['model_weight']:.2f})"
     return numbers, f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}"
 
 

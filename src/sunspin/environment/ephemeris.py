@@ -1,0 +1,428 @@
+"""Orbits as tables of positions: OEM (CCSDS 502.0-B, KVN and XML), CSV and SPK in, one sentence on what is wrong with them.
+
+Between the positions of a stretch a spline of seventh degree is laid; stretches end where the file says so (segments of an OEM) and
+where positions are missing. How good the spline is follows from leaving out every other position.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.base.tables import TelemetryError, read_table
+from sunspin.base.untrusted import Elsewhere, elsewhere, read_bytes
+from sunspin.environment.earth import DAY_S, EQUATOR_M, MU_M3_S2, Instants, J2000_from_TEME, earth_from_J2000
+from sunspin.environment.elements import Elements, read_elements
+
+MAX_FILE_BYTES = 50_000_000
+"""Positions of a month, one a minute, are 5 MB."""
+
+DEGREE, FEWEST = 7, 9
+"""Of the spline, and positions that a stretch needs for it."""
+
+GAP = 5.0
+"""Positions farther apart than this many usual steps belong to two stretches."""
+
+COARSEST_M = 10.0
+"""A table whose spline is worse than this is refused."""
+
+HIGHEST_M = 1e8
+"""No orbit about the Earth whose field and shadow matter reaches farther from its centre."""
+
+VELOCITY_M_S = 30.0
+"""Velocities given may differ so much from those of the spline: more is another unit or another frame."""
+
+BESIDE_S = 1.0
+"""Telemetry may lie so far beside a table whose times are cut to whole seconds."""
+
+SPK_STEP_S, SPK_CPU_S, MOST_STATES = 60.0, 60, 200_000
+
+INERTIAL = {"EME2000", "GCRF", "ICRF", "J2000", "ICRF2", "ICRF3"}
+FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
+"""Names of frames: that of J2000, and those that turn with the Earth."""
+
+TAI_AHEAD_OF_GPS_S = 19.0
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Positions (n, 3) m in J2000 at s (n) from a UTC Julian date."""
+
+    jd: float
+    t_s: np.ndarray
+    place: np.ndarray
+
+    @cached_property
+    def spline(self) -> BSpline:
+        return make_interp_spline(self.t_s, self.place, k=DEGREE)
+
+    def error_m(self) -> float:
+        """What the spline is off between the positions, by that through every other one."""
+        if len(self.t_s) < 2 * FEWEST:
+            return 0.0
+        coarse = make_interp_spline(self.t_s[::2], self.place[::2], k=DEGREE)
+        inside = slice(1, len(self.t_s) - 1 - (len(self.t_s) % 2 == 0), 2)
+        off = np.linalg.norm(coarse(self.t_s[inside]) - self.place[inside], axis=1)
+        return float(off.max()) / 2 ** (DEGREE + 1)
+
+
+@dataclass(frozen=True)
+class Ephemeris:
+    """A satellite's place as a table: :class:`sunspin.environment.orbit.Orbit` takes it where it takes elements."""
+
+    stretches: tuple[Stretch, ...]
+    number: str
+    name: str
+    where: str
+    frame: str = "J2000"
+
+    @property
+    def epoch_jd(self) -> tuple[float, float]:
+        """The middle of the table."""
+        first, last = self.span_jd
+        return first, (last - first) / 2
+
+    @property
+    def span_jd(self) -> tuple[float, float]:
+        return (self.stretches[0].jd + self.stretches[0].t_s[0] / DAY_S, self.stretches[-1].jd + self.stretches[-1].t_s[-1] / DAY_S)
+
+    @property
+    def period_s(self) -> float:
+        place, speed = self._at(self.stretches[0], self.stretches[0].t_s[len(self.stretches[0].t_s) // 2])
+        energy = speed @ speed / 2 - MU_M3_S2 / np.linalg.norm(place)
+        return float(2 * np.pi * np.sqrt(max(-MU_M3_S2 / (2 * energy), EQUATOR_M) ** 3 / MU_M3_S2))
+
+    def days_to(self, jd: float) -> float:
+        """Days from the table to a UTC Julian date; 0 within it."""
+        first, last = self.span_jd
+        return min(jd - first, 0.0) + max(jd - last, 0.0)
+
+    def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) m and velocities (n, 3) m/s in J2000, at UTC Julian dates (n) and fractions of a day (n).
+
+        Outside the table the nearest stretch goes on along an ellipse: for shifts along the track, and orbits turned at random."""
+        nearest = np.argmin([self._outside(s, jd + fraction) for s in self.stretches], axis=0)
+        both = np.empty((2, len(jd), 3))
+        for k, stretch in enumerate(self.stretches):
+            mine = nearest == k
+            t = ((jd[mine] - stretch.jd) + fraction[mine]) * DAY_S
+            within = np.clip(t, stretch.t_s[0], stretch.t_s[-1])
+            both[:, mine] = _along_ellipse(*self._at(stretch, within), t - within)
+        return both[0], both[1]
+
+    @staticmethod
+    def _outside(stretch: Stretch, jd: np.ndarray) -> np.ndarray:
+        """By how many days dates (n) lie outside a stretch."""
+        first, last = (stretch.jd + stretch.t_s[k] / DAY_S for k in (0, -1))
+        return np.maximum(np.maximum(first - jd, jd - last), 0.0)
+
+    def require(self, jd: np.ndarray) -> None:
+        """`InputError` where a date (n) of telemetry is not in the table."""
+        missing = np.min([self._outside(s, jd) for s in self.stretches], axis=0) > BESIDE_S / DAY_S
+        if missing.any():
+            got = f"{utc_of(self.span_jd[0])} to {utc_of(self.span_jd[1])}, but not {utc_of(float(jd[missing][0]))}"
+            do = "give one that does, or only the telemetry that it covers"
+            raise InputError(sentence("the ephemeris does not cover the telemetry", got=got, do=do, where=self.where))
+
+    @staticmethod
+    def _at(stretch: Stretch, t_s: Any) -> tuple[np.ndarray, np.ndarray]:
+        return stretch.spline(t_s), stretch.spline(t_s, 1)
+
+
+def _along_ellipse(place: np.ndarray, speed: np.ndarray, t_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities (n, 3) after `t_s` (n) on Kepler's ellipse through these; those with 0 s stay as they are."""
+    out = np.flatnonzero(t_s)
+    place, speed = place.copy(), speed.copy()
+    r, v, t = place[out], speed[out], t_s[out]
+    size = np.linalg.norm(r, axis=1)
+    axis = 1 / (2 / size - (v**2).sum(axis=1) / MU_M3_S2)
+    along, mean = (r * v).sum(axis=1) / np.sqrt(MU_M3_S2 * axis), np.sqrt(MU_M3_S2 / axis**3)
+    near = 1 - size / axis
+    change = mean * t  # of the eccentric anomaly
+    for _ in range(20):
+        off = change - near * np.sin(change) + along * (1 - np.cos(change)) - mean * t
+        change = change - off / (1 - near * np.cos(change) + along * np.sin(change))
+    f = 1 - axis / size * (1 - np.cos(change))
+    g = t - (change - np.sin(change)) / mean
+    later = f[:, None] * r + g[:, None] * v
+    reached = np.linalg.norm(later, axis=1)
+    f_dot, g_dot = -np.sqrt(MU_M3_S2 * axis) / (size * reached) * np.sin(change), 1 - axis / reached * (1 - np.cos(change))
+    place[out], speed[out] = later, f_dot[:, None] * r + g_dot[:, None] * v
+    return place, speed
+
+
+class _Table(NamedTuple):
+    """Positions (n, 3) and velocities (n, 3; NaN: none) in m and m/s, in a frame, at s (n) from an epoch in a time scale."""
+
+    epoch: str
+    scale: str
+    t_s: np.ndarray
+    place: np.ndarray
+    speed: np.ndarray
+    frame: str
+
+
+def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
+    """Elements (TLE, OMM) or an ephemeris (OEM, CSV, SPK), whichever the file has; errors as of `read_ephemeris`."""
+    path = Path(path)
+    content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE, OMM, OEM, CSV or SPK")
+    text = content[:20_000].decode("utf-8-sig", "replace")
+    if content[:4] in (b"DAF/", b"NAIF") or "CCSDS_OEM_VERS" in text or "<oem" in text or _is_table(text):
+        return (read_ephemeris(path),)
+    return read_elements(path)
+
+
+def _is_table(text: str) -> bool:
+    """Whether the first line that is no comment names the columns of an ephemeris."""
+    head = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    return bool(re.search(r"\b(time_utc|[xyz]_k?m)\b", head))
+
+
+def read_ephemeris(path: Path | str) -> Ephemeris:
+    """The positions of one satellite from an OEM (KVN or XML), a CSV or an SPK.
+
+    A CSV has the columns `time_utc` (ISO-8601), `x_km`, `y_km`, `z_km` (or `x_m` and so on), if known `vx_km_s`, `vy_km_s` and
+    `vz_km_s` (or `vx_m_s`), and says its frame in a comment above: ``# frame: J2000`` (or TEME, ITRF).
+
+    Raises
+    ------
+    InputError
+        Naming file, line, what was found there and what to do.
+    """
+    path = Path(path)
+    content = read_bytes(path, MAX_FILE_BYTES, "ephemeris", InputError, "give the path of an OEM, a CSV or an SPK")
+    where = str(path)
+    if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
+        return _ephemeris([_spk(path)], "", path.stem, where)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(sentence("the file is neither text nor an SPK", do="give an OEM, a CSV or an SPK", where=where)) from None
+    if text.lstrip()[:1] == "<":
+        meta, tables = _oem_xml(text, where)
+    elif "CCSDS_OEM_VERS" in text[:10_000]:
+        meta, tables = _oem_kvn(text, where)
+    else:
+        return _ephemeris([_csv(path)], "", path.stem, where)
+    return _ephemeris(tables, meta.get("OBJECT_ID", ""), meta.get("OBJECT_NAME", path.stem), where)
+
+
+def _ephemeris(tables: list[_Table], number: str, name: str, where: str) -> Ephemeris:
+    stretches = [one for table in tables for one in _stretches(table, where)]
+    if not stretches:
+        what = f"the ephemeris has no {FEWEST} positions in a row"
+        raise InputError(sentence(what, do="give one with a position every minute or so", where=where))
+    stretches.sort(key=lambda one: one.jd + one.t_s[0] / DAY_S)
+    if (worst := max(one.error_m() for one in stretches)) > COARSEST_M:
+        step = float(np.median(np.diff(stretches[0].t_s)))
+        what = f"the positions are {step:.0f} s apart, between which an orbit is known to {worst:.0f} m only"
+        raise InputError(sentence(what, do=f"give them close enough for {COARSEST_M:.0f} m, a minute in a low orbit", where=where))
+    return Ephemeris(tuple(stretches), number[:100], name[:100], where)
+
+
+def _stretches(table: _Table, where: str) -> list[Stretch]:
+    if np.any(np.diff(table.t_s) <= 0):
+        raise InputError(sentence("the times of the ephemeris do not increase", do="sort its rows, remove repeats", where=where))
+    radius = np.linalg.norm(table.place, axis=1)
+    if not np.all((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M)):
+        bad = radius[~((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M))][0]
+        what, got = "a position is not one of an orbit about the Earth", f"{bad / 1e3:.6g} km from its centre"
+        raise InputError(sentence(what, got=got, do="check the unit (km in an OEM) and the centre", where=where))
+    when = _instants(table, where)
+    place, speed = _in_J2000(table, when, where)
+    step = np.median(np.diff(table.t_s)) if len(radius) > 1 else 0.0
+    found = []
+    jd = float(when.jd[0])
+    t_s = (when.jd - jd + when.fraction) * DAY_S
+    for part in np.split(np.arange(len(radius)), np.flatnonzero(np.diff(table.t_s) > GAP * step) + 1):
+        if len(part) < FEWEST:
+            continue
+        stretch = Stretch(jd, t_s[part], place[part])
+        off = np.linalg.norm(stretch.spline(stretch.t_s, 1) - speed[part], axis=1)
+        if np.nanmax(np.append(off, 0.0)) > VELOCITY_M_S and np.nanmedian(off) > VELOCITY_M_S / 10:
+            what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the middle"
+            do = "check units and frame: positions of a frame that turns with the Earth are ITRF, not J2000"
+            raise InputError(sentence(what, do=do, where=where))
+        found.append(stretch)
+    return found
+
+
+def _instants(table: _Table, where: str) -> Instants:
+    """The times in UTC."""
+    try:
+        when = Instants.of(_iso(table.epoch), table.t_s)
+    except ValueError:
+        raise InputError(sentence("this is not a time such as 2026-01-31T12:00:00", got=table.epoch, where=where)) from None
+    tai_ahead = when.tt_ahead * DAY_S - 32.184
+    tt_ahead = tai_ahead + 32.184
+    tdb_ahead = tt_ahead + 1.657e-3 * np.sin(6.24 + 0.017202 * (when.middle - 2451545.0))  # Astronomical Almanac, page B7
+    behind = {"UTC": 0.0, "UT1": 0.0, "TAI": tai_ahead, "TT": tt_ahead, "TDT": tt_ahead, "TDB": tdb_ahead,
+              "GPS": tai_ahead - TAI_AHEAD_OF_GPS_S}  # fmt: skip
+    if table.scale not in behind:
+        do = f"give one of {', '.join(behind)}"
+        raise InputError(sentence("the time system of the ephemeris is not known", got=table.scale, do=do, where=where))
+    return when.later(-behind[table.scale])
+
+
+def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities; of a frame that turns with the Earth only positions."""
+    frame = table.frame.upper().replace(" ", "")
+    if frame in INERTIAL:
+        return table.place, table.speed
+    if frame == "TEME":
+        turn = J2000_from_TEME(when)
+        return (turn @ table.place[..., None])[..., 0], (turn @ table.speed[..., None])[..., 0]
+    if FIXED.fullmatch(frame):
+        turn = np.swapaxes(earth_from_J2000(when), -1, -2)
+        return (turn @ table.place[..., None])[..., 0], np.full_like(table.speed, np.nan)
+    do = f"give positions in one of {', '.join(sorted(INERTIAL))}, TEME, ITRF"
+    raise InputError(sentence("the frame of the ephemeris is not known", got=table.frame, do=do, where=where))
+
+
+# -------------------------------------------------------------------------------------------------------------------------- OEM
+
+
+def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
+    meta: dict[str, str] = {}
+    rows: list[tuple[str, list[str]]] = []
+    tables, inside, skipping = [], False, False
+    for number, line in enumerate(text.splitlines(), 1):
+        line = line.strip()
+        if not line or line.startswith("COMMENT"):
+            continue
+        if line == "META_START":
+            tables += [_oem_table(meta, rows, where)] if rows else []
+            meta, rows, inside, skipping = {}, [], True, False
+        elif line == "META_STOP":
+            inside = False
+        elif line in ("COVARIANCE_START", "COVARIANCE_STOP"):
+            skipping = line.endswith("START")
+        elif inside:
+            key, _, value = line.partition("=")
+            meta[key.strip()] = value.strip()
+        elif "=" not in line and not skipping:
+            cells = line.split()
+            if len(cells) not in (4, 7, 10):
+                what = "a line of an OEM has a time, three coordinates and three of velocity"
+                raise InputError(sentence(what, got=line, where=f"{where}, line {number}"))
+            rows.append((cells[0], cells[1:7]))
+    tables += [_oem_table(meta, rows, where)] if rows else []
+    return meta, tables
+
+
+def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
+    if "<!" in text.replace("<!--", ""):
+        raise InputError(sentence("the XML defines entities", do="give a plain OEM", where=where))
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise InputError(sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)) from None
+    tables, meta = [], {}
+    for segment in root.iter("segment"):
+        meta = {leaf.tag: (leaf.text or "").strip() for part in segment.iter("metadata") for leaf in part if not len(leaf)}
+        rows = []
+        for vector in segment.iter("stateVector"):
+            cells = {leaf.tag: (leaf.text or "").strip() for leaf in vector}
+            rows.append((cells.get("EPOCH", ""), [cells.get(key, "nan") for key in ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")]))
+        tables += [_oem_table(meta, rows, where)] if rows else []
+    if not tables:
+        raise InputError(sentence("the XML is no OEM with positions", do="give an OEM, a CSV or an SPK", where=where))
+    return meta, tables
+
+
+def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str) -> _Table:
+    for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
+        if not meta.get(key):
+            raise InputError(sentence("the OEM lacks a key", got=key, do="give the whole message", where=where))
+    if meta["CENTER_NAME"].upper() != "EARTH":
+        raise InputError(sentence("the positions of the OEM are not about the Earth", got=meta["CENTER_NAME"], where=where))
+    return _table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
+
+
+def _table(rows: list[tuple[str, list[str]]], to_m: float, to_m_s: float, scale: str, frame: str, where: str) -> _Table:
+    try:
+        first = np.datetime64(_iso(rows[0][0]), "ns")
+        t_s = np.array([(np.datetime64(_iso(time), "ns") - first) / np.timedelta64(1, "ns") / 1e9 for time, _ in rows])
+    except ValueError as error:
+        raise InputError(sentence(f"a time of the ephemeris cannot be read ({error})", where=where)) from None
+    try:
+        values = np.array([[float(cell) for cell in (*cells, *["nan"] * (6 - len(cells)))] for _, cells in rows])
+    except ValueError as error:
+        raise InputError(sentence(f"a coordinate of the ephemeris is no number ({error})", where=where)) from None
+    if not np.isfinite(values[:, :3]).all():
+        raise InputError(sentence("a coordinate of the ephemeris is missing or not finite", where=where))
+    return _Table(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
+
+
+def _iso(time: str) -> str:
+    """A time of the calendar; a day of the year becomes a date."""
+    time = time.rstrip("Z").replace(" ", "T")
+    day = re.fullmatch(r"(\d{4})-(\d{3})(T.*)?", time)
+    if day:
+        time = str(np.datetime64(day[1], "D") + int(day[2]) - 1) + (day[3] or "")
+    whole, _, part = time.partition(".")
+    return f"{whole}.{part[:6]}" if part else whole
+
+
+# ------------------------------------------------------------------------------------------------------------------- CSV and SPK
+
+
+def _csv(path: Path) -> _Table:
+    where = str(path)
+    try:
+        table = read_table(path)
+    except TelemetryError as error:
+        raise InputError(str(error)) from None
+    frames = [match[1] for line in table.comments if (match := re.fullmatch(r"frame\s*[:=]\s*(\S+)", line, re.IGNORECASE))]
+    unit = next((one for one in ("km", "m") if f"x_{one}" in table.header), "")
+    wanted = ["time_utc", *(f"{axis}_{unit}" for axis in "xyz")]
+    missing = [name for name in wanted if name not in table.header]
+    if not unit or missing:
+        do = "name them time_utc, x_km, y_km, z_km (or x_m, ...), and vx_km_s, ... if you have velocities"
+        got = "columns " + ", ".join(table.header)
+        raise InputError(sentence("the table has no columns of an ephemeris", got=got, do=do, where=where))
+    if not frames:
+        what = "the ephemeris does not say its frame"
+        raise InputError(sentence(what, do="add a first line such as `# frame: J2000` (or TEME, ITRF)", where=where))
+    fast = next((one for one in ("km_s", "m_s") if f"vx_{one}" in table.header), None)
+    names = [*wanted, *(f"v{axis}_{fast}" for axis in "xyz" if fast)]
+    try:
+        at = [table.header.index(name) for name in names]
+    except ValueError as error:
+        raise InputError(sentence(f"a column of velocity is missing ({error})", where=where)) from None
+    rows = [(row[at[0]], [row[k] for k in at[1:]]) for row in table.rows]
+    return _table(rows, 1e3 if unit == "km" else 1.0, 1e3 if fast == "km_s" else 1.0, "UTC", frames[0], where)
+
+
+def _spk(path: Path) -> _Table:
+    """States once a minute of the one body that an SPK holds, read in another process: a damaged kernel ends SPICE."""
+    where = str(path)
+    try:
+        import spiceypy  # noqa: F401
+    except ImportError:
+        raise InputError(sentence("an SPK needs spiceypy", do='pip install "sunspin[spice]"', where=where)) from None
+    script, most = Path(__file__).with_name("spk_states.py"), str(MOST_STATES)
+    try:
+        printed = elsewhere(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
+    except Elsewhere as error:
+        raise InputError(sentence(f"the SPK cannot be used ({error})", where=where)) from None
+    values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)
+    if not len(values):
+        raise InputError(sentence("the SPK has no states", where=where))
+    begin = int(values[0, 0])  # the leap seconds of an epoch hold for its table
+    epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
+    return _Table(epoch, "TDB", values[:, 0] - begin, 1e3 * values[:, 1:4], 1e3 * values[:, 4:], "J2000")
+
+
+def utc_of(jd: float) -> str:
+    """A UTC Julian date as a time of the calendar, to the second."""
+    seconds = round((jd - 2440587.5) * DAY_S)
+    return f"{np.datetime64(seconds, 's')}Z"

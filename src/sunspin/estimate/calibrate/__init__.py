@@ -1,0 +1,1 @@
+"""Sensors of a vehicle calibrated by its own telemetry."""

@@ -1,0 +1,81 @@
+"""Zero and scale of a gyro, from the rates of passes that were found without it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from sunspin.vehicle.sensors import Gyro
+
+SCALE_SIGMA = 0.2
+"""Prior sigma of the scale over that stated, where the vehicle file states none."""
+
+STUDENT, ROUNDS = 4.0, 8
+
+FEWEST_PASSES = 3
+"""With fewer passes their scatter says nothing of the errors."""
+
+
+class GyroFit(NamedTuple):
+    """Reading (rad/s, as stated) = `values[3]` rate + `values[:3]`, with the covariances (4, 4) by the curvature and by the scatter
+    between passes, the `prior` sigmas (4), and how many samples and passes there are."""
+
+    values: np.ndarray
+    model: np.ndarray
+    robust: np.ndarray
+    prior: np.ndarray
+    samples: int
+    passes: int
+
+
+def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | None:
+    """Fit to the passes of `found` (a result of `rates` without the gyro) in which one motion is decided; None where there is none.
+
+    The error of a pass's rate is taken as common to its samples, as smoothing leaves it, beside the noise of each reading.
+    """
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    at = first[np.clip(np.searchsorted(times, found["time"].values), 0, len(times) - 1)]
+    read = telemetry["gyro_B"].values[at]
+    decided = found["decided"].values[found["pass_of"].values]
+    use = np.isfinite(read).all(axis=1) & decided & (telemetry["time"].values[at] == found["time"].values)
+    if not use.any():
+        return None
+    rate, cov, pass_of = found["omega_B"].values[use], found["omega_cov_B"].values[use], found["pass_of"].values[use]
+    read = read[use]
+    stated = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
+    unstated = float(np.sqrt((read**2).mean()))
+    prior = np.append(np.where(stated > 0, stated, unstated), gyro.scale_sigma / abs(gyro.scale_rad_s) or SCALE_SIGMA)
+    value, more = np.array([0.0, 0.0, 0.0, 1.0]), 1.0
+    for _ in range(ROUNDS):
+        model, slopes, squares, sizes = np.diag(prior**-2.0), [], [], []
+        right = prior**-2.0 * [0.0, 0.0, 0.0, 1.0]
+        for p in np.unique(pass_of):
+            rows = pass_of == p
+            for axis in range(3):
+                design = np.zeros((rows.sum(), 4))
+                design[:, axis], design[:, 3] = 1.0, rate[rows, axis]
+                white = _whitening(more * gyro.noise_rad_s, more**2 * cov[rows, axis, axis])
+                design, target = white @ design, white @ read[rows, axis]
+                left = design @ value - target
+                weight = (STUDENT + len(left)) / (STUDENT + left @ left)
+                model += weight * design.T @ design
+                right += weight * design.T @ target
+                slopes.append((p, weight * design.T @ left))
+                squares.append(weight * left @ left)
+                sizes.append(len(left))
+        covariance = np.linalg.inv(model)
+        value = covariance @ right
+        more *= float(np.clip(np.sqrt(np.sum(squares) / max(np.sum(sizes) - 4, 1)), 0.5, 3.0))
+    passes = np.unique(pass_of)
+    summed = np.array([np.sum([slope for p, slope in slopes if p == one], axis=0) for one in passes])
+    meat = summed.T @ summed * len(passes) / max(len(passes) - 1, 1) + np.diag(prior**-2.0)
+    robust = covariance @ meat @ covariance if len(passes) >= FEWEST_PASSES else covariance
+    return GyroFit(value, covariance, robust, prior, int(use.sum()), len(passes))
+
+
+def _whitening(noise: float, common: np.ndarray) -> np.ndarray:
+    """What makes errors (m, m) of unit size of readings that have noise and the error of a pass in common (m: its variances)."""
+    sigma = np.sqrt(common)
+    return np.linalg.inv(np.linalg.cholesky(noise**2 * np.eye(len(sigma)) + np.outer(sigma, sigma)))

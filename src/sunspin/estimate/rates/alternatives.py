@@ -1,0 +1,343 @@
+"""What may be wrong with the model of a pass of :mod:`sunspin.estimate.rates`: tried, weighed by evidence, and counted in.
+
+Beside the model as stated each pass is fitted with a constant torque in body axes or in axes fixed in space, with steps of the
+rate, with stronger unknown torques, with a swinging too quick for the samples, and with sensors worse than stated. Each is the list
+of terms with one entry changed (:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found. All are as likely
+before the data, and so is each size of a swinging, since satellites under control do swing. How strong a torque is nobody knows
+even to a power of ten, nor when a step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs
+evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.estimate.rates.common import Common, again, places_of
+from sunspin.estimate.rates.hypotheses import Hypothesis
+from sunspin.estimate.rates.motion import step
+from sunspin.estimate.rates.noise import falling
+from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
+from sunspin.estimate.rates.smooth import Intervals, log_noise
+from sunspin.estimate.rates.state import Track
+from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque
+from sunspin.estimate.terms.term import StateTerm, SunTerm, normal
+from sunspin.estimate.terms.unsteady import RateStep, Swinging
+from sunspin.solve.rotations import smallest_turn, turn_between
+
+TURNED = np.radians(np.geomspace(1.0, 300.0, 6))
+"""rad by which a constant torque may turn the body over a pass: each as likely as any other."""
+
+MODES, LIGHTEST, SWINGING_MODES = 2, 0.02, 5
+"""Modes from which alternatives begin, at most, and the least weight of one; and modes from which a swinging does."""
+
+STRONGER = (3.0, 10.0, 30.0)
+"""How much stronger unknown torques may be than elsewhere in the file."""
+
+COARSER = (1.5, 2.5, 5.0)
+"""How much worse a sensor may be than stated."""
+
+MOST_STEPS = 4
+"""Steps of the rate in a pass, at most."""
+
+STEP_SIZES = float(np.log(np.log(100.0)))
+"""What it costs in log evidence that the size of a step is known to a factor of a hundred only, and put where it comes out."""
+
+HOPELESS, WORSE = 6.0, 1.0
+"""Log evidence by which an alternative must be no worse than the model as stated, and a smaller noise no worse than a larger one,
+if more of the kind is to be tried."""
+
+STEPS, CLOSE = 6, 0.03
+"""Steps of a fit at most; one that promises to gain less than the second, in log density, is the last."""
+
+SWINGS, OTHER_MODES = (0.05, 0.15, 0.5), float(np.log(5.0))
+"""rad by which a swinging turns the body between two samples; and what the modes add to the log evidence of one that is found from
+few: a body that swings may have turned any number of times, and many such motions fit."""
+
+ALIASED = 1.5
+"""rad turned between two samples beyond which whole turns may be a swinging's doing."""
+
+COUNTED = 0.01
+"""A mode of an alternative that holds less than this part of the weight is left out."""
+
+BENT_RAD = 1.0
+"""Two hypotheses may bend one motion apart by so much between two samples; other motions differ by more, mostly by whole turns."""
+
+TORQUES_STRONGER, SWINGS_QUICKLY = "unknown torques stronger than in the rest of the file", "a swinging quicker than the samples"
+"""What such hypotheses change, in words."""
+
+
+class Trial(NamedTuple):
+    """A hypothesis fitted from some modes (K); `log_evidence` (K) of each."""
+
+    hypothesis: Hypothesis
+    fit: Common
+    log_evidence: np.ndarray
+
+    @property
+    def best(self) -> float:
+        return float(np.max(self.log_evidence, initial=-np.inf))
+
+    def take(self, index: np.ndarray) -> Trial:
+        """The modes `index`."""
+        return Trial(self.hypothesis, self.fit.take(index), self.log_evidence[index])
+
+
+class Others(NamedTuple):
+    """How alternatives are tried: `free`, the acceleration noise was chosen by the data, so that less of it may be left where
+    something else explains the motion; `clock_time`: a time (s) in words."""
+
+    free: bool
+    clock_time: Callable[[float], str]
+
+
+def weighed(one: Hypothesis, fit: Common) -> Trial:
+    """A fit with its evidence."""
+    return Trial(one, fit, fit.track.log_weight - log_noise(one.fitted(), one.motion) + one.debt)
+
+
+def alternatives(stated: Trial, how: Others) -> list[Trial]:
+    """The model as stated and its alternatives."""
+    order = np.argsort(-stated.log_evidence, kind="stable")[:MODES]
+    start = stated.take(order[stated.log_evidence[order] > stated.best + np.log(LIGHTEST)])
+    noises = [stated, *_stronger(start)]
+    loosest = max([start, *noises[1:]], key=lambda trial: trial.best)  # where torques and steps that the noise holds down can grow
+    rungs = falling(loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise)[1:]
+    shared = [one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises]
+    found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start)]
+    found += _swinging(stated) if how.free else []  # else the vehicle's file says what torques there are
+    return [one for one in found if np.isfinite(one.best)]
+
+
+def _tried(one: Hypothesis, begin: Trial) -> Trial:
+    """A hypothesis fitted from where another ended."""
+    fit = again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, STEPS, CLOSE)
+    return weighed(one, fit)
+
+
+def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
+    """A trial, and it under ever less of other torques, as long as that is no worse."""
+    yield begin
+    for noise in rungs:
+        one = begin.hypothesis
+        trial = _tried(replace(one, motion=replace(one.motion, noise=noise)), begin)
+        yield trial
+        if trial.best < begin.best - WORSE:
+            return
+        begin = trial
+
+
+def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
+    """One that hardly turns the body over the pass is no other hypothesis."""
+    stated = start.hypothesis
+    sizes = 2 * TURNED / float(np.ptp(stated.o.t_s)) ** 2
+    for frame in ("B", "N"):
+        term = SteadyTorque(sizes[-1], frame, stated.motion.body.inertia)
+        trials = [(trial, *_over_sizes(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
+        trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
+        k = int(np.argmax(evidence))
+        size = int(np.argmax(gains[:, k]))
+        if size and evidence[k] > start.best - HOPELESS:
+            sized = term.sized(float(sizes[size] / sizes[-1]))
+            trial = _tried(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), trial)
+            pulled = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
+            what = f"a steady torque of {pulled:.1g} rad/s2 in {WORDS[frame]}"
+            evidence = evidence - np.log(1 + len(rungs))
+            yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
+
+
+def _place(trial: Trial) -> slice:
+    """Where the unknowns of a steady torque stand."""
+    one = trial.hypothesis
+    return next(place for term, place in places_of(one.fitted(), one.motion, one.clock).motion if isinstance(term, SteadyTorque))
+
+
+def _over_sizes(trial: Trial, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of a torque fitted under the widest of the prior sigmas `sizes` (m): gains of each (m, K), and the evidence over all (K)."""
+    place = _place(trial)
+    gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], sizes / sizes[-1])
+    return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(sizes))
+
+
+def _sized(error: np.ndarray, covariance: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Gain in log evidence (m, K) if the prior sigma of some unknowns, fitted to (K, u) with covariance (K, u, u) under a sigma of
+    one, were `shares` (m) of that: exact where the readings answer to them linearly."""
+    eye = np.eye(error.shape[1])
+    inverse = np.linalg.inv(covariance)
+    slope = (inverse @ error[..., None])[..., 0]
+    before = np.einsum("ki,kij,kj->k", error, inverse, error)
+    found = []
+    for share in shares:
+        matrix = inverse + (1 / share**2 - 1) * eye
+        after = np.einsum("ki,ki->k", slope, np.linalg.solve(matrix, slope[..., None])[..., 0])
+        size = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(matrix)[1] - 2 * len(eye) * np.log(share)
+        found.append((after - before + size) / 2)
+    return np.array(found)
+
+
+def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str]) -> Iterator[Trial]:
+    """Where neighbours fit the motion worst, one after another, as long as the evidence grows above that without any."""
+    t_s = start.hypothesis.o.t_s[start.hypothesis.kept]
+    middle = (t_s[1:] + t_s[:-1]) / 2
+    trials, at, wanted = [start], [], start.best - HOPELESS
+    for _ in range(min(MOST_STEPS, len(middle) - 1)):
+        best = max(trials, key=lambda trial: trial.best)
+        off = _defects(best)[1]
+        off[at] = 0.0
+        k = int(np.argmax(off))
+        lower = [noise for noise in rungs if noise < best.hypothesis.motion.noise]
+        new = _step(best, k, lower, wanted, -np.log(len(middle)))
+        top = max(trial.best for trial in new)
+        if top < wanted:
+            break
+        trials, at, wanted = new, sorted([*at, k]), top
+        if top < start.best:
+            break
+    if at:
+        words = f"{'steps' if len(at) > 1 else 'a step'} of the rate at {', '.join(clock_time(middle[k]) for k in at)}"
+        if wanted > start.best:
+            trials = [*trials, *_elsewhere(max(trials, key=lambda trial: trial.best))]
+        for trial in trials:
+            evidence = trial.log_evidence - np.log(1 + len(rungs))
+            yield trial._replace(hypothesis=replace(trial.hypothesis, what=words), log_evidence=evidence)
+
+
+def _elsewhere(best: Trial) -> Iterator[Trial]:
+    """The same steps, each also in the intervals beside its own: near a sample, the data hardly tell before from after."""
+    one = best.hypothesis
+    for term in one.o.terms:
+        if isinstance(term, RateStep):
+            k = int(np.flatnonzero(term.before[one.kept])[0])
+            for other in range(max(0, k - 1), min(k + 2, len(one.kept) - 1)):
+                if other != k:
+                    yield _tried(one.swapped(term, term.at(one.kept[other])), best)
+
+
+def _step(best: Trial, k: int, rungs: list[float], wanted: float, odds: float) -> list[Trial]:
+    """One more step, after the kept sample `k`, under ever less of other torques: as large as one of any size comes out."""
+    one = best.hypothesis
+    widest = one.motion.rate_prior
+    jump = RateStep(widest, np.zeros(len(one.o), dtype=bool)).at(one.kept[k])
+    wide = _tried(one.beside(one.what, jump, odds - STEP_SIZES), best)
+    size = float(np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest))
+    if wide.best + 3 * np.log(widest / size) < wanted:  # no more can be gained
+        return [wide]
+    first = _tried(wide.hypothesis.swapped(jump, replace(jump, sigma=size)), wide)
+    return list(_quieter(first, rungs))
+
+
+def _defects(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
+    """Of a trial's best mode: by how much turn and rate miss the motion between neighbours (n - 1, 6), and in sigmas, squared
+    (n - 1)."""
+    one, o = trial.hypothesis, trial.hypothesis.fitted()
+    track = trial.fit.track.take(np.array([np.argmax(trial.log_evidence)]))
+    over = Intervals.of(o, track, one.motion)
+    value = over.defect(track.omega, *over.step(one.motion.body, track.omega, step))[0]
+    return np.linalg.solve(over.white, value[..., None])[..., 0], (value**2).sum(axis=1)
+
+
+def _stronger(start: Trial) -> Iterator[Trial]:
+    one, begin = start.hypothesis, start
+    for factor in STRONGER:
+        motion = replace(one.motion, noise=factor * one.motion.noise)
+        begin = _tried(replace(one, what=TORQUES_STRONGER, motion=motion), begin)
+        yield begin
+        if begin.best < start.best - HOPELESS:
+            return
+
+
+def _coarser(start: Trial) -> Iterator[Trial]:
+    """Each sensor so much worse as its residuals want it to be."""
+    stated = start.hypothesis
+    for term in stated.o.terms:
+        if not isinstance(term, SunTerm | StateTerm) or not term.present()[stated.kept].any():
+            continue
+        factor = _wanted(start, term)
+        if factor == 1.0:
+            continue
+        numbers = int(term.freedom()[stated.kept].sum())
+        one = stated.swapped(term, term.coarser(factor))
+        one = replace(one, what=f"readings of the {term.called} {factor:g} times worse than stated",
+                      debt=stated.debt - np.log(len(COARSER)) - numbers * np.log(factor))  # fmt: skip
+        yield _tried(one, start)
+
+
+def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
+    """How much worse than stated the residuals of the best mode want a sensor to be."""
+    one, fit = start.hypothesis, start.fit.take(np.array([0]))
+    o = one.fitted()
+    places = places_of(o, one.motion, one.clock)
+    kept, place = next((mine, place) for mine, place in (*places.state, *places.sun) if mine.called == term.called)
+    seen = fit.seen if isinstance(term, SunTerm) else fit.track
+    numbers = kept.freedom().sum()
+    costs = [normal(kept.coarser(f), seen, fit.error[:, place])[2].sum() + numbers * np.log(f) for f in (1.0, *COARSER)]
+    return (1.0, *COARSER)[int(np.argmin(costs))]
+
+
+def _swinging(stated: Trial) -> Iterator[Trial]:
+    """From all modes, however improbable without it, and from the least turns that take the Sun where the best sees it."""
+    one, order = stated.hypothesis, np.argsort(-stated.log_evidence, kind="stable")
+    begin = stated.take(order[:SWINGING_MODES])
+    t_s = one.o.t_s[one.kept]
+    usual = float(np.median(np.diff(t_s)))
+    if np.any(np.linalg.norm(begin.fit.track.omega[0, :-1], axis=1) * np.diff(t_s) > ALIASED):
+        begin = _joined(begin, _slowest(begin.fit.track.take(slice(1)), t_s))
+    for angle in SWINGS:
+        last = begin.best
+        begin = _tried(one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual)), OTHER_MODES), begin)
+        begin = begin.take(distinct_index(begin.fit.track, t_s))
+        yield begin
+        if begin.best < min(last, stated.best - HOPELESS):
+            return
+
+
+def _joined(start: Trial, more: Track) -> Trial:
+    """Modes to begin with, and one more with the errors in common of the first."""
+    first = start.fit.track
+    both = Track(np.concatenate([first.attitude, more.attitude]), np.concatenate([first.omega, more.omega]))
+    return start._replace(fit=start.fit._replace(track=both, error=np.concatenate([start.fit.error, start.fit.error[:1]])))
+
+
+def _slowest(track: Track, t_s: np.ndarray) -> Track:
+    """Motions that see the Sun as these do, and turn least."""
+    attitude, omega = track.attitude.copy(), np.zeros_like(track.omega)
+    sun = track.sun_B
+    for i, dt in enumerate(np.diff(t_s)):
+        x, y = (smallest_turn(sun[:, i], sun[:, i + 1], attitude[:, i, :, axis]) for axis in (0, 1))
+        attitude[:, i + 1] = np.stack([x, y, np.cross(x, y)], axis=-1)
+        omega[:, i] = turn_between(attitude[:, i], attitude[:, i + 1]) / dt
+    omega[:, 1:-1] = (omega[:, :-2] + omega[:, 1:-1]) / 2
+    omega[:, -1] = omega[:, -2]
+    return Track(attitude, omega)
+
+
+class Counted(NamedTuple):
+    """One motion of a pass with all hypotheses that lead to it: `members`, the trial and its mode, heaviest first, and their
+    weights, which add to that of the motion."""
+
+    members: list[tuple[int, int]]
+    weights: np.ndarray
+
+
+def counted(trials: list[Trial]) -> list[Counted]:
+    """The motions that the trials leave, heaviest first, with weights that add to one."""
+    every = [(float(log), i, k) for i, trial in enumerate(trials) for k, log in enumerate(trial.log_evidence)]
+    top = max(log for log, _, _ in every)
+    every = sorted((one for one in every if one[0] > top + np.log(COUNTED)), key=lambda one: -one[0])
+    weights = np.exp(np.array([log for log, _, _ in every]) - top)
+    found: list[tuple[np.ndarray, list[int]]] = []
+    for m, (_, i, k) in enumerate(every):
+        one = trials[i].hypothesis
+        place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
+        for head, members in found:
+            others = all(every[n][1] != i for n in members)
+            if ((head - place) ** 2).sum(axis=-1).max() <= (BENT_RAD if others else ALIKE_RAD) ** 2:
+                members.append(m)
+                break
+        else:
+            found.append((place, [m]))
+    groups = [Counted([every[m][1:] for m in members], weights[members] / weights.sum()) for _, members in found]
+    return sorted(groups, key=lambda one: -one.weights.sum())

@@ -1,0 +1,71 @@
+"""What a calibration of sensors found: a line a key of the vehicle file, and a table of all numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.folder import write_whole
+from sunspin.output.kinds.kind import Beside, Summary, synthetic_label
+
+COLUMNS = ("key", "component", "stated", "value", "sigma", "prior_sigma", "unit", "samples", "determined", "written", "moved")
+
+
+def calibration_summary(found: Any) -> Summary:
+    """The keys that were found, those that moved first, and those that the telemetry does not determine."""
+    names = list(dict.fromkeys(found["key"].values.tolist()))
+    rows = [_of_key(found, name) for name in names]
+    written, left = [row for row in rows if row["written"]], [row for row in rows if not row["written"]]
+    moved = sum(row["moved"] for row in written)
+    lines = [f"{len(written)} keys of the vehicle file are determined; {moved} of them move by more than their sigma"]
+    lines = lines if written else ["No key of the vehicle file is determined by this telemetry"]
+    lines += [f"  {row['text']}" for row in sorted(written, key=lambda row: not row["moved"])]
+    if left:
+        names = ", ".join(row["key"] for row in left)
+        lines.append(f"Not determined (sigma not below half of what it was before), and left as they are: {names}")
+    of_each = ("stated", "value", "sigma", "written", "moved")
+    numbers: dict[str, Any] = {"keys": {row["key"]: {name: row[name] for name in of_each} for row in rows}}
+    if "field_residual_after_T" in found.attrs:
+        was, now = (1e6 * found.attrs[f"field_residual_{when}_T"] for when in ("before", "after"))
+        lines.append(f"Residuals in the middle: of the field's strength {was:.2f} uT before, {now:.2f} uT after")
+        was, now = (np.degrees(found.attrs[f"sun_field_residual_{when}_rad"]) for when in ("before", "after"))
+        if np.isfinite(now):
+            lines[-1] += f"; of its angle to the Sun {was:.1f} deg before, {now:.1f} deg after"
+        shift, sigma, drift = (found.attrs[name] for name in ("shift_s", "shift_sigma_s", "drift_s_day"))
+        lines.append(f"Shift along the track {shift:+.1f} +- {sigma:.1f} s, drifting by {drift:+.1f} s a day")
+        about = ("shift_s", "shift_sigma_s", "drift_s_day", "field_residual_before_T", "field_residual_after_T",
+                 "sun_field_residual_before_rad", "sun_field_residual_after_rad", "field_noise_T")  # fmt: skip
+        numbers |= {name: float(found.attrs[name]) for name in about}
+    notes = [note for note in str(found.attrs["notes"]).split("\n") if note]
+    numbers |= {"source": found.attrs["source"], "notes": notes}
+    return Summary(numbers, lines, [note[0].upper() + note[1:] for note in notes])
+
+
+def _of_key(found: Any, name: str) -> dict[str, Any]:
+    part = found.isel(quantity=np.flatnonzero(found["key"].values == name))
+    stated, value, sigma = (part[key].values for key in ("stated", "value", "sigma"))
+    moved = bool(part["moved"].values.any())
+    texts = [f"{v:.{_digits(v, s)}g} +- {s:.2g}" for v, s in zip(value, sigma, strict=True)]
+    text = texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
+    was = ", ".join("-" if np.isnan(one) else f"{one:.4g}" for one in stated)
+    unit = str(part["unit"].values[0])
+    text = f"{'moved ' if moved else '      '}{name} = {text}{'' if unit == '1' else ' ' + unit} (was {was})"
+    return {"key": name, "stated": stated.tolist(), "value": value.tolist(), "sigma": sigma.tolist(), "moved": moved,
+            "written": bool(part["written"].values.all()), "text": text}  # fmt: skip
+
+
+def _digits(value: float, sigma: float) -> int:
+    """Significant digits of a value, down to the second of its sigma."""
+    if not (sigma > 0 and value):
+        return 4
+    return int(np.clip(np.floor(np.log10(abs(value))) - np.floor(np.log10(sigma)) + 2, 2, 8))
+
+
+def calibration_tables(found: Any, folder: Path, _: Beside) -> None:
+    import pandas as pd
+
+    frame = pd.DataFrame({name: found[name].values for name in COLUMNS})
+    text = synthetic_label(found) + frame.to_csv(index=False, float_format="%.9g")
+    write_whole(folder / "calibration.csv", lambda part: part.write_text(text, "utf-8"))

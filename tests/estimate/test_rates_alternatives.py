@@ -1,0 +1,93 @@
+"""What may be wrong with the model of a pass: constant torques, steps, swinging, and how they are weighed.
+
+All telemetry is synthetic, made by the equations of `validation/passes.py` and not by the package's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sunspin.estimate.rates.alternatives import Others, _sized, alternatives, counted, weighed
+from sunspin.estimate.rates.common import with_common
+from sunspin.estimate.rates.dense import bridge
+from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.observe import observations, passes
+from sunspin.estimate.rates.smooth import whitening
+from sunspin.estimate.rates.state import Motion, Track
+from sunspin.estimate.terms.steady_torque import SteadyTorque
+from sunspin.estimate.terms.term import Seen
+from sunspin.solve.rotations import turn_between
+from validation.passes import FACES, MOMENTS, seen, spin, unit
+
+INERTIA = np.diag(MOMENTS) / MOMENTS.mean()
+START = np.radians([2.0, -1.0, 1.5])
+T_S = np.arange(0.0, 300.0, 10.0)
+
+
+def pushed(size, in_body):
+    """The acceleration of a torque `size` (3), rad/s2, over the mean moment."""
+    return lambda _, attitude: (size if in_body else attitude @ size) * MOMENTS.mean() / MOMENTS
+
+
+@pytest.mark.parametrize("frame", ["B", "N"])
+def test_a_steady_torque_pushes_as_the_equations_of_motion_say(frame):
+    """Over 10 s at 2.7 deg/s, for a torque as weak as differences allow."""
+    t, size = np.array([0.0, 10.0]), 1e-6 * np.array([1.0, -2.0, 1.5])
+    free, turned = spin(START, t)
+    moved, attitude = spin(START, t, pushed(size, frame == "B"))
+    expected = np.concatenate([turn_between(turned, attitude)[1], (moved - free)[1]])
+    made = SteadyTorque(1.0, frame, INERTIA).pushes(Seen(turned[None], free[None]), np.diff(t))[0, 0] @ size
+    np.testing.assert_allclose(made, expected, atol=5e-3 * np.abs(expected[:3]).max())
+
+
+def test_the_evidence_of_a_smaller_torque_is_that_of_its_integral():
+    """One unknown x, log likelihood -(x - 2)^2 / 0.08, priors of sigma 1 and 0.3."""
+    x = np.linspace(-10, 10, 20001)
+    like = np.exp(-((x - 2) ** 2) / 0.08)
+    log = [np.log(np.trapezoid(like * np.exp(-((x / s) ** 2) / 2) / s, x)) for s in (1.0, 0.3)]
+    variance = 1 / (1 / 0.04 + 1)
+    found = _sized(np.array([[2 * variance / 0.04]]), np.array([[[variance]]]), np.array([1.0, 0.3]))
+    assert found[0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert found[1, 0] == pytest.approx(log[1] - log[0], rel=1e-6)
+
+
+def test_noise_of_the_rate_makes_the_attitude_wander_and_holds_at_both_ends():
+    white = whitening(np.array([8.0]), 1e-9, 0.02)[0]
+    assert np.linalg.inv(white.T @ white)[0, 0] == pytest.approx(0.02**2 * 8.0, rel=1e-6)
+    assert bridge(np.array([0.25]), np.array([8.0]), 0.0, 0.02)[0][0, 0] == pytest.approx(0.02**2 * 8 * 0.25 * 0.75)
+
+
+def tried(push, noise):
+    """All hypotheses of a pass moved so, begun at its true motion, with the noise that explains it as unknown torques."""
+    sun = unit(np.random.default_rng(3))  # as `seen` draws it
+    omega, attitude = spin(START, T_S, push)
+    made = seen(FACES, omega, attitude, T_S, 0.01, np.random.default_rng(3))
+    o, why, _ = observations(made.vehicle, made.telemetry)
+    index = passes(o, why)[0]
+    axes = np.array([*np.linalg.svd(sun[None])[2][1:], sun])
+    axes[0] *= np.sign(np.linalg.det(axes))
+    motion = Motion(Body.of(made.vehicle), noise, 0.075)
+    one = Hypothesis(AS_STATED, o.take(index), np.arange(len(index)), motion)
+    fit = with_common(one.fitted(), Track((attitude[index] @ axes.T)[None], omega[index][None]), motion, None)
+    return alternatives(weighed(one, fit), Others(True, "{:.0f} s".format)), omega[index]
+
+
+@pytest.mark.parametrize(("push", "noise", "words"), [
+    (None, 1e-6, AS_STATED),
+    (pushed(1e-4 * np.array([1.0, -0.5, 0.5]), True), 3e-4, "a steady torque of 0.0001 rad/s2 in body axes"),
+    (pushed(1e-4 * np.array([1.0, -0.5, 0.5]), False), 3e-4, "a steady torque of 0.0001 rad/s2 in axes fixed in space"),
+    (lambda t, _: np.radians([1.0, 0.0, 0.0]) * (124 <= t < 126), 3e-4, "a step of the rate at 125 s"),
+])  # fmt: skip
+def test_what_moved_the_body_is_named_and_its_rates_are_right(push, noise, words):
+    found, omega = tried(push, noise)
+    best = max(found, key=lambda trial: trial.best)
+    assert best.hypothesis.what == words
+    k = counted(found)[0].members[0][1]
+    sigma = np.sqrt(np.einsum("nii->ni", best.fit.track.covariance[k, :, 3:, 3:]))
+    assert np.abs((best.fit.track.omega[k] - omega) / sigma).max() < 4.5
+
+
+def test_hypotheses_that_lead_to_one_motion_share_its_weight():
+    groups = counted(tried(None, 1e-6)[0])
+    assert len(groups) == 1 and groups[0].weights.sum() == pytest.approx(1.0) and len(groups[0].members) > 1
