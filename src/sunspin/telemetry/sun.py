@@ -67,8 +67,8 @@ def is_reconstructed(status: Any) -> np.ndarray:
 
 
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
-    """The lit patterns that geometry allows and from which a direction follows: three independent normals, no rule against, and
-    no panels that share an input so that several directions fit."""
+    """The lit patterns that geometry allows and from which a direction follows: three panels that look in
+    independent directions, no rule against, and no panels that share an input so that several directions fit."""
     patterns = lit_patterns(vehicle)
     response = vehicle.response_in()
     regions = response.regions()
