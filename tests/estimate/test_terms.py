@@ -91,6 +91,27 @@ def test_a_second_magnetometer_is_one_more_term():
     assert known[1] < known[0] - 0.1  # rates are known better
 
 
+@pytest.mark.evidence("rates", "modelled", "a magnetometer whose zero is off by what its file states")
+def test_a_zero_of_the_magnetometer_that_is_not_well_known_is_an_unknown():
+    """Taken for exact, a zero off by a third of the field bends the motion by many sigmas; with its sigma stated it does not."""
+    o, truth = both()
+    o = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, Gyro)))
+    exact = only(o, Magnetometer)
+    off = np.array([0.3, -0.25, 0.2])
+    wrong = replace(exact, field_B=exact.field_B + off)
+    pulls, motion = [], Motion(Body.of(craft()), 1e-5, 0.1)
+    for zero_B in (np.zeros((0, 3)), 0.3 * np.eye(3)):
+        pass_ = replace(o, terms=tuple(replace(wrong, zero_B=zero_B) if term is exact else term for term in o.terms))
+        fit = with_common(pass_.freed(), truth, motion, None)
+        sigma = np.sqrt(np.diagonal(fit.track.covariance[0, :, 3:, 3:], axis1=1, axis2=2))
+        pulls.append(np.sqrt((((fit.track.omega[0] - truth.omega[0]) / sigma) ** 2).mean()))
+    assert pulls[1] < 1.6 < 3 < pulls[0], pulls
+    zero = [one.kind == "field_zero" for one in places_of(pass_.freed(), motion, None).unknowns]
+    sigma = 0.3 * np.sqrt(np.diagonal(fit.covariance[0])[zero])
+    found = 0.3 * fit.error[0, zero]
+    assert np.all(np.abs(found - off) < 3 * sigma) and np.sum(sigma < 0.15) > 1, (found, sigma)
+
+
 @pytest.mark.evidence("rates", "verified", "panels that lose half of grazing light, read by that law and by the cosine")
 def test_another_law_of_the_panels_is_the_responses_alone():
     """At the truth readings cost as sound ones do under the law that made them, more under the cosine; and slopes are its own."""

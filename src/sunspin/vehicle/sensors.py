@@ -137,7 +137,8 @@ class Magnetometer(Part):
     """Three columns along the body axes, in any unit: field is `matrix` times (reading less `zero`).
 
     `matrix` (3, 3) is soft iron, axes and unequal scales, near one. `noise` (same unit) is None where the reading may not be used
-    as a direction (zero or axes not known well enough). `scale_T`: a unit in tesla; None where not known.
+    as a direction (zero or axes not known well enough). `scale_T`: a unit in tesla; None where not known. `zero_sigma` (3) is
+    shared by all samples of a pass.
     """
 
     left_out = {"zero": [0.0, 0.0, 0.0], "noise": None}
@@ -150,6 +151,9 @@ class Magnetometer(Part):
         default_factory=lambda: frozen_array(np.eye(3))
     )
     scale_T: Positive | None = None
+    zero_sigma: Annotated[FloatArray, _sigma_of("magnetometer.zero", 3)] = Field(
+        default_factory=lambda: frozen_array(np.zeros(3)), validation_alias=AliasPath("zero", "sigma")
+    )
 
 
 @part

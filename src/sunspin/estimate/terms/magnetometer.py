@@ -2,7 +2,8 @@
 
 Along a pass the field in N changes the same way for minutes, by up to two turns an orbit. Taken for noise from sample to sample
 that averages out, and the turn about the Sun line, which only the field determines, is off by more than its sigma. So the rate of
-change in N, and the drift of that, are unknowns of a pass; what does not change evenly stays noise.
+change in N, and the drift of that, are unknowns of a pass; what does not change evenly stays noise. So is the zero in the body,
+where the vehicle file says how well it is known.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ LEFT = 0.2
 @dataclass(frozen=True)
 class Magnetometer(PairTerm):
     """Fields (n, 3), NaN where not read, with one sigma, in any unit (infinite: only the dipole's torque uses them); `turn_rate`
-    (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown. `known`: the
+    (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown; `zero_B`
+    (u, 3): one sigma of each error of the zero. `known`: the
     same readings where an orbit says the field; the search, which does not know the turn about the Sun, compares neighbours."""
 
     name: ClassVar[str] = "field"
@@ -45,6 +47,7 @@ class Magnetometer(PairTerm):
     sigma: float
     turn_rate: float = TURN_RATE
     drift_N: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    zero_B: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     calibration: FieldCalibration | None = None
     known: KnownField | None = None
 
@@ -56,7 +59,8 @@ class Magnetometer(PairTerm):
         part = vehicle.sensors.magnetometer
         noise = part.noise if part is not None else None
         read = _without_outliers(np.asarray(telemetry["field_B"], dtype=np.float64))
-        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), calibration=calibration)
+        zero = np.zeros((0, 3)) if part is None or not part.zero_sigma.any() else (part.matrix * part.zero_sigma).T
+        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), zero_B=zero, calibration=calibration)
 
     def take(self, index: np.ndarray | slice) -> Self:
         return replace(super().take(index), known=None if self.known is None else self.known.take(index))
@@ -88,6 +92,9 @@ class Magnetometer(PairTerm):
         """One sigma (n - 1) of the field's change between neighbours: of two readings, and of its turning."""
         return np.sqrt(2 * self.sigma**2 + (np.linalg.norm(self.vector_B[:-1], axis=1) * self.turn_rate * np.diff(t_s)) ** 2)
 
+    def forgiving(self) -> Self:
+        return replace(self, sigma=float(np.hypot(self.sigma, np.sqrt((self.zero_B**2).sum() / 3))))
+
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         size = np.linalg.norm(np.nan_to_num(self.vector_B), axis=1).max(initial=0.0)
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad.max() * size / 2)))
@@ -112,7 +119,10 @@ class Magnetometer(PairTerm):
         if not (self.pairs().any() and self.drift_N.shape[1]):
             return ()
         sizes = np.linalg.norm(self.drift_N, axis=2).max(axis=0)
-        return tuple(Unknown(f"{self.name}_drift_{i}", "field_drift", "field s-1", 0.0, float(s), i) for i, s in enumerate(sizes))
+        drift = (Unknown(f"{self.name}_drift_{i}", "field_drift", "field s-1", 0.0, float(s), i) for i, s in enumerate(sizes))
+        sizes = np.linalg.norm(self.zero_B, axis=1)
+        zero = (Unknown(f"{self.name}_zero_{i}", "field_zero", "field", 0.0, float(s), i) for i, s in enumerate(sizes))
+        return (*drift, *zero)
 
     def between(self, t_s: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pair = self.pairs()
@@ -126,8 +136,11 @@ class Magnetometer(PairTerm):
         return value, first, second
 
     def gained(self, t_s: np.ndarray, seen: Seen) -> np.ndarray:
-        change = np.einsum("knij,nmj->knim", seen.attitude[:, 1:], self.drift_N[:-1])
-        return change * np.where(self.pairs(), np.diff(t_s) / self.sigmas(t_s), 0.0)[:, None, None]
+        inverse = np.where(self.pairs(), 1 / self.sigmas(t_s), 0.0)[:, None, None]
+        change = np.einsum("knij,nmj->knim", seen.attitude[:, 1:], self.drift_N[:-1]) * np.diff(t_s)[:, None, None]
+        relative = seen.attitude[:, 1:] @ np.swapaxes(seen.attitude[:, :-1], -1, -2)
+        zero = self.zero_B.T - relative @ self.zero_B.T  # a zero stays where it is while the field is carried on
+        return np.concatenate([change, zero], axis=-1) * inverse
 
 
 def _without_outliers(read: np.ndarray) -> np.ndarray:
