@@ -115,7 +115,7 @@ def deviations(twin: Twin, found: xr.Dataset) -> dict[str, list[float]]:
         part = found.isel(quantity=np.flatnonzero(found["key"].values == name))
         value = part["value"].values
         if part["written"].values.all() and name in twin.truth:
-            symmetric = name == "magnetometer.matrix" and np.allclose(value[[1, 2, 5]], value[[3, 6, 7]])
+            symmetric = name == "magnetometer.matrix" and np.allclose(value[[1, 2, 5]], value[[3, 6, 7]], rtol=1e-9, atol=0)
             truth = twin.truth["stretch" if symmetric else name]
             off[name] = ((value - truth) / part["sigma"].values).tolist()
     return off

@@ -174,5 +174,5 @@ y_sigma_rad = 0.02
     (tmp_path / "v.toml").write_text(text, "utf-8")
     (tmp_path / "t.csv").write_text("t,a,b,c,u,v\n0,11,12,13,5,-10\n1,1,2,4,5,-10\n", "utf-8")
     data = ss.read_telemetry(tmp_path / "t.csv", ss.load_vehicle(tmp_path / "v.toml"))
-    np.testing.assert_allclose(data["field_B"].values, [[11, 10, 20], [0, 0, 2]])
+    np.testing.assert_allclose(data["field_B"].values, [[11, 10, 20], [0, 0, 2]], rtol=1e-12)
     np.testing.assert_allclose(data["sun_sensor_B"].values, [[0, 0, 1]] * 2, atol=1e-12)
