@@ -148,8 +148,9 @@ def sun_directions(
         noise, noise_from = dark, "estimated from readings below zero"
     doubtful = told.copy()
     doubtful[told] = _several(vehicle, clean[told], noise)
-    status, texts = np.where(doubtful, SunStatus.SEVERAL, status), np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
-    told &= ~doubtful
+    if doubtful.any():
+        status[doubtful], texts = SunStatus.SEVERAL, np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
+        told &= ~doubtful
     covariance = _covariances(vehicle, clean, lit, told, noise)
     arcs = _arcs(vehicle, clean, lit, status)
     return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
