@@ -25,6 +25,7 @@ from sunspin.vehicle.response.choice import ResponseForm
 from sunspin.vehicle.response.cosine import Cosine
 from sunspin.vehicle.response.cube import SphereTable
 from sunspin.vehicle.response.grazing import Grazing
+from sunspin.vehicle.response.inside import between, seen
 from sunspin.vehicle.response.panels import lit_patterns, observable_patterns
 from sunspin.vehicle.response.protocol import sphere
 from sunspin.vehicle.response.tabled import Tabled
@@ -40,6 +41,7 @@ CUBE = Vehicle(
     telemetry=TelemetryForm(quantity="current_A", noise=NOISE),
 )  # fmt: skip
 TURN = np.array([0.0, 0.12, 0.15])
+BODY, KNOWN = replace(CUBE, inertia_kg_m2=np.diag([0.010, 0.012, 0.008])), {"max_rate_rad_s": 0.1, "inertia": 0.0}
 FACING = Rotation.from_rotvec(TURN).apply([1.0, 0.0, 0.0])
 LAWS = {"grazing": Grazing(0.6), "wall": Wall("+x", [0, 1, 0], 0.3), "tilted": Tilted("+x", TURN)}
 
@@ -63,9 +65,20 @@ def readings(vehicle, n, seed=0, sigma=NOISE):
     return np.maximum(ss.panel_power(vehicle, sun) + noise, 0.0), sun
 
 
+def _tangent(slope, sun):
+    return slope - (slope * sun[:, None]).sum(axis=-1, keepdims=True) * sun[:, None]
+
+
 def telemetry(value):
     time = np.arange(len(value)) * 30.0
     return xr.Dataset({"current_A": (("time", "panel"), value)}, {"time": time, "panel": list(CUBE.panel_names)})
+
+
+def tumbling(vehicle, samples, seed=0):
+    """Telemetry of a cube that turns at 3 deg/s, a reading in 20 s, and its rate at the first."""
+    body = replace(BODY, panel_response=vehicle.panel_response)
+    rate, sun = 0.05 * directions(1, seed)[0], directions(1, seed + 1)[0]
+    return ss.twin(body, {"omega_B": rate, "sun_B": sun, "t_s": 20.0 * np.arange(samples), "scale": 1.0}, seed=seed), rate
 
 
 def lit_names(vehicle, sun):
@@ -109,6 +122,10 @@ def test_slopes_are_those_of_the_powers(law):
         smooth = np.abs(turned[0] + turned[1] - 2 * response.power(sun)) < 1e-7
         np.testing.assert_allclose(((turned[0] - turned[1]) / (2 * step))[smooth], about_none[smooth], atol=2e-6)
     assert smooth.mean() > 0.95
+    steps, plain = [np.cross(axis, sun) for axis in np.eye(3)], response.slopes(sun)
+    for step, along in zip(steps, response.along(sun, steps, gain=np.full(6, 1.1)), strict=True):
+        expected = np.where(plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0)
+        np.testing.assert_allclose(along, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("law", ["cosine", *LAWS])
@@ -125,6 +142,7 @@ def test_what_a_response_promises(law):
     near = np.array([response.power(turn.apply(sun)) for turn in turns])
     assert (near >= low - 1e-12).all() and (near <= high + 1e-12).all()
     assert (high - low).max() < 0.5 * (1 if law == "wall" else 0.7)  # of use, too
+    assert np.isnan(response.bounds(np.full((2, 3), np.nan), 0.2)).all()
     errors = Rotation.from_rotvec(0.1 * np.random.default_rng(7).normal(size=(2000, 3)))
     blurred = np.mean([response.power(error.apply(sun)) for error in errors], axis=0)
     np.testing.assert_allclose(response.power(sun, blur_rad=0.1), blurred, atol=0.5 * (0.12 if law == "wall" else 0.015))
@@ -186,6 +204,22 @@ def test_what_is_looked_up_agrees_with_the_closed_form(vehicle, monkeypatch):
     assert ss.panel_health(vehicle, power, noise=sigma)["allowed"] == health["allowed"]
     sun = directions(100_000, 3)
     assert np.mean(allows(reconstructible_mask(vehicle), sun) != allows(mask, sun)) < 5e-4
+
+
+@pytest.mark.parametrize("law", ["cosine", *LAWS])
+def test_compiled_code_reads_the_same_law(law):
+    """Powers, slopes and bounds, on directions away from edges, where a table is no table's error off."""
+    response, sun, angles = under(law).response_in(), directions(40, 21), (0.1, 0.35)
+    inside, exact = response.inside(angles), response.slopes(sun)
+    read = np.array([[seen(inside, k, *one) for k in range(6)] for one in sun])
+    low, high = response.bounds(sun, 0.06)
+    lit, away = low > 0, (low > 0) | (high == 0)
+    assert away.mean() > 0.7
+    np.testing.assert_allclose(0.5 * read[..., 0][away], exact.power[away], atol=1e-15 if law == "cosine" else 2e-3)
+    np.testing.assert_allclose(0.5 * _tangent(read[..., 1:], sun)[lit], exact.to_sun[lit], atol=1e-15 if law == "cosine" else 0.05)
+    for number, angle in enumerate(angles):
+        bounds = np.array([[between(inside, number, k, *one) for k in range(6)] for one in sun])
+        np.testing.assert_allclose(0.5 * np.moveaxis(bounds, -1, 0), response.bounds(sun, angle), atol=1e-7)
 
 
 @pytest.mark.parametrize("law", ["grazing", "wall", "tilted"])
@@ -350,9 +384,9 @@ def test_the_scan_counts_what_the_law_allows(reached):
 
 @pytest.mark.long
 def test_replacing_the_response_moves_every_public_result(monkeypatch):
-    """Whatever asks how panels see light asks `vehicle.response_in`, rates and posterior apart."""
+    """Whatever asks how panels see light asks `vehicle.response_in`."""
     power, _ = readings(PHILAE, 60)
-    value = telemetry(readings(CUBE, 60)[0])
+    value, flight = telemetry(readings(CUBE, 60)[0]), tumbling(CUBE, 8)[0]
 
     def results():
         truth = {"omega_B": [0.1, 0.2, 0.3], "sun_B": [0.6, 0.0, 0.8], "t_s": np.arange(20) * 10.0}
@@ -364,7 +398,8 @@ def test_replacing_the_response_moves_every_public_result(monkeypatch):
             "health": [str(ss.panel_health(PHILAE, power)["allowed"])],
             "noise": noise_alone(PHILAE, power, NOISE, 3 * NOISE).chi_square,
             "quality": ss.panel_quality(CUBE, value)["gain"].values, "twin": synthetic["power_W"].values,
-            "mask": allows(reconstructible_mask(PHILAE), directions(4000)),
+            "mask": allows(reconstructible_mask(PHILAE), directions(4000)), "rates": ss.rates(BODY, flight)["omega_B"].values,
+            "posterior": ss.posterior(BODY, flight, KNOWN, draws=50, workers=1)["posterior"]["omega_B"].values,
         }  # fmt: skip
 
     def other(self, phase=None):
@@ -423,3 +458,23 @@ def test_rates_follow(law, reached):
     error = [float(np.abs(ss.rates(v, data)["omega_B"].values - run["omega_B"].values).max()) for v in (vehicle, body)]
     reached("error of the rate over the cosine's", error[0] / error[1])
     assert error[0] < error[1] / 3
+
+
+def sigmas_off(vehicle, flight, rate):
+    """How far (sigmas) the true rate is from the heaviest region, and what the verdict is."""
+    body = replace(BODY, panel_response=vehicle.panel_response)
+    found = ss.posterior(body, flight, KNOWN, draws=500, workers=1)
+    off = rate - found["modes"]["omega_B"].values[0]
+    return float(np.sqrt(off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off))), found.attrs["verdict_word"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("law", LAWS)
+def test_posteriors_follow(law, reached):
+    """A cube that turns at 3 deg/s, eight readings: the law that holds has the truth, the cosine in its place is off or refused."""
+    flight, rate = tumbling(under(law), 8)
+    away, word = sigmas_off(under(law), flight, rate)
+    reached("distance of the true rate", away, "sigmas", 16.3**0.5)
+    assert away < 16.3**0.5 and word == "unique"  # 99.9 % of three numbers
+    away, word = sigmas_off(CUBE, flight, rate)
+    assert word == "not explained" or away > 16.3**0.5

@@ -8,6 +8,10 @@ from click.testing import CliRunner
 import sunspin as ss
 from sunspin.cli.rates import rates as command
 from sunspin.estimate.effort import BATCH, Effort, allowed, may_go_on, spend
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.observe import observations
+from sunspin.estimate.rates.seed import seeds
+from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
@@ -42,14 +46,30 @@ def test_an_effort_on_the_command_line_is_positive(given):
     assert isinstance(done.exception, ss.InputError) and "--effort must be a positive number or inf" in str(done.exception)
 
 
-def test_a_cut_search_keeps_the_best_so_far_and_is_never_decided():
-    t = 40.0 * np.arange(4)
+def seen(n):
+    """A sphere seen every 40 s, which leaves doubt about whole turns."""
+    t = 40.0 * np.arange(n)
     run = ss.propagate(Vehicle("truth", inertia_kg_m2=np.eye(3)), [0.004, -0.003, 0.012], [0.6, 0.0, 0.8], None, t)
-    power = np.maximum(ss.panel_power(SPHERE, run["sun_B"].values) + 0.02 * np.random.default_rng(1).normal(size=(4, 6)), 0)
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(4, dtype=np.uint8))}
-    data = xr.Dataset(variables, {"time": t, "panel": list("abcdef")}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
-    setting = {"acceleration_noise": 1e-4, "max_rate_rad_s": 0.04}
-    usual, cut = (ss.rates(SPHERE, data, effort=effort, **setting) for effort in (1.0, 1e-6))
+    power = np.maximum(ss.panel_power(SPHERE, run["sun_B"].values) + 0.02 * np.random.default_rng(1).normal(size=(n, 6)), 0)
+    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(n, dtype=np.uint8))}
+    return xr.Dataset(variables, {"time": t, "panel": list("abcdef")}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
+
+
+def test_a_search_that_may_not_go_on_ends_with_what_it_has():
+    o = observations(SPHERE, seen(4))[0]
+    motion = Motion(Body.of(SPHERE), 1e-4, 0.03)
+    with Effort(np.inf) as whole:
+        seeds(o, motion, 0.06)
+    with Effort(1.0) as little:
+        track = seeds(o, motion, 0.06)
+    assert little.cut and not whole.cut and little.spent < whole.spent
+    assert len(track.cost) and np.isfinite(track.cost).all()
+
+
+@pytest.mark.long
+def test_a_cut_search_is_never_decided():
+    setting = {"acceleration_noise": 1e-4, "max_rate_rad_s": 0.06}
+    usual, cut = (ss.rates(SPHERE, seen(4), effort=effort, **setting) for effort in (1.0, 1e-6))
     assert usual.attrs["cut_passes"] == 0 and usual["search_complete"].all() and "CUT" not in usual.attrs["verdict"]
     assert cut.attrs["cut_passes"] == 1 and not cut["search_complete"].any() and not cut["decided"].any()
     assert "CUT SHORT" in cut.attrs["verdict"] and cut.attrs["effort"] < usual.attrs["effort"]

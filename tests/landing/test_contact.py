@@ -58,12 +58,12 @@ def test_a_corner_that_is_a_legs_end_counts_as_leg_and_a_bare_one_as_body():
 
 def test_a_centred_box_rests_on_the_face_that_its_plumb_line_meets_unless_a_wider_one_takes_it():
     shape = box()
-    assert len(shape.normals_B) == 6 and sorted(shape.distances_m) == [1, 1, 2, 2, 3, 3]
+    assert len(shape.outward_B) == 6 and sorted(shape.distances_m) == [1, 1, 2, 2, 3, 3]
     up = unit(np.random.default_rng(2).normal(size=(300, 3)))
     facet = c.rest_facet(shape, up)
     expected = np.argmax(np.abs(up) / [1, 2, 3], axis=1)  # the face that the ray from the centre leaves through
-    np.testing.assert_array_equal(np.argmax(np.abs(shape.normals_B[facet]), axis=1), expected)
-    assert np.all(np.sum(shape.normals_B[facet] * -up, axis=1) > 0)
+    np.testing.assert_array_equal(np.argmax(np.abs(shape.outward_B[facet]), axis=1), expected)
+    assert np.all(np.sum(shape.outward_B[facet] * -up, axis=1) > 0)
 
 
 def test_a_tower_that_leans_out_over_its_foot_falls():
@@ -71,17 +71,17 @@ def test_a_tower_that_leans_out_over_its_foot_falls():
     foot, top = [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]], [[-2, -1, 1], [1, -1, 1], [-2, 1, 1], [1, 1, 1]]
     shape = c.shape_of(Vehicle("tower", hull=[HullPart("all", [*foot, *top])]))
     facet = c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
-    assert shape.normals_B[facet[0]][2] > -0.99
-    inside = c.rest_facet(shape, -shape.normals_B[facet])
+    assert shape.outward_B[facet[0]][2] > -0.99
+    inside = c.rest_facet(shape, -shape.outward_B[facet])
     np.testing.assert_array_equal(inside, facet)
 
 
 def test_a_centre_of_mass_outside_the_hull_has_no_rest():
     shape = box(shift=(5.0, 0, 0))
-    assert shape.normals_B is None
+    assert shape.outward_B is None
     with pytest.raises(ss.InputError, match="no facet"):
         c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
-    assert c.shape_of(Vehicle("flat", hull=[HullPart("plate", BOX[:4])])).normals_B is None
+    assert c.shape_of(Vehicle("flat", hull=[HullPart("plate", BOX[:4])])).outward_B is None
     assert c.shape_of(Vehicle("nothing")) is None
 
 

@@ -5,6 +5,8 @@ numba settles the processor's features for the whole process when the first func
 
 from __future__ import annotations
 
+from inspect import getsource
+from types import ModuleType
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -29,6 +31,21 @@ def _use_full_vectors() -> None:
 
 
 _use_full_vectors()
+
+
+def compiled_with(*modules: ModuleType) -> Any:
+    """A decorator that compiles functions which call compiled ones of `modules`, and keeps them until a file of these changes, too:
+    of itself numba looks at a function's own file only."""
+    texts = tuple(getsource(module) for module in modules)
+
+    def made(function: Any) -> Any:
+        kept: Any = njit(nogil=True, cache=True)(function)
+        if hasattr(kept, "_cache"):  # numba may be told not to compile
+            file = kept._cache._cache_file
+            file._source_stamp = (file._source_stamp, texts)
+        return kept
+
+    return made
 
 
 def target() -> tuple[str, str, str]:

@@ -18,7 +18,7 @@ KINDS = ("leg", "panel", "body")
 """What a point of the shape belongs to; a corner that panels share with the bare body counts as panel."""
 
 COPLANAR = 1e-6
-"""Facets closer than this (normals, and m per m of size) are one facet."""
+"""Facets closer than this (directions, and m per m of size) are one facet."""
 
 REFINE = 16
 """Instants per sampling interval at which the first contact is looked for once its interval is known."""
@@ -34,7 +34,7 @@ class Shape:
     kind : (n_point) index in `KINDS`.
     leg : (n_point) number of the leg whose end the point is, or -1.
     panels : (n_point, n_panel) whether the point is a corner of that panel.
-    normals_B, distances_m : outward unit normals (n_facet, 3) and distances of the facets, or None: see `rest_facet`.
+    outward_B, distances_m : outward unit vectors (n_facet, 3) and distances of the facets, or None: see `rest_facet`.
     facet_kind : (n_facet) index in `KINDS` of what the vehicle rests on: "leg" if on ends of legs only, "panel" if a corner
         of a panel takes part.
     complete : False where no hull is given, so that the ends of the legs are all there is.
@@ -44,7 +44,7 @@ class Shape:
     kind: np.ndarray
     leg: np.ndarray
     panels: np.ndarray
-    normals_B: np.ndarray | None
+    outward_B: np.ndarray | None
     distances_m: np.ndarray | None
     facet_kind: np.ndarray | None
     complete: bool
@@ -89,10 +89,10 @@ def _facets(points: np.ndarray, kind: np.ndarray) -> tuple[np.ndarray, np.ndarra
         return None, None, None
     _, first = np.unique(np.round(equations / COPLANAR / 10), axis=0, return_index=True)
     facets = equations[np.sort(first)]
-    normals, distances = facets[:, :3], -facets[:, 3]
-    on = np.abs(points @ normals.T - distances) < 100 * COPLANAR * size  # (point, facet)
+    outward, distances = facets[:, :3], -facets[:, 3]
+    on = np.abs(points @ outward.T - distances) < 100 * COPLANAR * size  # (point, facet)
     facet_kind = [0 if np.all(kind[part] == 0) else 1 if np.any(kind[part] == 1) else 2 for part in on.T]
-    return normals, distances, np.array(facet_kind)
+    return outward, distances, np.array(facet_kind)
 
 
 def support(points_B_m: np.ndarray, direction_B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,16 +124,16 @@ def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
     facet's distance, and so on until the foot of the perpendicular lies inside the facet. Each step lowers the centre of
     mass: (plumb meets g when resting on f) d_g <= d_f n_g.n_f < d_f, so it ends.
     """
-    normals, distances = shape.normals_B, shape.distances_m
-    if normals is None or distances is None:
+    outward, distances = shape.outward_B, shape.distances_m
+    if outward is None or distances is None:
         raise InputError(sentence("this shape has no facet to rest on", do="give a hull with a volume around the centre of mass"))
     down = -up_B
     facet = np.full(len(up_B), -1)
     for _ in range(len(distances) + 1):
-        beyond = np.argmax(down @ normals.T / distances, axis=1)
+        beyond = np.argmax(down @ outward.T / distances, axis=1)
         if np.array_equal(beyond, facet):
             break
-        facet, down = beyond, normals[beyond]
+        facet, down = beyond, outward[beyond]
     return facet
 
 

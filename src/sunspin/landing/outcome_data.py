@@ -96,10 +96,10 @@ def _with_shape(result: xr.Dataset, vehicle: Vehicle, shape: Shape | None) -> xr
         point_on_panel=(("point", "panel"), shape.panels),
         panel=("panel", np.array(vehicle.panel_names, dtype=np.str_)),
     )
-    if shape.normals_B is None:
+    if shape.outward_B is None:
         return result
     return result.assign_coords(
-        facet_normal_B=(("facet", "axis"), shape.normals_B, {"units": "1"}), facet_kind=("facet", names[shape.facet_kind])
+        facet_normal_B=(("facet", "axis"), shape.outward_B, {"units": "1"}), facet_kind=("facet", names[shape.facet_kind])
     )
 
 
@@ -140,7 +140,7 @@ def not_told(rows: Any) -> list[str]:
         )
     elif not shape.complete:
         found.append("Without a hull in the vehicle file only the legs can touch first: nothing is told of body, panels and rest.")
-    elif shape.normals_B is None:
+    elif shape.outward_B is None:
         found.append("The hull has no volume around the centre of mass, so it cannot be told on what the vehicle comes to rest.")
     if not vehicle.legs:
         found.append("Without legs in the vehicle file no speed of an end of a leg can be told.")

@@ -269,11 +269,11 @@ class OutcomeRows:
         seen = _at(t, orbiter, contact.t_s)
         if antenna is not None:
             out["antenna_at_contact"][:] = _served(antenna, seen)
-        if shape.normals_B is not None and shape.complete:
+        if shape.outward_B is not None and shape.complete:
             facet = rest_facet(shape, contact.up_B)
             out["rest_facet"][:] = facet
             if antenna is not None:
-                out["antenna_at_rest"][:] = _served(antenna, smallest_turn(contact.up_B, -shape.normals_B[facet], seen))
+                out["antenna_at_rest"][:] = _served(antenna, smallest_turn(contact.up_B, -shape.outward_B[facet], seen))
 
 
 def _served(antenna: Antenna, orbiter_B: np.ndarray) -> np.ndarray:

@@ -240,7 +240,7 @@ def spiral(count: int = SPIRAL) -> np.ndarray:
 
 
 def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
-    """Equally likely normals of the ground (m, 3), body axes at the touchdown, and in words what they are."""
+    """Equally likely directions up from the ground (m, 3), body axes at the touchdown, and in words what they are."""
     if isinstance(wanted, str):
         if wanted == "any":
             return spiral(), "every direction"

@@ -67,8 +67,8 @@ def is_reconstructed(status: Any) -> np.ndarray:
 
 
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
-    """The lit patterns that geometry allows and from which a direction follows: three independent normals, no rule against, and
-    no panels that share an input so that several directions fit."""
+    """The lit patterns that geometry allows and from which a direction follows: three panels that look in
+    independent directions, no rule against, and no panels that share an input so that several directions fit."""
     patterns = lit_patterns(vehicle)
     response = vehicle.response_in()
     regions = response.regions()
@@ -148,8 +148,9 @@ def sun_directions(
         noise, noise_from = dark, "estimated from readings below zero"
     doubtful = told.copy()
     doubtful[told] = _several(vehicle, clean[told], noise)
-    status, texts = np.where(doubtful, SunStatus.SEVERAL, status), np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
-    told &= ~doubtful
+    if doubtful.any():
+        status[doubtful], texts = SunStatus.SEVERAL, np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
+        told &= ~doubtful
     covariance = _covariances(vehicle, clean, lit, told, noise)
     arcs = _arcs(vehicle, clean, lit, status)
     return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)

@@ -47,7 +47,8 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | 
     stated = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
     unstated = float(np.sqrt((read**2).mean()))
     prior = np.append(np.where(stated > 0, stated, unstated), gyro.scale_sigma / abs(gyro.scale_rad_s) or SCALE_SIGMA)
-    value, more = np.array([0.0, 0.0, 0.0, 1.0]), 1.0
+    value, more, covariance = np.array([0.0, 0.0, 0.0, 1.0]), 1.0, np.diag(prior**2)
+    slopes: list[tuple[int, np.ndarray]] = []
     for _ in range(ROUNDS):
         model, slopes, squares, sizes = np.diag(prior**-2.0), [], [], []
         right = prior**-2.0 * [0.0, 0.0, 0.0, 1.0]

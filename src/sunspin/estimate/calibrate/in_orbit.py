@@ -168,7 +168,7 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
         back = np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)) * unit_T / unit
         own = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
         model, state = _settled(*begun(Start(back, unit * back @ unknown[9:12], unknown[12]), own))
-        found.append((model.linearise(state).cost[0] + 3 * seen.has_field.sum() * np.log(own), model, state, own))
+        found.append((model.left_of_both(state.unknown[0]), model, state, own))
     _, model, state, unit = min(found, key=lambda each: each[0])
     return model.answer(state, unit)
 
@@ -310,7 +310,7 @@ class _Model:
     sky: _Sky
     unit_T: float
     precision: np.ndarray
-    scatter: tuple[float, float, float] = (1.0, 1.0, 0.05)
+    scatter: tuple[float, float, float] = (0.5, 1.0, 0.02)
 
     @property
     def kinds(self) -> np.ndarray:
@@ -479,6 +479,13 @@ class _Model:
         scale = np.nanmedian(np.linalg.norm(self.seen.field, axis=1) / np.linalg.norm(field, axis=1))
         plain[:9], plain[12:14] = ((scale if np.isfinite(scale) else 1.0) * np.eye(3) - np.eye(3)).ravel(), unknown[12:14]
         return plain
+
+    def left_of_both(self, unknown: np.ndarray) -> float:
+        """Minus a log likelihood of what is left of strength and angle, by their medians: the cost of the fit itself, in which each
+        sample has an attitude, does not tell a noisy field from noisy Suns."""
+        strength, angle = self._left(unknown)
+        both = (self.seen.has_field & self.seen.has_sun).sum()
+        return float(self.seen.has_field.sum() * np.log(strength) + (both * np.log(angle) if np.isfinite(angle) else 0.0))
 
     def _left(self, unknown: np.ndarray) -> tuple[float, float]:
         """Medians of what is left of the field's strength, in its unit, and of its angle to the Sun (rad)."""

@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError, MotionError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
@@ -130,6 +130,9 @@ def _shaped(numbers: np.ndarray) -> Any:
 
 def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[list[Key], Vehicle]:
     """Gains by the brightness of samples, and the vehicle with them."""
+    if vehicle.channels:
+        notes.append("gains of panels: an input that panels share does not tell the gain of each")
+        return [], vehicle
     quality = panel_quality(vehicle, telemetry)
     stated, gain = vehicle.panel_gains, quality["gain"].values
     if not np.isfinite(quality.attrs["spread"]):
@@ -279,7 +282,7 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: b
     assert gyro is not None
     try:
         found = rates(vehicle, telemetry.drop_vars("gyro_B"), progress=progress)
-    except InputError as error:
+    except (InputError, MotionError) as error:
         notes.append(f"gyro: not determined, as without it there are no rates: {error}")
         return []
     fit = fit_gyro(gyro, telemetry, found)

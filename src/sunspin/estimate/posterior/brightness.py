@@ -8,7 +8,8 @@ from sunspin.estimate.posterior.cells import CANDIDATE_GRID, CAP
 from sunspin.estimate.posterior.data import Readings
 from sunspin.telemetry.sun import best_directions, is_reconstructed, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power, sphere
+from sunspin.vehicle.response.panels import panel_power
+from sunspin.vehicle.response.protocol import sphere
 
 LEAST_SEEN, MOST_SEEN = 0.5, 1.2
 """Range of the smallest scale that few panels allow, in which gains with a unit may be right."""

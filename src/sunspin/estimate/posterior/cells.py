@@ -19,13 +19,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.compute.compiler import njit
+from sunspin.compute.compiler import compiled_with
 from sunspin.dynamics import gyrostat as g
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.fit import asked
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.rotations import moved, tangents
-from sunspin.vehicle.response.cosine import panel_power, sphere
+from sunspin.vehicle.response import cube, inside
+from sunspin.vehicle.response.inside import between, seen
+from sunspin.vehicle.response.panels import panel_power
+from sunspin.vehicle.response.protocol import sphere
+
+jit = compiled_with(cube, inside)
 
 TURN = 1.6
 """rad by which neighbours of the grid differ at the farthest of the samples tried; interpolated rotations then err by 0.05."""
@@ -85,10 +90,8 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
 
 def shortfall(model: Model, data: Readings, sun: np.ndarray, angle: float, scale: float) -> np.ndarray:
     """How far (n) readings of samples (K) speak against any direction within `angle` rad of `sun` (n, K, 3)."""
-    gains = scale * model.vehicle.panel_gains
-    off = np.arccos(np.clip(sun @ model.vehicle.panel_normals_B.T, -1.0, 1.0))
-    low = gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0) * (1 - SCALE_SHARE)
-    high = gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0) * (1 + SCALE_SHARE)
+    low, high = model.vehicle.response_in().bounds(sun, angle)
+    low, high = scale * low * (1 - SCALE_SHARE), scale * high * (1 + SCALE_SHARE)
     beyond = np.maximum(np.maximum(low - data.value, data.value - high) / data.sigma - SIGMAS, 0.0)
     return np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=(1, 2))
 
@@ -210,11 +213,11 @@ class Starts:
         """The starts, best first, and how many points of the grid settled there."""
         side = self.attitudes.side
         corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [side**2, side, 1]
-        gains = self.scale * self.attitudes.model.vehicle.panel_gains
+        law = self.attitudes.model.vehicle.response_in().inside((NEAR, FAR))
         frame = np.stack([self.suns, *tangents(self.suns)], axis=1)
         fixed = (
-            self.row_of, corners, self.turn, frame, self.attitudes.model.vehicle.panel_normals_B, gains, self.data.value,
-            self.data.used, self.here, self.here_used, self.data.sigma,
+            self.row_of, corners, self.turn, frame, law._replace(gains=self.scale * law.gains), self.data.value, self.data.used,
+            self.here, self.here_used, self.data.sigma,
         )  # fmt: skip
         pieces = np.array_split(self.cells, max(1, len(self.cells) // 5_000))
         with ThreadPoolExecutor(workers) as pool:
@@ -238,7 +241,7 @@ def _distinct(state: State, cost: np.ndarray, reach_s: float) -> tuple[np.ndarra
     return order[first[rank]], count[rank]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _load(quaternions, rows, turn):
     """The rotations at the corners of a cell, with signs alike so that they can be interpolated."""
     for corner in range(8):
@@ -252,22 +255,22 @@ def _load(quaternions, rows, turn):
                     quaternions[corner, m, q] = -quaternions[corner, m, q]
 
 
-@njit(nogil=True, cache=True)
-def _best_point(quaternions, at, sun, normals, gains, value, used, sigma):
+@jit
+def _best_point(quaternions, at, sun, law, value, used, sigma):
     """The best point of the eighth of a cell that begins at `at`, and its misfit: infinite where none will do."""
     least, best = np.inf, at
-    if _against(quaternions, at + 0.25, sun, normals, gains, value, used, sigma, FAR)[0] > LIMIT:
+    if _against(quaternions, at + 0.25, sun, law, value, used, sigma, 1)[0] > LIMIT:
         return best, least
     for point in range(8):
         x = at + 0.25 * np.array([0.5 + (point >> 2 & 1), 0.5 + (point >> 1 & 1), 0.5 + (point & 1)])
-        short, misfit = _against(quaternions, x, sun, normals, gains, value, used, sigma, NEAR)
+        short, misfit = _against(quaternions, x, sun, law, value, used, sigma, 0)
         if short <= LIMIT and misfit < least:
             least, best = misfit, x
     return best, least
 
 
-@njit(nogil=True, cache=True)
-def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used, here, here_used, sigma):
+@jit
+def look_through(cells, row_of, corners, turn, suns, law, value, used, here, here_used, sigma):
     """The settled starts of cells, (n, 8): place, direction, x, y, z in the cell, two steps of the direction, misfit."""
     room = 1024
     found = np.empty((room, 8))
@@ -278,10 +281,10 @@ def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used
         for eighth in range(8):
             at = np.array([(eighth >> 2 & 1) * 0.5, (eighth >> 1 & 1) * 0.5, (eighth & 1) * 0.5])
             for c in range(len(suns)):
-                best, least = _best_point(quaternions, at, suns[c, 0], normals, gains, value, used, sigma)
+                best, least = _best_point(quaternions, at, suns[c, 0], law, value, used, sigma)
                 if least == np.inf:
                     continue
-                x, step, misfit = _settle(quaternions, best, suns[c], normals, gains, value, used, here, here_used, sigma)
+                x, step, misfit = _settle(quaternions, best, suns[c], law, value, used, here, here_used, sigma)
                 if misfit <= SETTLED and np.abs(x - at - 0.25).max() < 0.5:
                     if count == room:
                         room *= 2
@@ -294,7 +297,7 @@ def look_through(cells, row_of, corners, turn, suns, normals, gains, value, used
     return found[:count]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _turned(quaternions, m, x, vector, out):
     """`vector` turned by the rotation interpolated at x (3, parts of the cell)."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
@@ -312,54 +315,51 @@ def _turned(quaternions, m, x, vector, out):
     out[2] = (s * vector[2] + 2 * dot * c + 2 * d * (a * vector[1] - b * vector[0])) / size
 
 
-@njit(nogil=True, cache=True)
-def _against(quaternions, x, sun, normals, gains, value, used, sigma, angle):
-    """What speaks against all directions within `angle` of that of a point, in the worst sample; and its own misfit."""
+@jit
+def _against(quaternions, x, sun, law, value, used, sigma, angle):
+    """What speaks against all directions within angle number `angle` of that of a point, in the worst sample; its own misfit."""
     worst, misfit = 0.0, 0.0
     r = np.empty(3)
     for m in range(quaternions.shape[1]):
         _turned(quaternions, m, x, sun, r)
         short = 0.0
-        for j in range(len(gains)):
+        for j in range(len(law.gains)):
             if not used[m, j]:
                 continue
-            cosine = min(1.0, max(-1.0, normals[j, 0] * r[0] + normals[j, 1] * r[1] + normals[j, 2] * r[2]))
-            sine = np.sqrt(1.0 - cosine * cosine)
-            up = 1.0 if cosine > np.cos(angle) else cosine * np.cos(angle) + sine * np.sin(angle)
-            down = -1.0 if cosine < -np.cos(angle) else cosine * np.cos(angle) - sine * np.sin(angle)
-            low, high = gains[j] * max(down, 0.0) * (1 - SCALE_SHARE), gains[j] * max(up, 0.0) * (1 + SCALE_SHARE)
+            share, gain = seen(law, j, r[0], r[1], r[2])[0], law.gains[j]
+            low, high = between(law, angle, j, r[0], r[1], r[2])
+            low, high = gain * low * (1 - SCALE_SHARE), gain * high * (1 + SCALE_SHARE)
             beyond = max(low - value[m, j], value[m, j] - high) / sigma - SIGMAS
             if beyond > 0:
                 short += min(beyond * beyond, CAP)
-            misfit += min(((gains[j] * max(cosine, 0.0) - value[m, j]) / sigma) ** 2, 1e6)
+            misfit += min(((gain * share - value[m, j]) / sigma) ** 2, 1e6)
         worst = max(worst, short)
     return worst, misfit
 
 
-@njit(nogil=True, cache=True)
-def _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma):
+@jit
+def _gather(normal, gradient, r, column, law, reading, counts, sigma):
     """Add one sample's readings to the normal equations; its misfit. `r` (3) is the direction, `column` (5, 3) its derivatives."""
-    misfit = 0.0
-    for j in range(len(gains)):
-        cosine = normals[j, 0] * r[0] + normals[j, 1] * r[1] + normals[j, 2] * r[2]
-        if not counts[j] or (cosine <= 0 and reading[j] <= 0):
+    misfit, slope = 0.0, np.empty(3)
+    for j in range(len(law.gains)):
+        share, slope[0], slope[1], slope[2] = seen(law, j, r[0], r[1], r[2])
+        if not counts[j] or (share <= 0 and reading[j] <= 0):
             continue
-        s = np.sqrt(sigma * sigma + (BLUR * gains[j]) ** 2)
-        residual = (reading[j] - gains[j] * max(cosine, 0.0)) / s
+        gain = law.gains[j]
+        s = np.sqrt(sigma * sigma + (BLUR * gain) ** 2)
+        residual = (reading[j] - gain * share) / s
         misfit += min(residual * residual, CAP)
-        if cosine <= -0.1:
-            continue
         weight = 1.0 / (1.0 + residual * residual / 25.0)
-        slope = -gains[j] / s * (column @ normals[j])
+        change = -gain / s * (column @ slope)
         for i in range(5):
-            gradient[i] += weight * slope[i] * residual
+            gradient[i] += weight * change[i] * residual
             for q in range(i + 1):
-                normal[i, q] += weight * slope[i] * slope[q]
+                normal[i, q] += weight * change[i] * change[q]
     return misfit
 
 
-@njit(nogil=True, cache=True)
-def _settle(quaternions, x, frame, normals, gains, value, used, here, here_used, sigma):
+@jit
+def _settle(quaternions, x, frame, law, value, used, here, here_used, sigma):
     """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit."""
     x, step, sun = x.copy(), np.zeros(2), frame[0].copy()
     r, other, column = np.empty(3), np.empty(3), np.empty((5, 3))
@@ -383,7 +383,7 @@ def _settle(quaternions, x, frame, normals, gains, value, used, here, here_used,
                     _turned(quaternions, m, x, frame[1 + i], other)
                     column[3 + i] = other
             reading, counts = (here, here_used) if m < 0 else (value[m], used[m])
-            misfit += _gather(normal, gradient, r, column, normals, gains, reading, counts, sigma)
+            misfit += _gather(normal, gradient, r, column, law, reading, counts, sigma)
         if iteration == STEPS:
             break
         for i in range(5):

@@ -19,6 +19,7 @@ from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.tags import power_slope, tagged
 from sunspin.estimate.terms.reading import LOG_2PI
 from sunspin.solve.rotations import moved, tangents
+from sunspin.vehicle.response.protocol import PanelResponse
 
 OUTLIERS = 0.02
 """Probability beforehand that a reading has nothing to do with the Sun."""
@@ -94,18 +95,23 @@ class Likelihood:
         sun, omega = (np.concatenate(every, axis=1) for every in zip(*parts, strict=True))
         return Prediction(sun[:, samples], omega[:, samples], omega[:, others], sun[:, others], fine)
 
+    @cached_property
+    def response(self) -> PanelResponse:
+        """How the vehicle's panels see light."""
+        return self.model.vehicle.response_in()
+
     def power(self, sun: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Expected readings (n, K, P) of directions (n, K, 3)."""
-        return self.gains(u)[:, None, :] * np.maximum(0.0, sun @ self.model.vehicle.panel_normals_B.T)
+        return self.response.power(sun, gain=self.gain(u))
 
-    def gains(self, u: np.ndarray) -> np.ndarray:
-        """Signal of each panel at normal incidence (n, P)."""
+    def gain(self, u: np.ndarray) -> np.ndarray:
+        """Factors (n, 1, P) on the vehicle's gains: brightness, and each panel's own."""
         model = self.model
         scale = np.zeros(len(u))
         for i in model.where("scale"):
             scale = model.unknowns[i].centre + model.unknowns[i].sigma * u[:, i]
         gains = model.relative(u, "gain", len(model.vehicle.panels))
-        return model.vehicle.panel_gains * np.exp(scale[:, None] + gains)
+        return np.exp(scale[:, None] + gains)[:, None]
 
     def noise(self, u: np.ndarray) -> np.ndarray:
         """Sigma of a reading (n), in its unit."""
@@ -223,34 +229,30 @@ class Likelihood:
             turned, rest = parts[3], np.zeros_like(base.rate)
             moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
             moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
-        columns = [self._moving(base, state.u, move) for move in moves]
-        for i in range(state.u.shape[1]):
-            if i in moving:
-                columns.append(self._moving(base, state.u, parts[first + moving.index(i)].slope(base, own)))
-            else:
-                columns.append(self._standing(base, state.u, i))
+        moves += [p.slope(base, own) for p in parts[first:]]
+        power = self.power(base.sun, state.u)
+        counts = self.data.used & (self.data.lit | (power > self.data.threshold))  # not a dark panel that should be dark
+        columns = self._along(base, state.u, moves, counts)
+        own_run = iter(columns[5:])
+        each = range(state.u.shape[1])
+        columns = columns[:5] + [next(own_run) if i in moving else self._standing(power, counts, i) for i in each]
         jacobian = np.stack(columns, axis=-1)
         return base, raw, extra, np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
 
-    def _counting(self, base: Prediction, u: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """The derivative (n, K * P) of readings from that of powers (n, K, P): none where a dark panel should be dark."""
-        power = self.power(base.sun, u)
-        counts = self.data.used & (self.data.lit | (power > self.data.threshold))
-        return np.where(counts, -slope, 0.0).reshape(len(u), -1)
+    def _along(self, base: Prediction, u: np.ndarray, moves: list[Prediction], counts: np.ndarray) -> list[np.ndarray]:
+        """Derivatives (n, R) of the differences along derivatives of the motion; `counts` (n, K, P): readings that change."""
+        slopes, found = self.response.along(base.sun, [move.sun for move in moves], gain=self.gain(u)), []
+        for move, slope in zip(moves, slopes, strict=True):
+            columns = [np.where(counts, -slope, 0.0).reshape(len(u), -1)]
+            for i, o in enumerate(self.data.others):
+                columns.append(-o.slope(base.at[:, i], base.omega[:, i], move.at[:, i], move.omega[:, i]) / o.sigma)
+            found.append(np.concatenate(columns, axis=1))
+        return found
 
-    def _moving(self, base: Prediction, u: np.ndarray, move: Prediction) -> np.ndarray:
-        """Derivative (n, R) of the differences along a derivative of the motion."""
-        normals = self.model.vehicle.panel_normals_B.T
-        lit = base.sun @ normals > 0
-        columns = [self._counting(base, u, self.gains(u)[:, None, :] * np.where(lit, move.sun @ normals, 0.0))]
-        for i, o in enumerate(self.data.others):
-            columns.append(-o.slope(base.at[:, i], base.omega[:, i], move.at[:, i], move.omega[:, i]) / o.sigma)
-        return np.concatenate(columns, axis=1)
-
-    def _standing(self, base: Prediction, u: np.ndarray, i: int) -> np.ndarray:
+    def _standing(self, power: np.ndarray, counts: np.ndarray, i: int) -> np.ndarray:
         """The same along an unknown that does not change the motion: scale, gains."""
-        unknown, panels = self.model.unknowns[i], len(self.model.vehicle.panels)
-        share = {"scale": np.ones(panels), "gain": (np.arange(panels) == unknown.index) * 1.0}.get(unknown.kind, np.zeros(panels))
-        power = self.power(base.sun, u)
-        more = np.zeros((len(u), sum(o.value.size for o in self.data.others)))
-        return np.concatenate([self._counting(base, u, power * share * unknown.sigma), more], axis=1)
+        unknown, panels = self.model.unknowns[i], np.arange(power.shape[-1])
+        share = {"scale": 1.0, "gain": (panels == unknown.index) * 1.0}.get(unknown.kind, 0.0)
+        more = np.zeros((len(power), sum(o.value.size for o in self.data.others)))
+        slope = power * share * unknown.sigma
+        return np.concatenate([np.where(counts, -slope, 0.0).reshape(len(power), -1), more], axis=1)

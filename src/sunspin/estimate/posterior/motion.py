@@ -11,7 +11,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.posterior.data import group
 from sunspin.estimate.posterior.predict import drawn_rows
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.cosine import panel_power
+from sunspin.vehicle.response.panels import panel_power
 
 MOST_REGIONS = 4
 """Regions of the most weight whose best motion is computed."""

@@ -264,13 +264,13 @@ def _all_finished(
     o: Observations, wholes: list[np.ndarray], parts: list[np.ndarray], tracks: list[tuple[Observations, Track]], motion: Motion,
     clock: Clock | None, rate_max: float, begin: float, spent: Effort, others: Others,
 ) -> tuple[list[Pass], list[bool]]:
-    """All passes `finished`, and where only some of the modes were, the effort being spent."""
+    """All passes `finished`, and where only some of the modes were, and no other model, the effort being spent."""
     found, fewer = [], []
     for k, (whole, part, (_, track)) in enumerate(zip(wholes, parts, tracks, strict=True)):
         spent.doing(f"fit of pass {k + 1} of {len(parts)}")
-        fewer.append(len(track.omega) > FEW_MODES and not may_go_on())
+        fewer.append(not may_go_on())
         track = track.take(slice(FEW_MODES)) if fewer[-1] else track
-        found.append(finished(o, whole, part, track, motion, clock, rate_max, begin, others if may_go_on() else None))
+        found.append(finished(o, whole, part, track, motion, clock, rate_max, begin, None if fewer[-1] else others))
     spent.close()
     return found, fewer
 

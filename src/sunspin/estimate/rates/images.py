@@ -69,6 +69,6 @@ def not_told(vehicle: Vehicle) -> str:
     which = f"{'inputs' if len(shared) > 1 else 'input'} {', '.join(shared)}"
     copies = "a mirror image" if count == 2 else f"{count - 1} mirror images and turned copies"
     return (
-        f"which panel of {which} is lit is not told: each motion has {copies}, with other signs of its components, as likely as "
-        "itself; a gyro, a magnetometer or a Sun sensor tells them apart"
+        f"which panel of {which} is lit is not told: each motion has {copies}, with other signs of its components, as good as "
+        "itself unless inertia or wheels tell them apart; a gyro, a magnetometer or a Sun sensor does"
     )

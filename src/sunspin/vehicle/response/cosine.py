@@ -8,26 +8,19 @@ few candidates, each linear in M, so it is found without a search and for many s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sunspin.solve.rotations import moved, seen_turned
-from sunspin.vehicle.response.panels import panel_power as panel_power
 from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula, plane_basis
-from sunspin.vehicle.response.protocol import (
-    BLUR_NODES,
-    BLUR_WEIGHTS,
-    Counted,
-    Regions,
-    Slopes,
-    misfit,
-    unit_readings,
-)
-from sunspin.vehicle.response.protocol import (
-    sphere as sphere,  # here for rates and posterior, as panel_power is
-)
+from sunspin.vehicle.response.protocol import BLUR_NODES, BLUR_WEIGHTS, Counted, Regions, Slopes, misfit, unit_readings
+
+if TYPE_CHECKING:
+    from sunspin.vehicle.response.inside import Inside
 
 NUMBERS = 10_000_000
 """Candidates times panels times samples solved at once: some 200 MB."""
@@ -97,6 +90,10 @@ class Cosine(Flat):
         to_tilt = None if tilt is None else lit * np.cross(normals, sun)
         return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
+    def along(self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None) -> list[np.ndarray]:
+        lit, strength = self.cosines(sun_B, None) > 0, self.strengths(gain)
+        return [strength * np.where(lit, step @ self.normals_B.T, 0.0) for step in steps]
+
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         rows = self._rows / unit
         return np.maximum(0.0, light_B @ rows.T), rows
@@ -109,10 +106,15 @@ class Cosine(Flat):
         slope = part[..., None] * (axis + self.normals_B) - part[..., None] ** 2 * axis
         return self.gains * part**2 * np.asarray(strength)[..., None], self.gains[:, None] * slope
 
-    def bounds(self, sun_B: np.ndarray, angle: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        off, angle = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0)), np.asarray(angle)[..., None]
+    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
         low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
         return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
+
+    def inside(self, angles: tuple[float, ...]) -> Inside:
+        from sunspin.vehicle.response.inside import Inside  # and with it a compiler
+
+        return Inside.of(self.normals_B, self.gains, angles)
 
     @cached_property
     def _cells(self) -> Arrangement:

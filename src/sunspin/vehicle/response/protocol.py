@@ -6,10 +6,14 @@ NaN and no power is negative. If body and Sun turn together nothing changes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from sunspin.vehicle.response.inside import Inside
 
 Literals = tuple[tuple[int, bool], ...]
 """A conjunction: (panel index, lit?) ..."""
@@ -97,6 +101,10 @@ class PanelResponse(Protocol):
         """The same with its derivatives."""
         ...
 
+    def along(self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None) -> list[np.ndarray]:
+        """How powers change (each (..., n_panel)) with the Sun along each of `steps` (..., 3): not at all where they are zero."""
+        ...
+
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Signals (..., n_panel), in `unit`s, under a light `light_B` (..., 3), direction times brightness, and their derivative by
         it, which (..., n_panel, 3) or (n_panel, 3) holds where the signal is not zero."""
@@ -107,8 +115,12 @@ class PanelResponse(Protocol):
         there; and their derivative (..., n_panel, 3) by the vector strength times axis."""
         ...
 
-    def bounds(self, sun_B: np.ndarray, angle: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest signal for any Sun within `angle` (...) rad."""
+    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest signal for any Sun within `angle` rad, or a little beyond."""
+        ...
+
+    def inside(self, angles: tuple[float, ...]) -> Inside:
+        """Powers, slopes and bounds within each of `angles` (rad) as numbers for compiled code."""
         ...
 
     def regions(self) -> Regions:

@@ -6,6 +6,7 @@ from planes is found here on even directions (`LOOKS`, `NODES`) and refined by s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ from sunspin.vehicle.response.protocol import Counted, Law, Regions, Slopes, mis
 
 if TYPE_CHECKING:
     from sunspin.vehicle.response.cube import SphereTable
+    from sunspin.vehicle.response.inside import Inside
 
 LOOKS, NODES = 40_000, 4000
 """Directions, 1 and 3.2 degrees apart, at which regions are told apart, and from which the best direction is sought."""
@@ -72,6 +74,9 @@ SIZES = (32, 64, 128, 256, 512)
 
 MASK_SIZE = 96
 """The same of a mask: 0.9 degrees."""
+
+CAP_SIZE, CAP_LOOKS, COARSE = 40, 10_000, 2e-3
+"""The same of bounds, 2.3 degrees, of directions 2 degrees apart; the error (share of the gain) of powers inside compiled code."""
 
 
 @lru_cache(maxsize=4)
@@ -154,6 +159,11 @@ class Tabled(Flat):
         smaller = np.where(np.abs(forward) < np.abs(back), forward, back)
         return np.where(np.abs(forward - back) > JUMP * self.gains, smaller, (forward + back) / 2)
 
+    def along(self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None) -> list[np.ndarray]:
+        power, to_sun = self._along_sphere(sun_B, gain)
+        to_sun = np.where(power[..., None] > 0, to_sun, 0.0)
+        return [np.einsum("...pi,...i->...p", to_sun, step) for step in steps]
+
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         size = np.linalg.norm(light_B, axis=-1, keepdims=True)
         sun = light_B / np.where(size > 0, size, 1.0)
@@ -184,23 +194,21 @@ class Tabled(Flat):
         slope = light[..., None] * axis_B[..., None, :] + sum(d[..., None] * e for d, e in zip(to_axis, frame, strict=True))
         return light * strength, slope
 
-    def bounds(self, sun_B: np.ndarray, angle: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """From directions `NODES`, each of which stands for those around it up to its slope."""
-        flat, far = sun_B.reshape(-1, 3), np.broadcast_to(angle, sun_B.shape[:-1]).reshape(-1) + _gap(NODES)
-        low, high = np.empty((len(flat), len(self.gains))), np.empty((len(flat), len(self.gains)))
-        least, most = self._node_bounds
-        for k, sun in enumerate(flat):
-            near = _even(NODES) @ sun >= np.cos(min(far[k], np.pi))
-            low[k], high[k] = least[near].min(axis=0), most[near].max(axis=0)
-        shape = (*sun_B.shape[:-1], -1)
-        return low.reshape(shape), high.reshape(shape)
+    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+        from sunspin.vehicle.response.inside import nearest
+
+        near = nearest(CAP_SIZE, np.ascontiguousarray(sun_B, dtype=np.float64).reshape(-1, 3)).reshape(sun_B.shape[:-1])
+        found = np.where(np.isfinite(sun_B)[..., None, :1], _caps(self._base, float(angle))[near], np.nan)
+        return self.gains * found[..., 0], self.gains * found[..., 1]
+
+    def inside(self, angles: tuple[float, ...]) -> Inside:
+        from sunspin.vehicle.response.inside import Inside
+
+        return Inside.of(self.normals_B, self.gains, angles, self._base._coarse, [_caps(self._base, angle) for angle in angles])
 
     @cached_property
-    def _node_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest power (NODES, n_panel) within the gap around each node."""
-        power, to_sun = self._along_sphere(_even(NODES))
-        more = np.linalg.norm(to_sun, axis=-1) * _gap(NODES)
-        return np.maximum(power - more, 0.0), power + more
+    def _coarse(self) -> SphereTable:
+        return self.table(COARSE)
 
     # ------------------------------------------------------------------------------------------------------------------ regions
 
@@ -470,6 +478,22 @@ def _border(response: Tabled, wanted: tuple[int, ...]) -> np.ndarray:
     from sunspin.vehicle.response.border import angle_to_border
 
     found = angle_to_border(lambda sun: np.isin(_code(response.power(sun) > 0), wanted), MASK_SIZE)
+    found.setflags(write=False)
+    return found
+
+
+@lru_cache(maxsize=16)
+def _caps(response: Tabled, angle: float) -> np.ndarray:
+    """Least and largest share (6 (CAP_SIZE + 1)^2, n_panel, 2) within `angle` of whatever lies nearest to a node of the cube: of
+    directions `CAP_LOOKS`, each of which stands for those around it up to its slope."""
+    from sunspin.vehicle.response.cube import nodes
+    from sunspin.vehicle.response.inside import over_caps
+
+    looks, gap = _even(CAP_LOOKS), _gap(CAP_LOOKS)
+    power, to_sun = response._along_sphere(looks)
+    more = np.linalg.norm(to_sun, axis=-1) * gap
+    reach = min(angle + np.sqrt(2) / CAP_SIZE + gap, np.pi)
+    found = over_caps(nodes(CAP_SIZE), np.cos(reach), looks, np.maximum(power - more, 0.0), power + more)
     found.setflags(write=False)
     return found
 
