@@ -11,7 +11,7 @@ BENCH ?=
 EVIDENCE := build/evidence.json
 
 TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
-# as many workers as cores, four at most
+# as many workers as cores, four at most: threads of the linear algebra would only stand in their way
 SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 
 .PHONY: help reproduce test test-all test-slow docs bench calibrate validate-real long other-pythons lint contracts style types lock clean
@@ -54,10 +54,11 @@ style: $(READY)
 types: $(READY)
 	$(BIN)/ty check
 
-# One core reads the documents while the other one checks all else that runs no test; after the tests only the page that shows
-# what they have reached is read again.
+test long: export OPENBLAS_NUM_THREADS = 1
+
+# the documents last: one of their pages shows what the tests have reached
 test: $(READY)
-	@$(MAKE) --no-print-directory -j2 --output-sync=target types contracts style docs
+	@$(MAKE) --no-print-directory -j2 --output-sync=target types contracts style
 	$(TESTS) $(SPREAD)
 	@$(MAKE) --no-print-directory docs
 
@@ -79,7 +80,7 @@ test-slow: $(READY)
 
 # pages that were read before are not read again, nor their warnings given: after a failure all are
 docs: $(READY)
-	$(BIN)/python -m sphinx -W --keep-going -q -b html -D evidence_file=$(abspath $(EVIDENCE)) docs build/site \
+	$(BIN)/python -m sphinx -j auto -W --keep-going -q -b html -D evidence_file=$(abspath $(EVIDENCE)) docs build/site \
 	  || { rm -rf build/site/.doctrees; exit 1; }
 	@echo "Documentation: build/site/index.html"
 

@@ -42,6 +42,8 @@ columns = ["q_s", "q_x", "q_y", "q_z"]
 scalar = "first"
 rotates = "B_to_N"
 sigma_rad = 0.01
+[disturbance]
+acceleration_noise = 1e-5
 """
 
 FOUR = """

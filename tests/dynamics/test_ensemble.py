@@ -138,7 +138,7 @@ def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
     """Strongly unequal moments, oblique wheels that stop or not, slow and fast rows: EMD by SciPy, no mask."""
     rng = np.random.default_rng(200 + n_wheels)
     vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
-    rows = rows_of(rng.normal(size=(10, 3)) * np.geomspace(0.02, 2.0, 10)[:, None], rng.uniform(-20, 20, n_wheels))
+    rows = rows_of(rng.normal(size=(6, 3)) * np.geomspace(0.02, 2.0, 6)[:, None], rng.uniform(-20, 20, n_wheels))
     result = k.run_rows(vehicle, rows, 600.0, emd_error=1e-3, bins=256)
     centres = (np.arange(256 * 8) + 0.5) / (128 * 8) - 1
     for i in range(len(rows)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,21 @@ def read_netcdf(source: Any, where: str, error_type: type[SunspinError]) -> xr.D
     return _guarded(source, where, error_type, lambda: _one(source), probe=True)
 
 
+def read_elsewhere(paths: Sequence[Path]) -> bool:
+    """Whether another process reads all of these files well: one start for many. Where not, each is to be read alone."""
+    try:
+        size = sum(path.stat().st_size for path in paths)
+        if size > MAX_BYTES or not all(is_plain(path) and _first_bytes(path) == SIGNATURE for path in paths):
+            return False
+        _in_another_process(*map(str, paths), size=size)
+    except (OSError, Elsewhere):
+        return False
+    return True
+
+
 def read_groups(path: Path, where: str, error_type: type[SunspinError], probe: bool = True) -> dict[str, xr.Dataset]:
-    """The groups of a NetCDF-4 file by their paths, times undecoded; `probe` false for a file that this program wrote."""
+    """The groups of a NetCDF-4 file by their paths, times undecoded; `probe` false for a file that this program wrote or that
+    another process has read."""
     return _guarded(path, where, error_type, lambda: _tree(path), probe)
 
 
@@ -85,8 +99,6 @@ def _first_bytes(path: Any) -> bytes:
 
 def _probed(source: Any) -> str | None:
     """What went wrong when another process read the file, or None."""
-    if not sys.executable:
-        return None
     stream = isinstance(source, io.BytesIO)
     content = source.getvalue() if stream else None
     try:
@@ -98,9 +110,14 @@ def _probed(source: Any) -> str | None:
         return error.strerror or str(error)
     if not begins.startswith(SIGNATURE):
         return "it does not begin as one"
-    script = Path(__file__).with_name("netcdf_probe.py")
     try:
-        elsewhere(script, "-" if stream else str(source), content=content or b"", seconds=PROBE_S + size // PROBE_BYTES_PER_S)
+        _in_another_process("-" if stream else str(source), content=content or b"", size=size)
     except Elsewhere as error:
         return str(error)
     return None
+
+
+def _in_another_process(*paths: str, size: int, content: bytes = b"") -> None:
+    if sys.executable:
+        script = Path(__file__).with_name("netcdf_probe.py")
+        elsewhere(script, *paths, content=content, seconds=PROBE_S + size // PROBE_BYTES_PER_S)

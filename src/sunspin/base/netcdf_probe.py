@@ -1,4 +1,4 @@
-"""Run as a script in another process: read all of a NetCDF-4 file (a path, or standard input), and end well or not."""
+"""Run as a script in another process: read all of NetCDF-4 files (paths, or standard input), and end well or not."""
 
 import io
 import sys
@@ -12,11 +12,12 @@ def main() -> None:
     import h5netcdf
     import h5py
 
-    source = io.BytesIO(sys.stdin.buffer.read()) if sys.argv[1] == "-" else sys.argv[1]
-    with h5py.File(source, "r") as file:
-        require_whole(file, set())
-    with h5netcdf.File(source, "r") as file:
-        read(file)
+    for path in sys.argv[1:]:
+        source = io.BytesIO(sys.stdin.buffer.read()) if path == "-" else path
+        with h5py.File(source, "r") as file:
+            require_whole(file, set())
+        with h5netcdf.File(source, "r") as file:
+            read(file)
 
 
 def require_whole(group: Any, seen: set[Any]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, SunspinError, printable, sentence
-from sunspin.base.netcdf import read_groups
+from sunspin.base.netcdf import read_elsewhere, read_groups
 from sunspin.base.untrusted import is_own, read_bytes
 from sunspin.output.folder import MARKER, Picture, maker
 from sunspin.vehicle import Vehicle
@@ -202,9 +202,9 @@ def _toml(found: Results, name: str, read: Any) -> Any:
 
 def _all_netcdf(found: Results, files: list[Path], ours: bool) -> None:
     """Read them in order of name, until too many were damaged or they fill the memory."""
-    unreadable = 0
+    unreadable, sound = 0, ours or (len(files) > 1 and read_elsewhere(files))
     for number, file in enumerate(files, 1):
-        unreadable += not _netcdf(found, file, ours)
+        unreadable += not _netcdf(found, file, sound)
         full = sum(data.nbytes for data in found.data.values()) > MAX_TOTAL_BYTES
         if (full or unreadable == MAX_UNREADABLE) and number < len(files):
             why = f"those before fill {MAX_TOTAL_BYTES / 1e9:g} GB" if full else f"{unreadable} before could not be read"
@@ -212,14 +212,14 @@ def _all_netcdf(found: Results, files: list[Path], ours: bool) -> None:
             return
 
 
-def _netcdf(found: Results, file: Path, ours: bool) -> bool:
-    """Read one file; whether that could be done."""
+def _netcdf(found: Results, file: Path, sound: bool) -> bool:
+    """Read one file, of which it is known or not that it can be; whether that could be done."""
     name = printable(file.name)
     try:
         if file.stat().st_size > MAX_BYTES:
             found.problems.append(f"{name} is larger than {MAX_BYTES // 1_000_000} MB and was not read.")
             return True
-        groups = read_groups(file, file.name, InputError, probe=not ours)
+        groups = read_groups(file, file.name, InputError, probe=not sound)
     except (OSError, InputError) as error:
         found.problems.append(f"{name} could not be read: {error}")
         return False
