@@ -68,7 +68,7 @@ def capabilities() -> dict[str, str]:
         for name in sunspin.__all__
         if inspect.isfunction(thing := getattr(sunspin, name))
     }
-    return able | {name: line for name, line in SUMMARIES.items() if name not in able}
+    return able | {name: line for name, line in SUMMARIES.items() if name.replace("-", "_") not in able}
 
 
 def page(file: str | None) -> str:

@@ -39,6 +39,7 @@ def calibrated(twin, monkeypatch, verdict=Verdict.FITS):
     return ss.calibrate_sensors(twin.vehicle, twin.telemetry, orbit)
 
 
+@pytest.mark.evidence("calibrate_sensors", "modelled", "sensors off by known amounts in an orbit, and sound ones")
 @pytest.mark.long
 @pytest.mark.parametrize("off", [1.0, 0.0])
 def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
@@ -56,6 +57,7 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
     assert "magnetometer.zero = [" in text and "Shift along the track" in text
 
 
+@pytest.mark.evidence("calibrate_sensors", "modelled", "a magnetometer off by a known zero, scale and matrix")
 def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch):
     twin = make(1, 0, gyro=False)
     sensors = replace(twin.vehicle.sensors, sun_sensors=())
@@ -82,6 +84,7 @@ def test_without_an_orbit_only_the_panels_are_calibrated():
     assert "not determined without an orbit" in found.attrs["notes"]
 
 
+@pytest.mark.evidence("calibrate_sensors", "modelled", "a gyro off by a known zero and scale beside rates found without it")
 def test_a_gyro_is_calibrated_by_rates_found_without_it():
     rng = np.random.default_rng(1)
     off = []
