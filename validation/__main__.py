@@ -17,6 +17,7 @@ CAMPAIGNS = {
     "verdicts": "simulated passes of every kind: wrong among decided, undecided among decidable, before and now",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/real-data.md",
     "right": "right files of every form through `check` and `rates`: each accusation is a false alarm",
+    "effort": "two files that once took an hour: what `rates` takes for them now",
     "unmoved": "results of another commit and of this state compared bit by bit",
     "lowest": "the tests with the lowest versions of the dependencies",
 }

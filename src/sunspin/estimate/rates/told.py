@@ -1,0 +1,178 @@
+"""What is said of rates: the Dataset with its numbers, what may be believed of each pass, and the verdict in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from sunspin.base.provenance import provenance
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
+from sunspin.environment.orbit import SunAlongZ
+from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, speeds, table
+from sunspin.estimate.rates.finish import Pass
+from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
+from sunspin.estimate.rates.images import either_side, images_of
+from sunspin.estimate.rates.smooth import cost_limit
+from sunspin.estimate.rates.state import Motion, Observations
+from sunspin.estimate.terms.earth_light import faint
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.sensors import SENSORS
+from sunspin.estimate.verdict import NARROWER, answers, misfit
+
+DECIDED = 0.9
+"""A mode with at least this weight is called decided."""
+
+SUSPECTED = "the data alone, not counted"
+"""Where a lateness comes from that the vehicle file does not speak of."""
+
+
+def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
+    count = max(len(p.weight) for p in found)
+
+    def padded(values: list[np.ndarray]) -> np.ndarray:
+        out = np.full((len(values), count, *values[0].shape[1:]), np.nan)
+        for row, value in zip(out, values, strict=True):
+            row[: len(value)] = value
+        return out
+
+    index = np.concatenate([p.index for p in found])
+    best = [p.track.take(np.array([0])) for p in found]
+    attitude = np.concatenate([track.attitude[0] for track in best])
+    covariance = np.concatenate([track.covariance[0] for track in best])
+    sun = np.concatenate([track.sun_B[0] for track in best])
+    means = [(p.mean, p.mean_sigma) for p in found]
+    spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
+    sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
+    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
+        "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
+        "acceleration_noise_from": "evidence of the data" if chosen else "given",
+        "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
+        "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
+        "frame_N": SUN_Z_LOCAL,
+    }  # fmt: skip
+    read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
+    attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
+    result = xr.Dataset(
+        {
+            "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, 3:, 3:], {"units": "rad2 s-2"}),
+            "sun_B": (("time", "axis"), sun, {"units": "1", "long_name": "direction to the Sun, smoothed"}),
+            "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
+            "B_from_N": (("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
+            "pass_of": ("time", np.repeat(np.arange(len(found)), [len(p.index) for p in found])),
+            "omega_mean_B": (("pass_id", "mode", "axis"), padded([m[0] for m in means]), {"units": "rad s-1"}),
+            "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
+            "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
+            "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
+            "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found], {"units": "1"}),
+            "why": ("sample", why.astype(np.str_)),
+        },
+        coords={
+            "time": ("time", o.t_s[index], {"units": "s"}), "sample": o.t_s, "axis": ["x", "y", "z"],
+            "pass_id": np.arange(len(found)), "quaternion": ["x", "y", "z", "w"],
+        },
+        attrs=attrs,
+    )  # fmt: skip
+    return result
+
+
+def in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations) -> xr.Dataset:
+    """The result with the turn about the Sun and its sigma; where a magnetometer was used, with attitudes from J2000."""
+    best = [p.track.take(np.array([0])) for p in found]
+    sun, covariance = (np.concatenate(parts) for parts in zip(*((t.sun_B[0], t.covariance[0]) for t in best), strict=True))
+    sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
+    about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
+    result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
+        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s,
+        orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
+    )  # fmt: skip
+    if o.freed().field_N is None:
+        return result
+    attitude = Rotation.from_quat(result["B_from_N"].values).as_matrix() @ local.N_from_J2000(result["time"].values)
+    turned = ("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}
+    return result.assign(B_from_N=turned).assign_attrs(frame_N=J2000)
+
+
+def believed(o: Observations, found: list[Pass], motion: Motion, missed: list[bool], epoch_utc: str | None) -> dict[str, Any]:
+    """What may be believed of each pass, and its motions at the sample nearest to its middle."""
+    rows, names = [], sorted({name for p in found for name in p.residual})
+    misfits = {name: np.full((len(found), 3), np.nan) for name in names}
+    for k, (p, is_missed) in enumerate(zip(found, missed, strict=True)):
+        t = o.t_s[p.index]
+        at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+        omega, covariance = p.track.omega[:, at], p.track.covariance[:, at, 3:, 3:]
+        sigma = np.sqrt(np.einsum("kii->ki", covariance))
+        told = {name: misfit(left[0]) for name, left in p.residual.items()}
+        for name, one in told.items():
+            misfits[name][k] = one
+        explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
+        one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
+        unique = bool(p.weight[one].sum() >= DECIDED)
+        said = answers(unique, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
+        row = PassMotions(
+            len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
+            UNCHECKED if list(told) == ["Sun"] else AS_STATED,
+        )  # fmt: skip
+        rows.append(row)
+    about = {"long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"}
+    return table(rows, epoch_utc) | {
+        "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
+        "sensor": names, "figure": ["readings", "beyond", "chance"],
+        "model": ("pass_id", [p.model[0] for p in found], {"long_name": "what holds most of the weight of all that was tried"}),
+        "model_weight": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
+    }  # fmt: skip
+
+
+def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Sigma (3) about the best mode's mean rate when the other modes, by their weights, are counted in."""
+    share = (weight / weight.sum())[:, None]
+    return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
+
+
+def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
+    """What is said of passes with `one` motion that may see the Sun on either side, and of those with `several`."""
+    text = ""
+    if sides := int((one & (result["weight"].values[:, 0] < DECIDED)).sum()):
+        text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
+    if several.any() and "alike" in result.attrs:
+        return f"{text}; in the others several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
+    if several.any():
+        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    return text
+
+
+def verdict(result: xr.Dataset) -> str:
+    """What the data can tell, in words."""
+    decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
+    informed = np.all([result[f"informed_{axis}"].values for axis in "xyz"], axis=0)
+    text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight, "
+    text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
+    if not fits.all():
+        text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
+    for doubt in ("wiring_doubt", "odd_sensor"):
+        text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
+    if count := int((fits & unique & ~informed).sum()):
+        text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if other := sum(one != AS_READ for one in result["model"].values):
+        text += f"; in {other} the motion is not that of the model as stated: what it may be is named"
+    text += _left_open(result, fits & unique, fits & ~unique)
+    if cut := result.attrs["cut_passes"]:
+        text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"
+    if result.attrs.get("wirings_cut"):
+        text += "; not every other wiring was tried: give more effort (`--effort 10`)"
+    if missed := result.attrs["coarse_passes"]:
+        text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
+    late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
+    if result.attrs["sensors_late_from"] == SUSPECTED and "wiring_doubt" not in result.attrs:
+        text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
+    elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
+        text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
+    if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
+        text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
+        if result.attrs["no_sphere"]:
+            text += "; the body is far from the sphere that the search takes it for, and another motion may fit: GIVE ITS INERTIA"
+    return text
