@@ -6,6 +6,8 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.environment.frames import J2000
+
 MOST_PASSES = 12
 """The longest passes are shown."""
 
@@ -46,6 +48,9 @@ def _dense(part: xr.Dataset, rates: xr.Dataset) -> xr.Dataset:
     share = ahead / (t[i + 1] - t[i])[:, None]
     attitude = Rotation.from_rotvec(share * (second * first.inv()).as_rotvec()) * first
     to_sun = known[0].inv().apply(part["sun_B"].values[0])
+    about = f"the likeliest motion of {t.size} samples; between samples carried on at the rates found there"
+    if rates.attrs.get("frame_N") != J2000:
+        about += ", and the turn about the line to the Sun at its start is arbitrary"
     return xr.Dataset(
         {
             "omega_B": (("time", "axis"), (1 - share) * omega[i] + share * omega[i + 1]),
@@ -55,7 +60,6 @@ def _dense(part: xr.Dataset, rates: xr.Dataset) -> xr.Dataset:
         coords={"time": when},
         attrs={
             "epoch_utc": str(rates.attrs.get("epoch_utc", "")),
-            "about": f"the likeliest motion of {t.size} samples; between samples carried on at the rates found there, and the "
-            "turn about the line to the Sun at its start is arbitrary",
+            "about": about,
         },
     )
