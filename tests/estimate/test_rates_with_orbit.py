@@ -123,6 +123,18 @@ def test_a_sample_in_the_shadow_counts_by_its_field_and_its_panels_must_be_dark(
     assert field_leads(known.take(dark[:6])) and not field_leads(known)
 
 
+def test_a_stated_sigma_of_the_zero_counts_once_where_the_orbit_calibrates(twin):
+    """The calibration has the zero's error, in tesla; that of the vehicle file is in the unit of the columns."""
+    vehicle, data, given, _, about = twin
+    orbit = orbit_of(given, data, about)
+    calibration = field_calibration(orbit, vehicle, data)
+    part = replace(vehicle.sensors.magnetometer, zero_sigma=np.full(3, 4.0))
+    stated = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=part))
+    here = SunAlongZ(orbit).at(data["time"].values)
+    terms = [Magnetometer.read(craft, data, calibration).placed(here).forgiving() for craft in (vehicle, stated)]
+    assert terms[0].known is not None and terms[1].sigma == terms[0].sigma
+
+
 def test_surroundings_without_a_field_change_no_magnetometer():
     plain = Magnetometer(np.ones((12, 3)), 0.1)
     assert plain.placed(Surroundings(np.tile(SUN_N, (12, 1)))) is plain

@@ -66,7 +66,7 @@ class Magnetometer(PairTerm):
         return replace(super().take(index), known=None if self.known is None else self.known.take(index))
 
     def placed(self, here: Surroundings) -> Self:
-        """With the field known; noise is what the calibration found, which the vehicle file need not state."""
+        """With the field known; noise and the zero's error are the calibration's, and the vehicle file need not state them."""
         one = self.calibration
         if one is None or here.field_N is None or here.field_along_N is None:
             return self
@@ -75,7 +75,7 @@ class Magnetometer(PairTerm):
         along = one.errors[:, 12:] * here.field_along_N[:, None]
         known = KnownField(read, one.field(read), sigma, here.field_N, one.columns(read), along)
         own = np.sqrt(np.nanmedian((known.own_B**2).sum(axis=(1, 2))) / 3)  # a zero turns with the body: neighbours differ by it
-        return replace(self, sigma=float(np.hypot(one.noise_T, own)), known=known)
+        return replace(self, sigma=float(np.hypot(one.noise_T, own)), zero_B=np.zeros((0, 3)), known=known)
 
     @property
     def vector_B(self) -> np.ndarray:
