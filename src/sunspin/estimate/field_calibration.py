@@ -70,7 +70,8 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     for _ in range(check.ROUNDS):
         state = least_squares(model.linearise, check._stepped, dense, state, steps=3 * check.STEPS).state
         state = state._replace(scatter=model.scatter(state))
-    state = state._replace(scatter=_scatter(model, state))
+    scatter = max(model.scatter(state)[0, 0], FEW_SCATTER if len(size) < FEW else 0.0)
+    state = state._replace(scatter=np.array([[scatter, state.scatter[0, 1]]]))
     along_track = [(part[2] - part[0]) / 2 / strength for part in (every.strength, every.to_sun)]
     scale, unknown = strength / median, state.unknown[0]
     units = np.concatenate([np.full(9, scale), np.full(3, strength), [1.0]])
@@ -80,15 +81,6 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     )  # fmt: skip
 
 
-def _scatter(model: check._Model, state: check._State) -> np.ndarray:
-    """The scatters (1, 2), that of the strength with what the fit has taken of it counted."""
-    residual, _, by_strength, _ = (part[0] for part in model.residuals(state))
-    covariance = np.linalg.inv(model.linearise(state).matrix[0])
-    left = max(len(residual) - float(np.einsum("ni,ij,nj->", by_strength, covariance, by_strength)), 1.0)
-    size = state.scatter[0, 0] * np.sqrt((_weight(residual) * residual**2).sum() / left)
-    return np.array([[max(size, FEW_SCATTER if len(residual) < FEW else 0.0), state.scatter[0, 1]]])
-
-
 def _errors(model: check._Model, state: check._State, along_track: list[np.ndarray]) -> np.ndarray:
     """One sigma (13, 13) of each independent error of the twelve unknowns and of the place along the track, which changes strength
     and component to the Sun (n) by `along_track`."""
@@ -96,10 +88,6 @@ def _errors(model: check._Model, state: check._State, along_track: list[np.ndarr
     there, (field, sine) = state.strength[0], state.scatter[0]
     moved = [along_track[0] / (there * field), (along_track[1] / there)[model.with_sun] / (model.sigma * sine)]
     jacobian = np.concatenate([np.column_stack([by_strength, -moved[0]]), np.column_stack([by_sun, -moved[1]])])
-    normal = (jacobian * _weight(np.concatenate([strength, to_sun]))[:, None]).T @ jacobian + np.eye(13)
+    normal = (jacobian * check.student_weight(np.concatenate([strength, to_sun]))[:, None]).T @ jacobian + np.eye(13)
     normal[:12, :12] += model.prior - np.eye(12)
     return np.linalg.cholesky(np.linalg.inv(normal)).T
-
-
-def _weight(residual: np.ndarray) -> np.ndarray:
-    return (check.STUDENT + 1) / (check.STUDENT + residual**2)

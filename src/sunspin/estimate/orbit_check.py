@@ -305,7 +305,7 @@ class _Model:
         slope = state.unknown @ self.prior
         matrix = np.tile(self.prior, (len(cost), 1, 1))
         for k, (residual, by) in enumerate(((strength, by_strength), (to_sun, by_sun))):
-            weight = (STUDENT + 1) / (STUDENT + residual**2)
+            weight = student_weight(residual)
             cost = cost + (STUDENT + 1) / 2 * np.log1p(residual**2 / STUDENT).sum(axis=1)
             cost = cost + residual.shape[1] * np.log(state.scatter[:, k])
             turned = np.swapaxes(by * weight[..., None], 1, 2)
@@ -319,11 +319,16 @@ class _Model:
         found = []
         strength, to_sun, by_strength, by_sun = self.residuals(state)
         for k, (residual, by) in enumerate(((strength, by_strength), (to_sun, by_sun))):
-            weight = (STUDENT + 1) / (STUDENT + residual**2)
+            weight = student_weight(residual)
             free = residual.shape[1] - ((by @ covariance) * by).sum(axis=(1, 2))
             rms = np.sqrt((weight * residual**2).sum(axis=1) / np.maximum(free, 1.0)) if residual.shape[1] else 1.0
             found.append(np.maximum(state.scatter[:, k] * rms, least[k]))
         return np.stack(found, axis=1)
+
+
+def student_weight(residual: np.ndarray) -> np.ndarray:
+    """How much residuals (...), in units of their scatter, count under the Student law."""
+    return (STUDENT + 1) / (STUDENT + residual**2)
 
 
 def _eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:

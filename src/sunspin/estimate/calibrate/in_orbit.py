@@ -209,8 +209,7 @@ def priors(vehicle: Vehicle, seen: Readings, orbit: Orbit) -> np.ndarray:
     part, median = vehicle.sensors.magnetometer, 1.0
     if part is not None and seen.has_field.any():
         median = float(np.nanmedian(np.linalg.norm(seen.field @ np.linalg.inv(part.matrix).T + part.zero, axis=1)))
-    zero = vehicle.facts.get("magnetometer.zero")
-    zero_sigma = ZERO_SIGMA * median if zero is None or not np.any(zero.sigma) else np.asarray(zero.sigma, dtype=float)
+    zero_sigma = part.zero_sigma if part is not None and part.zero_sigma.any() else ZERO_SIGMA * median
     found = [np.full(9, MATRIX_SIGMA), np.broadcast_to(zero_sigma, 3), [along, along / DRIFT_DAYS]]
     for sensor in vehicle.sensors.sun_sensors:
         stated = {key: vehicle.facts.get(f"sun_sensor.{sensor.name}.{key}") for key in SUN_KEYS}
@@ -274,9 +273,10 @@ class _Sky:
         """Direction to the Sun (n, 3), field (n, 3) in T, part of the Sun that is seen (n)."""
         when = self.orbit.instants(self.t_s)
         place, _ = self.orbit.states(when, self.orbit.shift_s + shift_s + drift_s_day * self.days)
-        to_sun, axes = sun_J2000_m(when) - place, earth_from_J2000(when)
+        sun, axes = sun_J2000_m(when), earth_from_J2000(when)
+        to_sun = sun - place
         field = turned(np.swapaxes(axes, -1, -2), self.orbit.map(when, place).at(turned(axes, place)))
-        return to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True), field, lit(place, sun_J2000_m(when))
+        return to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True), field, lit(place, sun)
 
 
 # ------------------------------------------------------------------------------------------------------------------------ fitting
