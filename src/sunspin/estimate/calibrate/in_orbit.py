@@ -20,6 +20,7 @@ import xarray as xr
 from sunspin.environment.earth import earth_from_J2000, sun_J2000_m
 from sunspin.environment.light import lit
 from sunspin.environment.orbit import Orbit, turned
+from sunspin.estimate.rates.observe import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import cross_matrix, tangents, turn
@@ -52,9 +53,6 @@ WEAK = 1e-4
 INNER, ROUNDS, STEPS, TOLERANCE = 4, 12, 12, 0.01
 STEADY = 0.01
 """Scatters and unknowns are fitted in turn until those change by less than this part."""
-
-GAP = 6.0
-"""Passes are parted by gaps of more than so many usual intervals; readings of one pass may err as one."""
 
 FEWEST_CLUSTERS = 12
 """With fewer passes they are cut into pieces, for the scatter between which sigmas are taken too."""
@@ -234,7 +232,7 @@ def readings(vehicle: Vehicle, telemetry: xr.Dataset, sun: np.ndarray, sun_sigma
         angle, is_turned = telemetry["sun_sensor_angle"].values, telemetry["sun_sensor_y_turned"].values != 0
     field = telemetry["field_B"].values if "field_B" in telemetry else np.full((n, 3), np.nan)
     usual = np.median(np.diff(time)) if n > 1 else 1.0
-    passes = np.concatenate([[0], np.cumsum(np.diff(time) > GAP * usual)])
+    passes = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])
     seen = Readings(time, angle, is_turned, sun, np.hypot(sun_sigma, PANEL_SIGMA_RAD), field, passes)
     late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
     use = np.flatnonzero((seen.has_field | seen.has_sun) & ~late)
