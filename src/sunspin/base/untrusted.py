@@ -6,8 +6,9 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
-from sunspin.base.errors import SunspinError, sentence
+from sunspin.base.errors import InputError, SunspinError, sentence
 
 SMALLEST, LARGEST = 1e-30, 1e30
 """Sizes of numbers that files and options may give: far beyond any in use, and their squares and products are still numbers."""
@@ -49,6 +50,16 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
                      do="cut it into parts, or give the right file", where=where)
         )  # fmt: skip
     return content
+
+
+def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
+    """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
+    if "<!" in text.replace("<!--", ""):
+        raise InputError(sentence("the XML defines entities", do=f"give a plain {kind}", where=where))
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise InputError(sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)) from None
 
 
 def is_plain(path: Path) -> bool:

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.base.untrusted import read_bytes
+from sunspin.base.untrusted import read_bytes, xml_root
 
 MAX_FILE_BYTES = 10_000_000
 """Elements of one satellite for ten years, some a day, are 2 MB."""
@@ -250,11 +249,6 @@ def _json(text: str, where: str) -> list[dict[str, Any]]:
 
 
 def _xml(text: str, where: str) -> Iterator[dict[str, str]]:
-    if "<!" in text.replace("<!--", ""):
-        raise InputError(sentence("the XML defines entities", do="give a plain OMM", where=where))
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise InputError(sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)) from None
+    root = xml_root(text, "OMM", where)
     for message in root.iter("omm"):
         yield {leaf.tag: leaf.text or "" for leaf in message.iter() if not len(leaf)}

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.tables import TelemetryError, read_table
-from sunspin.base.untrusted import Elsewhere, elsewhere, read_bytes
+from sunspin.base.untrusted import Elsewhere, elsewhere, read_bytes, xml_root
 from sunspin.environment.earth import DAY_S, EQUATOR_M, MU_M3_S2, Instants, J2000_from_TEME, earth_from_J2000
 from sunspin.environment.elements import Elements, read_elements
 
@@ -319,12 +318,7 @@ def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
 
 
 def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
-    if "<!" in text.replace("<!--", ""):
-        raise InputError(sentence("the XML defines entities", do="give a plain OEM", where=where))
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise InputError(sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)) from None
+    root = xml_root(text, "OEM", where)
     tables, meta = [], {}
     for segment in root.iter("segment"):
         meta = {leaf.tag: (leaf.text or "").strip() for part in segment.iter("metadata") for leaf in part if not len(leaf)}
