@@ -17,29 +17,27 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.environment.earth import earth_from_J2000, sun_J2000_m
-from sunspin.environment.light import lit
 from sunspin.environment.orbit import Orbit, turned
+from sunspin.estimate.along_track import AlongTrack
+from sunspin.estimate.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA
 from sunspin.estimate.rates.observe import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import cross_matrix, tangents, turn
 from sunspin.vehicle import Vehicle
 
-STUDENT = 4.0
-"""Degrees of freedom of a sample's readings together: a beacon in eight is worse than a Gaussian allows."""
-
-MATRIX_SIGMA, SCALE_FREE = 0.2, 3.0
-"""Prior sigmas of each element of the magnetometer's matrix over its scale, and of the scale itself, which is free."""
-
-ZERO_SIGMA = 1.0
-"""Of its zero where the vehicle file states no sigma, in medians of what its columns hold: the file's may be missing."""
+SCALE_FREE = 3.0
+"""Prior sigma of the magnetometer's scale over the first, which is free."""
 
 BIAS_SIGMA_RAD, ANGLE_SCALE_SIGMA = 0.1, 0.2
 """Of a Sun sensor's bias, and of its scales over those stated, where the vehicle file states none."""
 
 SHIFTS = 31
 """Of these the one is taken from which the fit begins."""
+
+REACH, STEP_S, MOST_STEPS = 4.0, 20.0, 24
+"""The field is computed within so many sigmas of the shift, in such steps, with as many on a side; wider ones where they do not
+suffice."""
 
 DRIFT_DAYS = 30.0
 """The shift along the track may drift by its own sigma in so many days: drag."""
@@ -49,6 +47,9 @@ PANEL_SIGMA_RAD = 0.03
 
 WEAK = 1e-4
 """Information (1/rad^2) that keeps a turn finite which no sensor of a sample sees."""
+
+ROUNDING = 1e-12
+"""The same as a part of all information, where a trial is far off and the information huge."""
 
 INNER, ROUNDS, STEPS, TOLERANCE = 4, 12, 12, 0.01
 STEADY = 0.01
@@ -143,15 +144,13 @@ class Calibration:
 def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, prior: np.ndarray) -> Calibration:
     """Calibrate by these readings, from a start or from the sphere that explains the field's strength, whichever fits better;
     `prior` (D): one sigma of each unknown (those of :func:`priors`)."""
-    sky = _Sky(orbit, seen.t_s)
-    _, field_T, light = sky.at(start.shift_s, 0.0)
-    dark = light < 0.5  # what is seen there is not the Sun
+    half = int(np.clip(np.ceil(REACH * prior[12] / STEP_S), 4, MOST_STEPS))
+    sky = AlongTrack.of(orbit, seen.t_s, REACH * prior[12] / half * np.arange(-half, half + 1))
+    dark = sky.lit_at(start.shift_s) < 0.5  # what is seen there is not the Sun
     seen = seen._replace(angle=np.where(dark[:, None, None], np.nan, seen.angle), sun=np.where(dark[:, None], np.nan, seen.sun))
     keep = seen.has_field | seen.has_sun
     seen, sky = seen.take(keep), sky.take(keep)
-    unit_T = float(np.median(np.linalg.norm(field_T, axis=1)))
-    sphere = _sphere(seen, sky, prior[12])
-    unit = unit_T * abs(np.linalg.det(sphere.matrix)) ** (-1 / 3)
+    unit_T = float(np.median(np.linalg.norm(sky.at(start.shift_s)[0], axis=1)))
 
     def begun(one: Start, unit: float) -> tuple[_Model, _State]:
         model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
@@ -161,7 +160,9 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
         return model, _State(first[None], model.triads(first)[None])
 
     found = []
-    for one in (sphere, start):
+    sphere = _sphere(seen, sky, prior[12])
+    for one in (start,) if sphere is None else (sphere, start):
+        unit = unit_T * abs(np.linalg.det(one.matrix)) ** (-1 / 3)
         unknown = _settled(*begun(one, unit), rounds=2)[1].unknown[0]
         back = np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)) * unit_T / unit
         own = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
@@ -182,14 +183,15 @@ def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model
     return model, state
 
 
-def _sphere(seen: Readings, sky: _Sky, sigma_s: float) -> Start:
+def _sphere(seen: Readings, sky: AlongTrack, sigma_s: float) -> Start | None:
     """Zero and one scale for all axes by the field's strength alone, at the shift within three of its sigmas where they fit best:
-    r^2 = 2 r.z - z^2 + (B / scale)^2 is linear in z, z^2 and 1 / scale^2."""
-    use, best = seen.has_field, (np.inf, Start(np.eye(3), np.zeros(3)))
+    r^2 = 2 r.z - z^2 + (B / scale)^2 is linear in z, z^2 and 1 / scale^2. None where no such scale is positive."""
+    use = seen.has_field
+    best: tuple[float, Start | None] = (np.inf, None)
     reading, some = seen.field[use], sky.take(seen.has_field)
     size = float(np.median(np.linalg.norm(reading, axis=1)))
     for shift in np.linspace(-3, 3, SHIFTS) * sigma_s:
-        strength = np.linalg.norm(some.at(shift, 0.0)[1], axis=1)
+        strength = np.linalg.norm(some.at(shift)[0], axis=1)
         middle = float(np.median(strength))
         design = np.column_stack([2 * reading / size, np.ones(len(reading)), (strength / middle) ** 2])
         target = (reading**2).sum(axis=1) / size**2
@@ -250,33 +252,6 @@ def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
     return found
 
 
-# -------------------------------------------------------------------------------------------------------------------- environment
-
-
-@dataclass(frozen=True)
-class _Sky:
-    """Sun and field in J2000 at n samples, along the track."""
-
-    orbit: Orbit
-    t_s: np.ndarray
-
-    def take(self, which: np.ndarray) -> _Sky:
-        return replace(self, t_s=self.t_s[which])
-
-    @property
-    def days(self) -> np.ndarray:
-        return (self.t_s - self.t_s.mean()) / 86400.0
-
-    def at(self, shift_s: float, drift_s_day: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Direction to the Sun (n, 3), field (n, 3) in T, part of the Sun that is seen (n)."""
-        when = self.orbit.instants(self.t_s)
-        place, _ = self.orbit.states(when, self.orbit.shift_s + shift_s + drift_s_day * self.days)
-        sun, axes = sun_J2000_m(when), earth_from_J2000(when)
-        to_sun = sun - place
-        field = turned(np.swapaxes(axes, -1, -2), self.orbit.map(when, place).at(turned(axes, place)))
-        return to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True), field, lit(place, sun)
-
-
 # ------------------------------------------------------------------------------------------------------------------------ fitting
 
 
@@ -305,7 +280,7 @@ class _Model:
 
     vehicle: Vehicle
     seen: Readings
-    sky: _Sky
+    sky: AlongTrack
     unit_T: float
     precision: np.ndarray
     scatter: tuple[float, float, float] = (0.5, 1.0, 0.02)
@@ -332,7 +307,7 @@ class _Model:
 
     def triads(self, unknown: np.ndarray) -> np.ndarray:
         """Attitudes (n, 3, 3) to begin with, from one reading of the Sun and the field."""
-        sun_N, field_N, _ = self.sky.at(unknown[12], unknown[13])
+        sun_N, field_N = self.sky.sun, self.sky.at(unknown[12], unknown[13])[0]
         sun_N, field_N = sun_N * self.seen.has_sun[:, None], field_N * self.seen.has_field[:, None]
         sun = np.nan_to_num(self.seen.sun)
         for k, sensor in enumerate(self.vehicle.sensors.sun_sensors):
@@ -388,9 +363,8 @@ class _Model:
         return value, by_turn, by_unknown
 
     def _sky(self, unknown: np.ndarray) -> tuple[np.ndarray, ...]:
-        sun, field, _ = self.sky.at(unknown[12], unknown[13])
-        later = self.sky.at(unknown[12] + 1.0, unknown[13])[1]
-        return sun, field / self.unit_T, (later - field) / self.unit_T
+        field, slope = self.sky.at(unknown[12], unknown[13])
+        return self.sky.sun, field / self.unit_T, slope / self.unit_T
 
     def _settled(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, _At, np.ndarray]:
         """Attitudes that fit best, what is there, and the inverse of the turns' information (n, 3, 3)."""
@@ -417,7 +391,7 @@ class _Model:
         square = (at.value**2).sum(axis=1)
         weight = (STUDENT + self.conditions) / (STUDENT + square)
         scores = weight[:, None] * np.einsum("nrd,nr->nd", at.by_unknown, at.value)
-        matrix = np.einsum("n,nrd,nre->de", weight, alone, alone)
+        matrix = _summed(weight, alone)
         cost = ((STUDENT + self.conditions) / 2 * np.log1p(square / STUDENT)).sum()
         logs = (self.read.sum(axis=0) * np.log(np.array(self.scatter)[self.kinds])).sum()
         return attitude, scores, matrix, float(cost + logs)
@@ -433,9 +407,9 @@ class _Model:
         _, at, back = self._settled(unknown, state.attitude[0])
         alone = self._projected(at, back)
         weight = (STUDENT + self.conditions) / (STUDENT + (at.value**2).sum(axis=1))
-        covariance = np.linalg.inv(self.precision + np.einsum("n,nrd,nre->de", weight, alone, alone))
-        taken = np.einsum("nri,nij,nrj->nr", at.by_turn, back, at.by_turn)
-        taken = taken + weight[:, None] * np.einsum("nrd,de,nre->nr", alone, covariance, alone)
+        covariance = np.linalg.inv(self.precision + _summed(weight, alone))
+        taken = ((at.by_turn @ back) * at.by_turn).sum(axis=2)
+        taken = taken + weight[:, None] * ((alone @ covariance) * alone).sum(axis=2)
         free = np.where(self.read, 1 - taken, 0.0)
         found = []
         for k, old in enumerate(self.scatter):
@@ -451,7 +425,7 @@ class _Model:
         _, at, back = self._settled(unknown, state.attitude[0])
         alone, conditions = self._projected(at, back), self.conditions
         expected = (STUDENT + conditions) / (STUDENT + conditions + 2)  # of the Student law, on average
-        matrix = np.einsum("n,nrd,nre->de", expected, alone, alone)
+        matrix = _summed(expected, alone)
         covariance = np.linalg.inv(self.precision + matrix)
         fitted, total = float((covariance * matrix).sum()), float(conditions.sum())
         clusters = _clusters(self.seen.pass_of)
@@ -510,8 +484,16 @@ class _Model:
         return float(np.nanmedian(strength)), float(np.median(np.abs(np.arccos(np.clip(cosine, -1, 1)) - np.arccos(known))))
 
 
+def _summed(weight: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Information (D, D) that samples with a weight (n) and slopes (n, R, D) have together."""
+    flat = (np.sqrt(weight)[:, None, None] * slope).reshape(-1, slope.shape[2])
+    return flat.T @ flat
+
+
 def _information(by_turn: np.ndarray) -> np.ndarray:
-    return np.swapaxes(by_turn, -1, -2) @ by_turn + WEAK * np.eye(3)
+    found = np.swapaxes(by_turn, -1, -2) @ by_turn
+    weak = WEAK + ROUNDING * np.einsum("nii->n", found)
+    return found + weak[:, None, None] * np.eye(3)
 
 
 def _triad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
