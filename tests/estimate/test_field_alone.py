@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
+from sunspin.cli import cli
 from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.estimate.rates.observe import observations, usable
 from sunspin.estimate.terms.field_direction import FieldDirection, TurningAxes
@@ -52,7 +54,7 @@ def test_the_field_stands_for_the_sun_where_its_noise_is_stated():
 
 @pytest.mark.evidence("rates", "modelled", "a magnetometer alone, without an orbit")
 @pytest.mark.long
-def test_rates_by_the_field_alone_and_what_is_not_known():
+def test_rates_by_the_field_alone_and_what_is_not_known(tmp_path):
     pulls = []
     for seed in (1, 2, 3):
         data, omega = telemetry(seed)
@@ -64,3 +66,8 @@ def test_rates_by_the_field_alone_and_what_is_not_known():
         assert np.isnan(found["sun_B"].values).all() and np.isfinite(found["field_direction_B"].values).all()
         assert "WITHOUT AN ORBIT" in found.attrs["verdict"]
     assert np.abs(pulls).max() < 4
+    found.sunspin.save(tmp_path / "out")
+    done = CliRunner().invoke(cli, ["report", str(tmp_path / "out")], catch_exceptions=False)
+    assert done.exit_code == 0
+    (page,) = (tmp_path / "out").glob("*.html")
+    assert "could not be made" not in page.read_text("utf-8")

@@ -78,6 +78,7 @@ def test_residuals_scatter_as_their_noise_and_show_a_wrong_motion():
 def test_the_sensors_used_are_named(used, said):
     result, _ = tumble()
     assert sources(result.assign_attrs({f"{name}_used": 1 for name in used})) == said
+    assert sources(result.assign_attrs(source="field", field_used=1)) == "magnetometer"
 
 
 def test_the_factor_is_fitted_to_panels_that_count():

@@ -84,4 +84,6 @@ def _errors(found: Calibrated, steep: np.ndarray, along_track: list[np.ndarray])
     jacobian = np.concatenate([np.column_stack([by_strength, -moved[0]]), np.column_stack([by_sun, -moved[1]])])
     normal = (jacobian * student_weight(np.concatenate([strength, to_sun]))[:, None]).T @ jacobian + np.eye(13)
     normal[:12, :12] += model.prior(state)[0] - np.eye(12)
+    # what these readings say of the place is in its sigma already, where they have judged the orbit
+    normal[12, 12] = 1 + normal[12, :12] @ np.linalg.solve(normal[:12, :12], normal[:12, 12])
     return np.linalg.cholesky(np.linalg.inv(normal)).T

@@ -45,7 +45,7 @@ SEEN_IN_SHADOW = 0.02
 FEWEST = 20
 """Fewer readings of field or light than this are not compared."""
 
-ROUNDS, STEPS, TOLERANCE = 3, 10, 0.05
+ROUNDS, STEPS, TOLERANCE = 2, 10, 0.05
 
 
 class Seen(NamedTuple):
@@ -146,14 +146,26 @@ def calibrated(seen: Seen, there: Predicted, scatter: np.ndarray | None = None, 
     unit_T, n_shift = float(np.median(there.strength)), len(there.strength)
     state = State(np.zeros((n_shift, 12)), there.strength / unit_T, there.to_sun / unit_T,
                   np.tile([0.1, 1.0] if scatter is None else scatter, (n_shift, 1)), np.ones(n_shift))  # fmt: skip
-    for of_readings in (False, True):
-        model = Model(seen.field / unit, seen.sun, seen.covariance, of_readings)
-        for k in range(ROUNDS):
-            if k or not of_readings:  # the scatter is another one first
-                state = least_squares(model.linearise, stepped, dense, state, steps=steps, tolerance=TOLERANCE).state
-            state = state if scatter is not None else state._replace(scatter=model.scatter(state))
-            state = state._replace(scale=model.scale(state))
+    model = Model(seen.field / unit, seen.sun, seen.covariance)
+    state = _in_turn(model, state, scatter is None, steps)
+    model = Model(seen.field / unit, seen.sun, seen.covariance, of_readings=True)
+    if scatter is not None:
+        return Calibrated(model, _in_turn(model, state, False, steps), unit, unit_T)
+    state = _in_turn(model, state._replace(scatter=model.scatter(state)), True, steps)
+    best = np.full(n_shift, model.linearise(state).cost.argmin())
+    other = state._replace(unknown=state.unknown[best], scatter=state.scatter[best], scale=state.scale[best])
+    other = _in_turn(model, other, True, steps)  # from the calibration of the best shift: each may rest in a minimum of its own
+    better = model.linearise(other).cost < model.linearise(state).cost
+    state = State(*(np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old) for new, old in zip(other, state, strict=True)))
     return Calibrated(model, state, unit, unit_T)
+
+
+def _in_turn(model: Model, state: State, free: bool, steps: int) -> State:
+    """Unknowns, their scale and, if `free`, the scatters fitted in turn."""
+    for _ in range(ROUNDS if free else 1):
+        state = least_squares(model.linearise, stepped, dense, state, steps=steps, tolerance=TOLERANCE).state
+        state = state._replace(scatter=model.scatter(state) if free else state.scatter, scale=model.scale(state))
+    return state
 
 
 def fit(seen: Seen, there: Predicted, prior: np.ndarray, scatter: np.ndarray | None = None) -> Fits:

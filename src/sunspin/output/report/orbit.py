@@ -19,12 +19,12 @@ def section(results: Results) -> Section | None:
     found = results.summary.get("orbit")
     if not isinstance(found, dict):
         return None
-    rows = [[what, text] for what, text in _rows(found) if text]
+    rows = [[what, str(text)] for what, text in _rows(found) if text]
     used = "The orbit is used." if found.get("used") is True else "The orbit is NOT USED: the results are those without it."
     return Section("orbit", "The orbit", [used], [Table(["", ""], rows)])
 
 
-def _rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+def _rows(found: dict[str, Any]) -> list[tuple[str, str | bool]]:
     age = _number(found, "age_days", "{:.1f}")
     shift, sigma = _number(found, "shift_s", "{:+.0f}"), _number(found, "shift_sigma_s", "{:.0f}")
     better, copies = _number(found, "better_copies", "{:.0f}"), _number(found, "copies", "{:.0f}")
