@@ -45,6 +45,9 @@ MOST_SCATTER = np.array([0.1, 3.0])
 HOURS, CLEARLY = range(-12, 15), 12.0
 """Errors of a clock that are tried, those of time zones; and by how much (in log likelihood) one must fit better."""
 
+ROUND = 0.5
+"""A field of the wrong sign is named where, turned round, its angle to the Sun is left off by less than this part."""
+
 FINE, DEEP = 33, 10.0
 """The shift is found among so many steps, between the ends of what costs no more than this above the least: all minima count."""
 
@@ -205,23 +208,35 @@ def _answer(
     dark, shadow = seen.light == 0, here.lit[k] < 0.5
     known = np.isfinite(seen.light)
     calibrated = bool(np.isfinite(own.calibration[k]).all())
-    strength = angle = np.nan
-    if calibrated:
-        field = seen.field @ own.calibration[k][:9].reshape(3, 3).T - own.calibration[k][9:]
-        size = np.linalg.norm(field, axis=1)
-        strength = float(np.nanmedian(np.abs(size - here.strength[k])))
-        both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, here.to_sun[k] / here.strength[k])]
-        angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
+    strength, angle = _left(seen, here.take([k]), own.calibration[k]) if calibrated else (np.nan, np.nan)
     opposite = fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
+    sign_turned = bool(opposite.cost[0] < own.cost[k] - CLEARLY)
+    sign_turned |= calibrated and _mirrored(seen, here.take([k]), own.calibration[k])
     return OrbitCheck(
         verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0], turn_times=beside[1],
-        sign_turned=bool(opposite.cost[0] < own.cost[k] - CLEARLY), shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
+        sign_turned=sign_turned, shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
         border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
         samples={"field": int(np.isfinite(seen.field).all(axis=1).sum()), "light": int(known.sum()),
                  "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
         eclipse=(int((known & shadow & ~dark).sum()), int((known & shadow).sum())),
         matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None, zero=own.calibration[k][9:] if calibrated else None,
     )  # fmt: skip
+
+
+def _left(seen: Seen, there: Predicted, calibration: np.ndarray) -> tuple[float, float]:
+    """Medians of what is left of the field's strength (T) and of its angle to the Sun (rad), NaN where no sample shows both."""
+    field = seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:]
+    size = np.linalg.norm(field, axis=1)
+    both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, there.to_sun[0] / there.strength[0])]
+    angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
+    return float(np.nanmedian(np.abs(size - there.strength[0]))), angle
+
+
+def _mirrored(seen: Seen, there: Predicted, calibration: np.ndarray) -> bool:
+    """Whether a calibration turns the readings round, and by this their angle to the Sun fits that else would not."""
+    if np.linalg.det(calibration[:9].reshape(3, 3)) > 0 or np.isfinite(seen.field + seen.sun).all(axis=1).sum() < FEWEST:
+        return False
+    return _left(seen, there, calibration)[1] < ROUND * _left(seen, there, -calibration)[1]
 
 
 def _shift(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, float, bool]:
