@@ -18,6 +18,7 @@ import xarray as xr
 from scipy.special import erfc
 
 from sunspin.environment.orbit import Orbit
+from sunspin.estimate.calibrate.in_orbit import Start, by_sun_sensors
 from sunspin.estimate.invariants import FEWEST, Fits, Predicted, Seen, fit, predict, seen_in
 from sunspin.vehicle import Vehicle
 
@@ -115,7 +116,7 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
     answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
     if verdict is Verdict.FITS:
-        return answer
+        return _with_sun_sensors(answer, orbit, vehicle, telemetry)
     return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, min(fit.cost.min() for fit in [own, *fits])))
 
 
@@ -220,6 +221,19 @@ def _answer(
                  "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
         eclipse=(int((known & shadow & ~dark).sum()), int((known & shadow).sum())),
         matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None, zero=own.calibration[k][9:] if calibrated else None,
+    )  # fmt: skip
+
+
+def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> OrbitCheck:
+    """The answer with shift and calibration of the fit that counts biases and scales of Sun sensors, where there are any."""
+    if answer.matrix is None or answer.zero is None:
+        return answer
+    made = by_sun_sensors(orbit, vehicle, telemetry, Start(answer.matrix, answer.zero, answer.shift_s - orbit.shift_s))
+    if made is None or not made.strength[1] < answer.strength_residual_T:
+        return answer
+    return replace(
+        answer, shift_s=orbit.shift_s + made.shift_s, shift_sigma_s=made.shift_sigma_s, matrix=made.matrix_T,
+        zero=made.matrix_T @ made.zero, strength_residual_T=float(made.strength[1]), angle_residual_rad=float(made.angle[1]),
     )  # fmt: skip
 
 

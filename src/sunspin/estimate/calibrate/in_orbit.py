@@ -20,10 +20,12 @@ import xarray as xr
 from sunspin.environment.orbit import Orbit, turned
 from sunspin.estimate.along_track import AlongTrack
 from sunspin.estimate.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA
-from sunspin.estimate.rates.observe import GAP_FACTOR
+from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import cross_matrix, tangents, turn
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
 
 SCALE_FREE = 3.0
@@ -31,6 +33,12 @@ SCALE_FREE = 3.0
 
 BIAS_SIGMA_RAD, ANGLE_SCALE_SIGMA = 0.1, 0.2
 """Of a Sun sensor's bias, and of its scales over those stated, where the vehicle file states none."""
+
+MOST_SAMPLES = 600
+"""Samples that magnetometer and Sun sensors are calibrated by, spread evenly."""
+
+FEWEST = 40
+"""Conditions that samples must put on the unknowns before magnetometer and Sun sensors are calibrated."""
 
 SHIFTS = 31
 """Of these the one is taken from which the fit begins."""
@@ -129,6 +137,10 @@ class Calibration:
         return float(self.values[12])
 
     @property
+    def shift_sigma_s(self) -> float:
+        return float(np.sqrt(max(self.model[12, 12], self.robust[12, 12])))
+
+    @property
     def drift_s_day(self) -> float:
         return float(self.values[13])
 
@@ -170,6 +182,17 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
         found.append((model.left_of_both(state.unknown[0]), model, state, own))
     _, model, state, unit = min(found, key=lambda each: each[0])
     return model.answer(state, unit)
+
+
+def by_sun_sensors(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start: Start) -> Calibration | None:
+    """The calibration of a file whose Sun sensors may be off, from a start; None where it has none, or too few samples show them
+    and the field."""
+    if "sun_sensor_angle" not in telemetry or not vehicle.sensors.sun_sensors:
+        return None
+    seen = readings(vehicle, telemetry)
+    if seen.has_field.sum() + (seen.has_field & seen.has_sun).sum() < FEWEST:
+        return None
+    return fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
 
 
 def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model, _State]:
@@ -225,9 +248,10 @@ SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 """Keys of a Sun sensor in the order of its unknowns."""
 
 
-def readings(vehicle: Vehicle, telemetry: xr.Dataset, sun: np.ndarray, sun_sigma: np.ndarray, most: int) -> Readings:
-    """Those of a telemetry file that show field or Sun, at most so many, spread evenly; `sun` (n, 3) by panels, sigma (n) rad."""
+def readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
+    """Those of a telemetry file that show field or Sun, spread evenly."""
     time = telemetry["time"].values
+    sun, sun_sigma = _sun_by_panels(vehicle, telemetry)
     n, faces = len(time), len(vehicle.sensors.sun_sensors)
     angle, is_turned = np.full((n, faces, 2), np.nan), np.zeros((n, faces), dtype=bool)
     if "sun_sensor_angle" in telemetry:
@@ -238,8 +262,20 @@ def readings(vehicle: Vehicle, telemetry: xr.Dataset, sun: np.ndarray, sun_sigma
     seen = Readings(time, angle, is_turned, sun, np.hypot(sun_sigma, PANEL_SIGMA_RAD), field, passes)
     late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
     use = np.flatnonzero((seen.has_field | seen.has_sun) & ~late)
-    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), most)).astype(int))] if len(use) else use
+    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), MOST_SAMPLES)).astype(int))] if len(use) else use
     return seen.take(use)
+
+
+def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (n, 3) by panels, or Sun vectors as they are given, NaN where none, and sigma (n) rad of each of two angles."""
+    n = telemetry.sizes["time"]
+    sun, sigma = np.full((n, 3), np.nan), np.full(n, np.nan)
+    if "panel" in telemetry.coords:
+        found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
+        sun, sigma = found["sun_B"].values, found["sigma_rad"].values
+    elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
+        sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)
+    return sun, np.where(np.isfinite(sigma), sigma, 0.0) / np.sqrt(2)
 
 
 def _precision(prior: np.ndarray, unit: float) -> np.ndarray:

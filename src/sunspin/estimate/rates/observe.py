@@ -10,6 +10,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.environment import Environment
 from sunspin.estimate.field_calibration import FieldCalibration
+from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.estimate.rates.state import Observations
 from sunspin.estimate.terms.field_direction import reads_directions
 from sunspin.estimate.terms.magnetometer import Magnetometer
@@ -17,9 +18,6 @@ from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
 from sunspin.telemetry.quality import IDLE, LATE
 from sunspin.vehicle import Vehicle
-
-GAP_FACTOR = 6.0
-"""A gap longer than this many usual intervals ends a pass."""
 
 MAX_PASS_S = 3000.0
 """Longer passes are cut: half an orbit, over which a rate's wandering is still small against a turn."""
