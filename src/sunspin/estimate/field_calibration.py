@@ -27,6 +27,9 @@ OF_GAUSSIAN = 0.83
 """The scale of Student's law of four degrees of freedom that fits Gaussian noise of one sigma."""
 
 
+TAIL, TAIL_SIGMAS = 0.95, 1.96
+"""Noise is at least what leaves this share of the strengths within so many sigmas: the readings' tails are heavy."""
+
 STEP = 1e-5
 """Of the differences by which errors are carried to matrix and zero."""
 
@@ -73,7 +76,9 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     start = Start(found.values[0, :9].reshape(3, 3), found.values[0, 9:])
     made = by_sun_sensors(orbit, vehicle, telemetry, start)
     if made is not None and made.strength[1] < _left(found, seen.field, every.strength[1]):
-        return _of_sun_sensors(made, float(along[2]))
+        better = _of_sun_sensors(made, float(along[2]))
+        off = np.abs(np.linalg.norm(better.field(seen.field), axis=1) - every.strength[1])
+        return replace(better, noise_T=max(better.noise_T / OF_GAUSSIAN, float(np.quantile(off, TAIL)) / TAIL_SIGMAS))
     along_track = [(part[2] - part[0]) / 2 / found.unit_T for part in (every.strength, every.to_sun)]
     scale, values = found.unit_T / found.unit, found.values[0]
     units = np.concatenate([np.full(9, scale), np.full(3, found.unit_T), [1.0]])
