@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.along_track import AlongTrack
-from sunspin.estimate.calibrate.in_orbit import Calibration
-from sunspin.estimate.field_calibration import _of_sun_sensors
 from sunspin.estimate.invariants import Model, Predicted, Seen, State, calibrated
 from tle_twins import make
 
@@ -55,22 +51,6 @@ def test_noise_of_the_readings_does_not_shrink_the_matrix():
         matrix = calibrated(seen, there).values[0, :9].reshape(3, 3)
         scales.append(np.cbrt(abs(np.linalg.det(matrix))) / SCALE_T)
     assert 0.85 < np.median(scales) < 1.15
-
-
-def test_errors_of_a_calibration_are_carried_to_matrix_zero_and_place():
-    rng = np.random.default_rng(0)
-    spread = rng.normal(size=(14, 14))
-    covariance, middle = 1e-4 * spread @ spread.T, np.concatenate([0.05 * rng.normal(size=9), 0.3 * rng.normal(size=3), [5.0, 0.0]])
-    made = Calibration(middle, covariance, covariance, covariance, 3e-5, 600.0, 0, 1e-6, 1.0, 1.0, np.zeros(2), np.zeros(2), {})
-    along = float(np.sqrt(covariance[12, 12]))
-    found = _of_sun_sensors(made, along)
-    values = []
-    for one in rng.multivariate_normal(middle, covariance, 4000):
-        drawn = replace(made, values=one)
-        values.append([*drawn.matrix_T.ravel(), *drawn.matrix_T @ drawn.zero, (one[12] - middle[12]) / along])
-    expected, carried = np.cov(np.transpose(values)), found.errors.T @ found.errors
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(carried / size / size[:, None], expected / size / size[:, None], atol=0.12)
 
 
 def test_the_field_between_shifts_is_that_of_the_orbit():

@@ -97,7 +97,7 @@ def _earlier(epoch_utc: str, seconds: float) -> str:
     return (datetime.fromisoformat(epoch_utc) - timedelta(seconds=seconds)).isoformat()
 
 
-def test_few_data_leave_it_open_and_the_shift_as_it_was(twin, few_copies):
+def test_few_data_leave_it_open_and_the_shift_as_it_was(twin):
     vehicle, data, _, about = twin
     few = data.isel(time=slice(0, 12))
     given = orbit(twin)

@@ -8,13 +8,12 @@ another one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.calibrate.in_orbit import Calibration, Start, by_sun_sensors
 from sunspin.estimate.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight
 from sunspin.vehicle import Vehicle
 
@@ -25,13 +24,6 @@ FEW = 24
 
 OF_GAUSSIAN = 0.83
 """The scale of Student's law of four degrees of freedom that fits Gaussian noise of one sigma."""
-
-
-TAIL, TAIL_SIGMAS = 0.95, 1.96
-"""Noise is at least what leaves this share of the strengths within so many sigmas: the readings' tails are heavy."""
-
-STEP = 1e-5
-"""Of the differences by which errors are carried to matrix and zero."""
 
 
 @dataclass(frozen=True)
@@ -67,18 +59,12 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     seen = Seen(*(part[use] for part in seen))
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)) * np.array([-1.0, 0.0, 1.0])
     every = predict(orbit, seen, along)
-    found = calibrated(seen, every.take([1]), steps=3 * STEPS)
+    found = calibrated(seen, every.take([1]), steps=3 * STEPS, distances=False)
     matrix, _, _, unit = found.model.fields(found.state)
     steep = found.model.steepness(unit, matrix)[0]
     few = FEW_SCATTER / float(np.median(steep)) if len(steep) < FEW else 0.0
     scatter = np.maximum(found.state.scatter, [few, 0.0])
     found = found._replace(state=found.state._replace(scatter=scatter))
-    start = Start(found.values[0, :9].reshape(3, 3), found.values[0, 9:])
-    made = by_sun_sensors(orbit, vehicle, telemetry, start)
-    if made is not None and made.strength[1] < _left(found, seen.field, every.strength[1]):
-        better = _of_sun_sensors(made, float(along[2]))
-        off = np.abs(np.linalg.norm(better.field(seen.field), axis=1) - every.strength[1])
-        return replace(better, noise_T=max(better.noise_T / OF_GAUSSIAN, float(np.quantile(off, TAIL)) / TAIL_SIGMAS))
     along_track = [(part[2] - part[0]) / 2 / found.unit_T for part in (every.strength, every.to_sun)]
     scale, values = found.unit_T / found.unit, found.values[0]
     units = np.concatenate([np.full(9, scale), np.full(3, found.unit_T), [1.0]])
@@ -86,30 +72,6 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
         values[:9].reshape(3, 3), values[9:], _errors(found, steep, along_track) * units,
         float(scatter[0, 0] * np.median(steep)) / OF_GAUSSIAN * found.unit_T, scale,
     )  # fmt: skip
-
-
-def _left(found: Calibrated, reading: np.ndarray, strength: np.ndarray) -> float:
-    """Median of what is left of the field's strength (n), T."""
-    size = np.linalg.norm(reading @ found.values[0, :9].reshape(3, 3).T - found.values[0, 9:], axis=1)
-    return float(np.median(np.abs(size - strength)))
-
-
-def _of_sun_sensors(made: Calibration, along_s: float) -> FieldCalibration:
-    """That of a fit in which Sun sensors have errors, too; `along_s`: one sigma of the place along the track."""
-    covariance = made.model * max(1.0, float(np.mean(np.diag(made.robust)[:12] / np.diag(made.model)[:12])))
-    by_shift = covariance[:12, 12] / covariance[12, 12]
-    rest = covariance[:12, :12] - np.outer(by_shift, covariance[12, :12])
-    own = np.concatenate([np.linalg.cholesky(rest + 1e-12 * np.trace(rest) * np.eye(12)).T, along_s * by_shift[None]])
-
-    def values(unknown: np.ndarray) -> np.ndarray:
-        one = replace(made, values=np.concatenate([unknown, made.values[12:]]))
-        return np.concatenate([one.matrix_T.ravel(), one.matrix_T @ one.zero])
-
-    middle = made.values[:12]
-    changed = np.array([(values(middle + STEP * each) - values(middle - STEP * each)) / (2 * STEP) for each in np.eye(12)])
-    errors = np.concatenate([own @ changed, np.eye(13)[:, 12:]], axis=1)
-    scale = float(np.cbrt(abs(np.linalg.det(made.matrix_T))))
-    return FieldCalibration(made.matrix_T, made.matrix_T @ made.zero, errors, made.noise_T, scale)
 
 
 def _errors(found: Calibrated, steep: np.ndarray, along_track: list[np.ndarray]) -> np.ndarray:
