@@ -18,7 +18,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.dynamics.torques.acting import needed
+from sunspin.dynamics.torques.acting import needed_around
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
 from sunspin.estimate.terms.term import Unknown
@@ -221,7 +221,7 @@ def model(
 
 def under(model_: Model, acting: Acting) -> Model:
     """The model under torques; where they depend on directions beside the Sun's, the turn about the Sun becomes an unknown."""
-    turn = (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),) if needed(acting.torques) else ()
+    turn = (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),) if needed_around(acting.torques) else ()
     return replace(model_, acting=acting, unknowns=model_.unknowns + turn)
 
 
