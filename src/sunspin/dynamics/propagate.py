@@ -222,7 +222,8 @@ def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at
     )
     wheels = tuple(m.WheelState(m.Turning.HELD, "hold", float(speed), 0.0, 0.0) for speed in speeds)
     backward = t.size > 1 and t[-1] < t[0]
-    return _Run(vehicle, float(t[0]), y, wheels, backward, tuple(stopped), [], acting=forces, outside_values=forces.values(bodies)), plan
+    values = forces.values(bodies)
+    return _Run(vehicle, float(t[0]), y, wheels, backward, tuple(stopped), [], acting=forces, outside_values=values), plan
 
 
 def _command(run: _Run, plan: tuple, t: float) -> None:

@@ -161,8 +161,8 @@ class Acting:
         return np.sum(found, axis=0) if found else np.zeros((*bodies.shape, 3))
 
     def carried(self, B_from_N: np.ndarray, t_s: Any = None, own: npt.ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-        """What is carried of the directions (..., n_carried), from attitudes (..., 3, 3) at the start or at times (n); `own` (..., 3)
-        as :meth:`own` gives it."""
+        """What is carried of the directions (..., n_carried), from attitudes (..., 3, 3) at the start or at times (n), and of `own`
+        (..., 3) as :meth:`own` gives it."""
         here, parts = self.here(t_s), [np.zeros((*B_from_N.shape[:-2], 0))]
         for name in needed(self.torques):
             if name == OWN:

@@ -1,4 +1,4 @@
-"""A torque that is constant over a motion, in body axes (a leak, a thruster) or in space (a drag, light pressure); or one of each."""
+"""A torque that is constant over a motion: in body axes (a leak, a thruster), in space (a drag, light pressure), or one of each."""
 
 from __future__ import annotations
 

@@ -91,7 +91,8 @@ def posterior(
         One stretch of motion without blows; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
     priors : mapping, optional
         `steady_torque`, the most that a steady torque of which nobody told may turn the body over the samples (deg; 300 unless
-        given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain`
+        given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`,
+        `friction`, `gain`
         (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s (unless given they are
         taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
@@ -157,6 +158,8 @@ def posterior(
         tried = [_sampled(one.hypothesis.tagged(off), seed, search) for one in tried]
         drawn, picked, checked = _together(tried, seed, draws)
         told["time_s"] = f"{off:.2g} s (from the residuals)"
+    modes = _notes(modes, drawn)
+    if off:
         modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
     tree = _tree(there, modes, drawn, picked)
     tree.attrs.update(_about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data))
@@ -164,7 +167,7 @@ def posterior(
     if edge > 0.01:
         modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
     tree.attrs["time_sigma_s"] = there.time_sigma_s
-    found = _judge(tree, _notes(modes, drawn), drawn, checked, here, vehicle, remarks)
+    found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
     tree.attrs["prior_widths"] = json.dumps({"word": word_of(found), "told": prior_widths(there, drawn, found)})
     prior_sigma = min(chosen.limit, there.max_rate) / np.sqrt(5)  # of a component, even in the ball
     row = believed(found, tree, prior_sigma, bool(off), AS_STATED if observations else UNCHECKED)
@@ -180,7 +183,7 @@ def _sampled(one: Hypothesis, seed: int, search: Search) -> Sampled:
 
 
 def _tried(stated: Hypothesis, seed: int, search: Search, chosen: Plan, scale: float, most_deg: float) -> list[Sampled]:
-    """The model as stated and the other hypotheses, sampled; those with a torque from a search of their own where there is cause."""
+    """The model as stated and the others, sampled; those with a torque from a search of their own where there is cause."""
     tried = [_sampled(one, seed, search) for one in (stated, *others(stated, search, most_deg))]
     drawn, _, checked = _together(tried[:1], seed, CHECKED)
     unlikely = checked.p < ASKED_P or abs(checked.noise_sigmas) > ASKED_NOISE or mixed(tried).weight[0] < ASKED_WEIGHT
@@ -207,9 +210,9 @@ def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.nd
 
 
 def _notes(modes: Modes, drawn: Mixed) -> Modes:
-    """The modes with the remarks on the search under the likeliest hypothesis: its own search may be what found the motion."""
+    """The modes with the remarks on the search under the likeliest hypothesis, which may be another than the first."""
     best = drawn.tried[int(np.argmax(drawn.weight))].hypothesis
-    return replace(modes, notes=tuple(dict.fromkeys((*modes.notes, *best.modes.notes)))) if best.what != STATED else modes
+    return modes if best.what == STATED else replace(modes, notes=best.modes.notes)
 
 
 def _whole(seed: Any, draws: Any) -> None:
@@ -327,6 +330,7 @@ def _judge(
     tree.attrs |= {
         "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
         "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,
-        "remarks": "; ".join(remarks), "hypotheses": json.dumps({what: round(share, 4) for what, share in drawn.said.items()}), "spoilt_readings": float(checked.outliers.sum()),
+        "remarks": "; ".join(remarks), "spoilt_readings": float(checked.outliers.sum()),
+        "hypotheses": json.dumps({what: round(share, 4) for what, share in drawn.said.items()}),
     }  # fmt: skip
     return found

@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from sunspin.dynamics.torques.acting import OWN, PER_DIRECTION, needed
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, pushed
-from sunspin.estimate.posterior.modes import Modes, Plan, Search, distinct
+from sunspin.estimate.posterior.modes import Modes, Plan, Search, distinct, within
 from sunspin.estimate.posterior.widths import Sample, pareto_tail
 from sunspin.estimate.terms.steady_torque import WORDS
 
@@ -80,7 +80,8 @@ def others(stated: Hypothesis, search: Search, most_deg: float) -> Iterator[Hypo
 
     def under(model: Model, what: str, log_prior: float, state: State) -> Hypothesis:
         other = replace(likelihood, model=model)
-        return Hypothesis(what, log_prior, other, search.refined(other, state, starts[1], list(modes.trace), []))
+        found = search.refined(other, state, starts[1], list(modes.trace), list(modes.notes))
+        return Hypothesis(what, log_prior, other, within(found, model.max_rate))
 
     model = likelihood.model
     if most_deg:
@@ -117,7 +118,7 @@ def searched(one: Hypothesis, search: Search, chosen: Plan, scale: float) -> Hyp
     }  # fmt: skip
     every = {name: np.concatenate(values) for name, values in parts.items()}
     hits = np.concatenate([m.hits for m in both])
-    return replace(one, modes=distinct(every, hits, list(found.trace), list(found.notes)))
+    return replace(one, modes=within(distinct(every, hits, list(found.trace), list(found.notes), 2), likelihood.model.max_rate))
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,8 @@ SCALE_SIGMA = {True: 0.06, False: 1.0}
 MOST_TURNED = 300.0
 """deg by which a steady torque may turn the body over the window, unless the caller says otherwise."""
 
-KEYS = {"max_rate_rad_s", "steady_torque", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale", "time_s",
-        "wheel_off_s", "wheel_off"}
+KEYS = {"max_rate_rad_s", "steady_torque", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale",
+        "time_s", "wheel_off_s", "wheel_off"}
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -90,7 +90,7 @@ class Modes:
     hits: np.ndarray
     trace: tuple[tuple[int, int, int], ...]
     notes: tuple[str, ...]
-    share: np.ndarray | None = None
+    share: np.ndarray = field(default_factory=lambda: np.ones(1))
     beyond: tuple[State, np.ndarray] | None = None
 
 
@@ -303,11 +303,11 @@ class Search:
             found["cost"] += 3 * np.log(share)  # the prior's height: a small torque is no wonder where small ones are expected
             parts.append((found, starts))
         every = {name: np.concatenate([found[name] for found, _ in parts]) for name in parts[0][0]}
-        return distinct(every, np.concatenate([starts for _, starts in parts]), trace, notes)
+        return distinct(every, np.concatenate([starts for _, starts in parts]), trace, notes, len(parts))
 
 
-def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
-    """The modes among fits to all samples, copies joined."""
+def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes: list[str], times: int = 1) -> Modes:
+    """The modes among fits to all samples, copies joined; `times`: how often each start is among these."""
     order = np.argsort(found["cost"], kind="stable")
     order = order[np.isfinite(found["cost"][order])] if np.isfinite(found["cost"]).any() else order
     good = found["cost"][order] < found["cost"][order[0]] + DROP
@@ -325,8 +325,9 @@ def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes:
             notes.append(f"more than {MOST_MODES} modes")
     far = order[~good][:BEYOND]
     index, trace = np.array(kept), [*trace, (int(trace[-1][0]) if trace else 0, len(cost), len(kept))]
+    starts = -(-np.array(count) // times)
     return Modes(
-        state.take(index), cost[index], hessian[index], np.array(count), tuple(trace), tuple(notes), found["share"][index],
+        state.take(index), cost[index], hessian[index], starts, tuple(trace), tuple(notes), found["share"][index],
         (state.take(far), hits[far]),
     )  # fmt: skip
 
