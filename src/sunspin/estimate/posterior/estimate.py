@@ -29,6 +29,7 @@ from sunspin.estimate.posterior.hypotheses import (
     Hypothesis,
     Mixed,
     Sampled,
+    likely,
     mixed,
     others,
     searched,
@@ -51,7 +52,7 @@ TAG_CHANCE = 0.05
 """Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
 
 OTHERS_DRAWS = 0.5
-"""Part of the draws under the model as stated that each other hypothesis gets: these share its weight, and have more unknowns."""
+"""Part of the draws under the model as stated that each other hypothesis gets, as long as the former holds its own."""
 
 CHECKED = 400
 """Draws by which the model as stated is judged before others are searched for."""
@@ -155,7 +156,7 @@ def posterior(
     off = checked.tag_s if noticed else 0.0
     if off:
         there = replace(there, time_sigma_s=off)
-        tried = [_sampled(one.hypothesis.tagged(off), seed, search) for one in tried]
+        tried = [_sampled(one.hypothesis.tagged(off), seed, search, OTHERS_DRAWS if i else 1.0) for i, one in enumerate(tried)]
         drawn, picked, checked = _together(tried, seed, draws)
         told["time_s"] = f"{off:.2g} s (from the residuals)"
     modes = _notes(modes, drawn)
@@ -176,24 +177,21 @@ def posterior(
     return tree
 
 
-def _sampled(one: Hypothesis, seed: int, search: Search) -> Sampled:
+def _sampled(one: Hypothesis, seed: int, search: Search, part: float = 1.0) -> Sampled:
     """The posterior under a hypothesis, about its modes."""
-    part = 1.0 if one.what == STATED else OTHERS_DRAWS
     return Sampled(one, sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part))
 
 
 def _tried(stated: Hypothesis, seed: int, search: Search, chosen: Plan, scale: float, most_deg: float) -> list[Sampled]:
     """The model as stated and the others, sampled; those with a torque from a search of their own where there is cause."""
-    tried = [_sampled(one, seed, search) for one in (stated, *others(stated, search, most_deg))]
-    drawn, _, checked = _together(tried[:1], seed, CHECKED)
-    unlikely = checked.p < ASKED_P or abs(checked.noise_sigmas) > ASKED_NOISE or mixed(tried).weight[0] < ASKED_WEIGHT
-    if not unlikely:
+    first, every = _sampled(stated, seed, search), list(others(stated, search, most_deg))
+    tried = [first, *(_sampled(one, seed, search, OTHERS_DRAWS) for one in likely(stated, every))]
+    checked = _together(tried[:1], seed, CHECKED)[2]
+    fits = checked.p > ASKED_P and abs(checked.noise_sigmas) < ASKED_NOISE and mixed(tried).weight[0] > ASKED_WEIGHT
+    if fits or not most_deg:
         return tried
-    pushed = [one.hypothesis.likelihood.model.frame != "" for one in tried]
-    return [
-        _sampled(searched(one.hypothesis, search, chosen, scale), seed, search) if torque else one
-        for one, torque in zip(tried, pushed, strict=True)
-    ]  # fmt: skip
+    every = [searched(one, search, chosen, scale) if one.likelihood.model.frame else one for one in every]
+    return [first, *(_sampled(one, seed, search) for one in likely(stated, every))]
 
 
 def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.ndarray, Check]:

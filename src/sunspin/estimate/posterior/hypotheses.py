@@ -35,8 +35,8 @@ ASKED_P, ASKED_NOISE, ASKED_WEIGHT = 0.05, 2.0, 0.1
 """Readings this unlikely under the model as stated, noise this far from its prior (in its sigmas), or so little weight left to that
 model call for a search under torques."""
 
-NO_CHANCE = 6.0
-"""Log evidence, by Laplace's method, by which looser moments of inertia may be worse than those stated and still be sampled."""
+NO_CHANCE = (6.0, 12.0)
+"""Log evidence, by Laplace's method, by which looser moments of inertia and a torque may be worse than the best and be sampled."""
 
 NO_WEIGHT = 1e-5
 """A hypothesis with less weight is left out, a region with less than ten times that is matched with no other."""
@@ -95,9 +95,15 @@ def others(stated: Hypothesis, search: Search, most_deg: float) -> Iterator[Hypo
         sigma = [LOOSER if x.kind == "inertia" else 1.0 for x in model.unknowns]
         looser = tuple(replace(x, sigma=x.sigma * times) for x, times in zip(model.unknowns, sigma, strict=True))
         state = replace(starts[0], u=starts[0].u / np.array(sigma))
-        other = under(replace(model, unknowns=looser), "moments of inertia off by more than stated", np.log(LOOSER_CHANCE), state)
-        if _log_mass(other) > _log_mass(stated) - NO_CHANCE:
-            yield other
+        yield under(replace(model, unknowns=looser), "moments of inertia off by more than stated", np.log(LOOSER_CHANCE), state)
+
+
+def likely(stated: Hypothesis, every: list[Hypothesis]) -> list[Hypothesis]:
+    """The other hypotheses that are worth sampling."""
+    mass = [_log_mass(one) for one in every]
+    best = max([_log_mass(stated), *mass])
+    limits = [NO_CHANCE[one.likelihood.model.frame != ""] for one in every]
+    return [one for one, own, limit in zip(every, mass, limits, strict=True) if own > best - limit]
 
 
 def _log_mass(one: Hypothesis) -> float:

@@ -36,7 +36,7 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     posterior, mode = group(tree, "posterior"), json.loads(tree.attrs.get("wheel_mode", '"coast"'))
     unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), 1.0, mode)
     omega, sun, speeds = (
-        np.asarray(posterior[name].values).reshape(-1, size)
+        np.asarray(posterior[name].values).reshape(posterior.sizes["chain"] * posterior.sizes["draw"], size)
         for name, size in (("omega_B", 3), ("sun_B", 3), ("wheel_speed_rad_s", len(vehicle.wheels)))
     )
     u = np.zeros((len(omega), len(unknown.unknowns)))

@@ -221,8 +221,7 @@ def _first(
     model, d = likelihood.model, modes.hessian.shape[1]
     least = np.diag(np.concatenate([np.full(3, model.max_rate**-2), np.ones(2), np.zeros(d - 5)]))
     laplace = np.linalg.inv(modes.hessian + least)
-    moving = [i for i in model.moving if i not in model.where("steady_torque")]  # along the sheet, which they do not bend
-    sheet = Sheet.of(d, softs, moving, model.where("scale"))
+    sheet = Sheet.of(d, softs, model.moving, model.where("scale"))
     parts = [_straight(0.5 * (c + c.T), likelihood.data.reach_s, sheet) for c in laplace]
     basis, bend, covariance = (np.array(every) for every in zip(*parts, strict=True))
     owner = np.arange(len(covariance))
