@@ -64,8 +64,9 @@ def run(options: Any) -> int:
             rows.setdefault(level, []).append(kept(folder / f"{level}-{i:03d}.json", one))
             print(level, i, rows[level][-1]["word"], flush=True)
     print(table(rows))
-    wrong = [sum(row["wrong"] for row in each) for each in rows.values()]
-    return int(any(n > max(1, len(each) // 40) for n, each in zip(wrong, rows.values(), strict=True)))
+    wrong, made = [sum(row["wrong"] for row in each) for each in rows.values()], [len(each) for each in rows.values()]
+    too_many = any(n > max(1, of // 40) for n, of in zip(wrong, made, strict=True))
+    return int(too_many or sum(wrong) > max(1, sum(made) // 100))
 
 
 class Made(NamedTuple):

@@ -94,8 +94,8 @@ def others(stated: Hypothesis, search: Search, most_deg: float) -> Iterator[Hypo
     if at:
         sigma = [LOOSER if x.kind == "inertia" else 1.0 for x in model.unknowns]
         looser = tuple(replace(x, sigma=x.sigma * times) for x, times in zip(model.unknowns, sigma, strict=True))
-        state = replace(starts[0], u=starts[0].u / np.array(sigma))
-        yield under(replace(model, unknowns=looser), "moments of inertia off by more than stated", np.log(LOOSER_CHANCE), state)
+        state, chance = replace(starts[0], u=starts[0].u / np.array(sigma)), float(np.log(LOOSER_CHANCE))
+        yield under(replace(model, unknowns=looser), "moments of inertia off by more than stated", chance, state)
 
 
 def likely(stated: Hypothesis, every: list[Hypothesis]) -> list[Hypothesis]:
