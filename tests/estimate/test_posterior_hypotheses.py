@@ -108,14 +108,14 @@ def test_draws_go_on_under_their_own_torques():
 
 @pytest.mark.long
 @pytest.mark.parametrize("stays_in", [0, 1])
-@pytest.mark.evidence("posterior", "modelled", "a torque of which nobody told, of 0.003 rad/s over 300 s; left out it is wrong")
+@pytest.mark.evidence("posterior", "modelled", "a torque of which nobody told, of 0.005 rad/s over 300 s; left out it is wrong")
 def test_a_torque_that_nobody_told_of_is_found_and_left_out_it_makes_a_wrong_answer_sure(stays_in):
     t = np.arange(0, 301, 15.0)
     torque = np.zeros((2, 3))
-    torque[stays_in] = 0.01 * 0.003 / 300.0 * np.array([0.6, 0.0, -0.8])
+    torque[stays_in] = 0.01 * 0.005 / 300.0 * np.array([0.6, 0.0, -0.8])
     rate = np.array([0.05, -0.03, 0.06])
-    telemetry = ss.twin(BOX, {"omega_B": rate, "sun_B": SUN, "t_s": t, "scale": 0.5, "noise": 0.01, "torques": [Steady(torque)]})
-    craft, away = replace(BOX, telemetry=replace(BOX.telemetry, noise=0.01)), []
+    telemetry = ss.twin(BOX, {"omega_B": rate, "sun_B": SUN, "t_s": t, "scale": 0.5, "noise": 0.005, "torques": [Steady(torque)]})
+    craft, away = replace(BOX, telemetry=replace(BOX.telemetry, noise=0.005)), []
     for most in (0.0, 300.0):
         priors = {"max_rate_rad_s": 0.12, "inertia": 0.0, "steady_torque": most}
         tree = ss.posterior(craft, telemetry, priors, draws=1000, workers=1)
@@ -124,4 +124,4 @@ def test_a_torque_that_nobody_told_of_is_found_and_left_out_it_makes_a_wrong_ans
     assert away[1] < 4.0 and away[0] > 5.0, away
     weights = json.loads(tree.attrs["hypotheses"])
     assert weights["as stated"] < 0.01 and "the readings ask for a steady torque" in tree.attrs["verdict"], weights
-    assert TURNED[0] < np.radians(26.0) < TURNED[-1]  # within what is expected
+    assert TURNED[0] < np.radians(43.0) < TURNED[-1]  # within what is expected
