@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import sunspin as ss
 from posteriors import tree_of
@@ -97,7 +98,7 @@ def test_draws_go_on_under_their_own_torques():
     omega = 0.05 * rng.standard_normal((3, 3))
     tree = tree_of(BOX, State(omega, np.tile(SUN, (3, 1)), np.zeros((3, len(model(BOX, {}, 1.0)[0].unknowns)))), {})
     pull = 1e-4 * rng.standard_normal((3, 2, 3)) * np.array([[[1], [0]], [[0], [1]], [[0], [0]]])
-    tree["posterior"]["steady_torque"] = (("chain", "draw", "stays_in", "axis"), pull[None])
+    tree["posterior"]["steady_torque"] = xr.DataArray(pull[None], dims=("chain", "draw", "stays_in", "axis"))
     _, rows = drawn_rows(BOX, tree)
     found = run_to(BOX, rows, t)
     for i in range(3):
@@ -107,7 +108,7 @@ def test_draws_go_on_under_their_own_torques():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("stays_in", [0, 1])
+@pytest.mark.parametrize("stays_in", [pytest.param(0, marks=pytest.mark.slow), 1])
 @pytest.mark.evidence("posterior", "modelled", "a torque of which nobody told, of 0.005 rad/s over 300 s; left out it is wrong")
 def test_a_torque_that_nobody_told_of_is_found_and_left_out_it_makes_a_wrong_answer_sure(stays_in):
     t = np.arange(0, 301, 15.0)
