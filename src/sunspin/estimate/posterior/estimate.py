@@ -28,6 +28,7 @@ from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, 
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.posterior.widths import Sample, resampled, sample
+from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-6
@@ -268,7 +269,7 @@ def _judge(
     told = regions["weight"].values >= 0.01
     if np.any(regions["starts"].values[told] == 1):
         doubts.append("a region of weight was reached from one start only, so others may have been missed")
-    spoilt = spoilt_panels(vehicle.panel_names, checked.outliers, data.lit)
+    spoilt = spoilt_panels(vehicle.input_names, checked.outliers, data.lit)
     found = Found(
         regions["weight"].values, regions["omega_B"].values,
         np.sqrt(np.linalg.eigvalsh(regions["omega_cov_B"].values)[:, -1].clip(0)), regions["starts"].values,
@@ -276,6 +277,8 @@ def _judge(
         drawn.effective, doubts,
     )  # fmt: skip
     word, text = verdict(found)
+    if word != "not explained" and (alike := alike_motions(vehicle)):
+        text += f"; {alike}"
     if word == "not explained":
         text += f"; rates up to {tree.attrs['searched_rate_rad_s']:.3g} rad/s were searched"
     tree.attrs |= {

@@ -23,7 +23,6 @@ from sunspin.estimate.rates.common import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading, link
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
-from sunspin.estimate.rates.images import not_told
 from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
@@ -35,7 +34,7 @@ from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
 from sunspin.estimate.terms.term import SUN_N
-from sunspin.estimate.verdict import misfit
+from sunspin.estimate.verdict import alike_motions, misfit
 from sunspin.estimate.wiring import Better, better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
@@ -183,7 +182,7 @@ def rates(
         late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(body.spherical and noise >= HIGHER_NOISES[0]),
     )  # fmt: skip
-    if source == "panels" and (alike := not_told(vehicle)):
+    if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
     if wirings and not result["fits"].values.all():
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:

@@ -153,6 +153,28 @@ def gains_figure(quality: xr.Dataset) -> Figure:
     return figure
 
 
+def health_figure(health: xr.Dataset) -> Figure:
+    """Sets of panels that were lit together and cannot be, a row each with its samples; panels whose loss explains all marked."""
+    lit, lost = (health[name].values.astype(bool) for name in ("impossible_lit", "lost"))
+    figure = Figure(figsize=(7, 1.6 + 0.35 * max(len(lit), 3)), layout="constrained")
+    axes = figure.subplots()
+    row, column = np.nonzero(lit)
+    axes.plot(column, row, "s", ms=11, color=COLOURS[4], label="lit")
+    for k, panels in enumerate(lost[:1]):
+        for place in np.flatnonzero(panels):
+            axes.axvline(place, color=COLOURS[1], lw=1.4, ls="--", label="its loss explains them" if k == 0 else None)
+    axes.set_yticks(range(len(lit)), [f"{n} samples" for n in health["samples"].values])
+    axes.set_xticks(range(lit.shape[1]), [named(name) for name in health["panel"].values])
+    axes.set(xlabel="panel", xlim=(-0.6, lit.shape[1] - 0.4), ylim=(len(lit) - 0.4, -0.6) if len(lit) else (1, 0))
+    handles, labels = axes.get_legend_handles_labels()
+    shown = dict(zip(labels, handles, strict=True))
+    if shown:
+        axes.legend(shown.values(), shown.keys(), ncols=2, fontsize=9, **ABOVE)
+    title = "Lit together, which the Sun alone cannot do" if len(lit) else "Nothing was lit that the Sun cannot light"
+    axes.set_title(_title(title, health.attrs.get("synthetic")), fontsize=10, loc="left", pad=20)
+    return figure
+
+
 def sun_directions_figure(
     sun: xr.Dataset, telemetry: xr.Dataset | None = None, events: Mapping[str, float] | None = None
 ) -> Figure:
@@ -263,8 +285,11 @@ def _sphere(axes: Any) -> None:
         axes.tick_params(axis=name, labelsize=6, pad=-3)
 
 
-def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray]) -> Figure:
-    """Wheel speed against time for several friction laws (paper, Fig. 5)."""
+def spin_down_figure(
+    t_s: np.ndarray, curves: dict[str, np.ndarray],
+    title: str = "Spin-down of the wheel, computed from published friction (no measured record is public)",
+) -> Figure:  # fmt: skip
+    """Wheel speed against time for several friction laws (paper, Fig. 5), or as recorded and fitted."""
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     for k, (label, speed) in enumerate(curves.items()):
@@ -274,7 +299,7 @@ def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray]) -> Figure:
     axes.set_ylim(bottom=-20)
     axes.axhline(0, lw=0.5, color=COLOURS[7])
     axes.legend()
-    axes.set_title("Spin-down of the wheel, computed from published friction (no measured record is public)", fontsize=9)
+    axes.set_title(title, fontsize=9)
     return figure
 
 
