@@ -39,6 +39,7 @@ def test_the_import_contracts_hold():
         ("dynamics/impact.py", "import sunspin.estimate.scan.metrics", "A room uses the rooms below it"),
         ("landing/flight.py", "import matplotlib", "Physics does not draw"),
         ("telemetry/sun.py", "import sunspin.dynamics.gyrostat", "do not know each other"),
+        ("philae/twin.py", "import sunspin.dynamics.ensemble.codegen", "stands on what the rooms offer"),
         ("estimate/scan/metrics.py", "import sunspin.estimate.scan.rows", "No circles"),
     ],
 )

@@ -16,7 +16,7 @@ from sunspin.landing import strategies as st
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
 from sunspin.landing.tally import Estimate, density, lowest_rz, tally
-from sunspin.output.kinds.collision import explained, facts_of, weightings
+from sunspin.landing.weighted import explained, facts_of, weightings
 from sunspin.philae import collision as co
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import NARROWER, Row, over_candidates, row, share_of_candidates

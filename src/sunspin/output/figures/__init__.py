@@ -53,7 +53,7 @@ def named(name: Any) -> str:
     return str(name).replace("$", r"\$")
 
 
-def _title(text: str, synthetic: Any) -> str:
+def titled(text: str, synthetic: Any) -> str:
     return f"{text} (synthetic telemetry)" if synthetic else text
 
 
@@ -64,7 +64,7 @@ def signals_figure(telemetry: xr.Dataset) -> Figure:
     place = _passes_together(telemetry["time"].values)
     _signals(axes, telemetry, place)
     _time_axis(axes, telemetry, place)
-    axes.set_title(_title("Panel signals", telemetry.attrs.get("synthetic")), loc="left")
+    axes.set_title(titled("Panel signals", telemetry.attrs.get("synthetic")), loc="left")
     return figure
 
 
@@ -149,7 +149,7 @@ def gains_figure(quality: xr.Dataset) -> Figure:
     axes.set_xticks(place, [named(name) for name in quality["panel"].values])
     axes.set_xlabel("panel")
     axes.set_ylabel("gain (unit of the vehicle's gains)")
-    axes.set_title(_title("Gains of the panels", quality.attrs.get("synthetic")))
+    axes.set_title(titled("Gains of the panels", quality.attrs.get("synthetic")))
     return figure
 
 
@@ -171,7 +171,7 @@ def health_figure(health: xr.Dataset) -> Figure:
     if shown:
         axes.legend(shown.values(), shown.keys(), ncols=2, fontsize=9, **ABOVE)
     title = "Lit together, which the Sun alone cannot do" if len(lit) else "Nothing was lit that the Sun cannot light"
-    axes.set_title(_title(title, health.attrs.get("synthetic")), fontsize=10, loc="left", pad=20)
+    axes.set_title(titled(title, health.attrs.get("synthetic")), fontsize=10, loc="left", pad=20)
     return figure
 
 
@@ -193,7 +193,7 @@ def sun_directions_figure(
     error = sun["sigma_rad"].values
     if telemetry is not None:
         _signals(parts[0], telemetry, place)
-    figure.suptitle(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
+    figure.suptitle(titled("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
     for k, axis in enumerate("xyz"):
         middle.errorbar(
             x[told], sun["sun_B"].values[told, k], yerr=error[told], fmt=".", ms=5, lw=0.8, color=COLOURS[k],
@@ -271,7 +271,7 @@ def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) ->
         axes.scatter(*doubtful.T, s=9, color=COLOURS[1], depthshade=False)
         more = f", {len(doubtful)} doubtful" if len(doubtful) else ""
         axes.set_title(f"{chr(65 + k)}: {name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9)
-    figure.suptitle(_title("Directions to the Sun in body axes", synthetic), fontsize=10)
+    figure.suptitle(titled("Directions to the Sun in body axes", synthetic), fontsize=10)
     return figure
 
 

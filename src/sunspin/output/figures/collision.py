@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from sunspin.landing.weighted import facts_of
 from sunspin.output.figures import COLOURS
-from sunspin.output.kinds.collision import facts_of
 
 
 def collision_figure(found: xr.Dataset) -> Figure:

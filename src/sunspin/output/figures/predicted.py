@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title, named
+from sunspin.output.figures import COLOURS, named, titled
 
 
 def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | None = None) -> Figure:
@@ -41,7 +41,7 @@ def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | N
             angles.set_xlabel("angle (deg)")
     marks = "; dashed: the truth" if truth is not None else ""
     text = f"What {named(found.attrs.get('vehicle', 'the body'))} did: draws of the posterior{marks}"
-    figure.suptitle(_title(text, found.attrs.get("synthetic")), fontsize=11)
+    figure.suptitle(titled(text, found.attrs.get("synthetic")), fontsize=11)
     return figure
 
 

@@ -39,6 +39,10 @@ DOWN_RAD, DOWN = 1e-4, 1e-9
 """A direction is a minimum of Delta if no direction so far from it has one smaller by so much."""
 
 
+BEYOND = 1e-7
+"""rad by which the next cell is entered."""
+
+
 @dataclass(frozen=True)
 class Input:
     """One reading: its name, which panels it reads, by number, and whether the largest of them and not their sum."""
@@ -148,7 +152,7 @@ class Joined(Tabled):
         free = [np.linalg.svd(matrix)[2][2] if rank == 2 else np.zeros(3) for matrix, rank in zip(within, ranks, strict=True)]
         return FlatInputs(places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B])), np.array(free))
 
-    @property
+    @cached_property
     def _planes(self) -> np.ndarray:
         """Unit normals (n, 3) of the planes that part the cells: where a panel grazes, and where two of one largest give alike."""
         rows, found = np.array(self.law.gains)[:, None] * self.normals_B, [*self.normals_B]
@@ -176,15 +180,46 @@ class Joined(Tabled):
             return super().alike(readings, slack)
         target, limit = unit_readings(readings), self.best(readings)[1] + slack
         found = np.concatenate([self.best(readings)[0][:, None], self._flat.candidates(target)], axis=1)
-        sample, which = np.nonzero(misfit(self.power(found), target[:, None]) <= limit[:, None])
+        fits = misfit(self.power(found), target[:, None]) <= limit[:, None]
+        sample, which = np.nonzero(fits & found.any(axis=-1))  # where all is dark there is no candidate
         sun, wanted = found[sample, which], target[sample]
         here, lowest = misfit(self.power(sun), wanted), np.full(len(sun), np.inf)
-        for step in AROUND:
+        for step in AROUND[::2]:
             lowest = np.minimum(lowest, misfit(self.power(moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1)))), wanted))
         kept = np.zeros(found.shape[:2], dtype=bool)
         kept[sample, which] = here <= lowest + DOWN
         kept[:, 0] = True
         return np.where(kept[..., None], found, np.nan)
+
+    def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
+        if self._flat is None:
+            return super().arc(readings, lit)
+        target = unit_readings(np.where(lit, readings, 0.0)[None])
+        sun = self._flat.candidates(target)[0]
+        power = self.power(sun)
+        there = ((power > 0) == lit).all(axis=1)
+        if not there.any():
+            return np.full((2, 3), np.nan)
+        away = np.where(there, misfit(power, target), np.inf)
+        room = np.where(away < away.min() + DOWN, np.abs(sun @ self._planes.T).min(axis=1), -1.0)
+        begin = sun[np.argmax(room)]
+        return np.array([self._followed(begin, lit, sign) for sign in (1.0, -1.0)])
+
+    def _followed(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
+        """Of flat panels an arc is a great circle from one plane to the next."""
+        if self._flat is None:
+            return super()._followed(begin, lit, sign)
+        planes, sun, along, left = self._planes, begin, sign * self._unseen(begin, lit), np.pi
+        while True:
+            crossing = np.arctan2(-(planes @ sun), planes @ along) % np.pi
+            step = min(float(crossing[crossing > BEYOND].min(initial=np.pi)), left)
+            left -= step
+            end, ahead = (np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + BEYOND))
+            if left <= BEYOND or not np.array_equal(self.power(ahead) > 0, lit):
+                return end
+            onward = self._unseen(ahead, lit)
+            along = onward * np.copysign(1.0, onward @ (np.cos(step) * along - np.sin(step) * sun))
+            sun = ahead
 
     @cached_property
     def images(self) -> np.ndarray:
