@@ -255,7 +255,7 @@ class Search:
                 state, normal, beside = state.take(only), normal[only], beside[only]
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
-                return self._last(likelihood, state, hits, trace, notes)
+                return self._with_images(likelihood, self._last(likelihood, state, hits, trace, notes))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
@@ -268,6 +268,14 @@ class Search:
         nearest = coming.take(np.array([np.argmin(np.abs(coming.t_s))]))
         look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale)
         return self.run(look, "looking ahead", 8192)["allowed"]
+
+    def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:
+        """The modes and their images under what changes no reading of panels on shared inputs: the search may miss some."""
+        images = likelihood.response.images
+        if len(images) == 1:
+            return found
+        every = State.joined([_imaged(found.state, image) for image in images])
+        return self._last(likelihood, every, np.tile(found.hits, len(images)), list(found.trace), list(found.notes))
 
     def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
         found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", every=True, curved=True)
@@ -289,6 +297,11 @@ class Search:
         trace.append((len(likelihood.data), len(state), len(kept)))
         index = np.array(kept)
         return Modes(state.take(index), cost[index], hessian[index], np.array(count), tuple(trace), tuple(notes))
+
+
+def _imaged(state: State, image: np.ndarray) -> State:
+    """Motions as a mirror or a turn of the body (3, 3) shows them: rates are axial vectors."""
+    return replace(state, omega=np.linalg.det(image) * (state.omega @ image.T), sun=state.sun @ image.T)
 
 
 def _turned(model: Model, state: State) -> list[State]:

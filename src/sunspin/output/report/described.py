@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import ABOVE, named, save
+from sunspin.output.figures import ABOVE, named
 from sunspin.output.figures.inline import THEME
 from sunspin.output.report.section import Plot, Section
 
