@@ -28,6 +28,11 @@ def roughly(figure: Figure) -> Figure:
     return figure
 
 
+def unsaved(_: Figure, folder: Path, name: str) -> list[Path]:
+    """Says where a figure would be and writes none."""
+    return [folder / f"{name}.png"]
+
+
 @contextmanager
 def small() -> Iterator[None]:
     """A study of few motions and runs, without files of figures and the slowest parts that the page does not draw."""
@@ -36,7 +41,7 @@ def small() -> Iterator[None]:
             (motions, "SPREAD_MOTIONS", 4), (motions, "COLLISIONS", 40), (published_lines, "LINE_POINTS", 3),
             (carries, "SHUFFLES", 3), (rp, "LEAST_RUNS", 40), (rp, "LANDING_RUNS", 1),
             (rp, "PARTS", tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity"))),
-            (reproduction, "draw", lambda *_: []), (inline, "lay_out", roughly),
+            (reproduction, "draw", lambda *_: []), (inline, "lay_out", roughly), (figures, "save", unsaved),
         ):  # fmt: skip
             patch.setattr(module, name, value)
         yield
@@ -91,7 +96,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(sys, "argv", ["sunspin", *arguments])  # kept with the results as the line that repeats them
                 if arguments[0] != "sun" and arguments[1] != str(root / "sun"):
-                    patch.setattr(figures, "save", lambda figure, folder, name: [folder / f"{name}.png"])
+                    patch.setattr(figures, "save", unsaved)
                     patch.setattr(inline, "lay_out", roughly)
                 done = run.invoke(cli, arguments, catch_exceptions=False)
             assert done.exit_code == 0, done.output
