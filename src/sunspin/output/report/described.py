@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import ABOVE, named
+from sunspin.output.figures import named
 from sunspin.output.figures.inline import THEME
 from sunspin.output.report.section import Plot, Section
 
@@ -18,8 +18,11 @@ COLOURS = {name: colour for colour, name in THEME.items()}
 PX_PER_INCH, WIDE_INCHES = 80.0, 10.0
 DASHES = {"dash": "--", "dot": ":"}
 SYMBOLS = {"circle": "o", "diamond": "D", "x-thin-open": "x"}
-LEFT, BOTTOM, WIDTH, HEIGHT = 0.09, 0.12, 0.82, 0.76
+LEFT, WIDTH = 0.09, 0.82
 """Of all axes together, in shares of the figure."""
+
+BELOW, ABOVE = 0.6, 0.75
+"""Room below and above them in inches."""
 
 
 def flat_plots(parts: list[Section], hero: Any) -> Iterator[Plot]:
@@ -38,19 +41,21 @@ def figure_of(plot: Plot, view: int = 0) -> Figure:
     for k, trace in enumerate(plot.data):
         x, y = trace.get("xaxis", "x"), trace.get("yaxis", "y")
         if "overlaying" in _of(layout, y):  # nothing but a second scale of another
-            _second_scale(axes, layout, x, y)
             continue
         if (x, y) not in axes:
             axes[x, y] = _placed(figure, layout, x, y)
         if k in chosen["show"] if chosen else trace.get("visible", True):
             _draw(axes[x, y], trace, _of(layout, x).get("type") == "date")
     for (x, y), one in axes.items():
-        _finish(one, _of(layout, x), _of(layout, y), _of(layout, x).get("anchor", y) == y)
+        first = next(other for other in axes if other[1] == y)
+        _finish(one, _of(layout, x), _of(layout, y), _of(layout, x).get("anchor", y) == y, first == (x, y))
+    for second in (about for key, about in layout.items() if key.startswith("yaxis") and "overlaying" in about):
+        _second_scale(axes[second["anchor"], second["overlaying"]], second)
     for note in (*layout.get("shapes", ()), *layout.get("annotations", ())):
         _mark(axes, note)
     shown = {text: handle for one in axes.values() for handle, text in zip(*one.get_legend_handles_labels(), strict=True)}
-    figure.legend(shown.values(), shown.keys(), ncols=3, fontsize=8, **ABOVE | {"bbox_to_anchor": (LEFT + WIDTH, 0.99),
-                                                                              "loc": "upper right"})  # fmt: skip
+    figure.legend(shown.values(), shown.keys(), ncols=3, fontsize=8, frameon=False, loc="upper right",
+                  bbox_to_anchor=(LEFT + WIDTH, 0.99))  # fmt: skip
     return figure
 
 
@@ -61,12 +66,13 @@ def _of(layout: dict[str, Any], name: str) -> dict[str, Any]:
 
 def _placed(figure: Figure, layout: dict[str, Any], x: str, y: str) -> Any:
     (x0, x1), (y0, y1) = (_of(layout, name).get("domain", (0.0, 1.0)) for name in (x, y))
-    return figure.add_axes((LEFT + x0 * WIDTH, BOTTOM + y0 * HEIGHT, (x1 - x0) * WIDTH, (y1 - y0) * HEIGHT))
+    inches = figure.get_size_inches()[1]
+    bottom, height = BELOW / inches, 1 - (BELOW + ABOVE) / inches
+    return figure.add_axes((LEFT + x0 * WIDTH, bottom + y0 * height, (x1 - x0) * WIDTH, (y1 - y0) * height))
 
 
-def _second_scale(axes: dict[tuple[str, str], Any], layout: dict[str, Any], x: str, y: str) -> None:
-    under, about = axes[x, _of(layout, y)["overlaying"]], _of(layout, y)
-    other = under.secondary_yaxis("right")
+def _second_scale(axes: Any, about: dict[str, Any]) -> None:
+    other = axes.secondary_yaxis("right")
     other.set_yticks(about["tickvals"], about["ticktext"])
     other.minorticks_off()
     other.set_ylabel(about["title"]["text"])
@@ -105,10 +111,10 @@ def _draw(axes: Any, trace: dict[str, Any], is_date: bool) -> None:
         axes.plot(x, y, DASHES.get(line.get("dash", ""), "-"), lw=line["width"], color=_colour(line["color"]), label=label)
 
 
-def _finish(axes: Any, x: dict[str, Any], y: dict[str, Any], has_scale: bool) -> None:
+def _finish(axes: Any, x: dict[str, Any], y: dict[str, Any], has_scale: bool, has_y: bool) -> None:
     is_date = x.get("type") == "date"
     if is_date:
-        locator = AutoDateLocator(maxticks=8)
+        locator = AutoDateLocator(minticks=2, maxticks=max(round(10 * axes.get_position().width), 3))
         axes.xaxis.set_major_locator(locator)
         axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, show_offset=False))
     if "range" in x:
@@ -123,7 +129,8 @@ def _finish(axes: Any, x: dict[str, Any], y: dict[str, Any], has_scale: bool) ->
     if "tickvals" in y:
         axes.set_yticks(y["tickvals"], y["ticktext"])
         axes.minorticks_off()
-    axes.set_ylabel(named(y.get("title", {}).get("text", "")).replace("<br>", "\n"), fontsize=9)
+    axes.tick_params(labelleft=has_y)
+    axes.set_ylabel("" if not has_y else named(y.get("title", {}).get("text", "")).replace("<br>", "\n"), fontsize=9)
 
 
 def _mark(axes: dict[tuple[str, str], Any], note: dict[str, Any]) -> None:

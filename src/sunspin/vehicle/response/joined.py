@@ -211,14 +211,15 @@ class Joined(Tabled):
             return super()._followed(begin, lit, sign)
         planes, sun, along, left = self._planes, begin, sign * self._unseen(begin, lit), np.pi
         while True:
-            crossing = np.arctan2(-(planes @ sun), planes @ along) % np.pi
-            step = min(float(crossing[crossing > BEYOND].min(initial=np.pi)), left)
+            here, onward = planes @ sun, planes @ along
+            crossing = np.arctan2(-here, onward)[np.hypot(here, onward) > ON_PLANE] % np.pi  # not those in which the arc lies
+            step = min(float(crossing.min(initial=np.pi)), left)
             left -= step
             end, ahead = (np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + BEYOND))
             if left <= BEYOND or not np.array_equal(self.power(ahead) > 0, lit):
                 return end
-            onward = self._unseen(ahead, lit)
-            along = onward * np.copysign(1.0, onward @ (np.cos(step) * along - np.sin(step) * sun))
+            new = self._unseen(ahead, lit)
+            along = new * np.copysign(1.0, new @ (np.cos(step) * along - np.sin(step) * sun))
             sun = ahead
 
     @cached_property
