@@ -85,6 +85,9 @@ def test_weights_prefer_what_the_kernel_shows(landing):
     worth = {line["name"]: line["effective_runs"] for line in weightings(found)}
     assert worth["kernel, sigma 0.01 m/s"] < worth["kernel, sigma 0.04 m/s"] < worth["as drawn"] == found.sizes["run"]
     assert 0.02 < explained(found).value < 0.25
+    said = found.sunspin.summary()
+    assert said["facts"] == facts and said["explained"] == explained(found) and said["table"] == weightings(found)
+    assert str(said).count("\n") == found.sizes["weighting"] and found["unit"].sel(quantity="rate_after").item() == "rad s-1"
 
 
 def test_after_a_sticking_blow_the_centre_of_mass_turns_about_the_legs_end(landing):
