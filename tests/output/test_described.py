@@ -35,8 +35,8 @@ def test_the_first_picture_of_a_study_has_its_bands_scales_and_events(study):
     plot = overview.hero(read_results(study))
     figure = figure_of(plot)
     figure.canvas.draw()
-    left, right = figure.axes
-    assert left.get_yscale() == right.get_yscale() == "log" and len(right.patches) == sum("fill" in trace for trace in plot.data)
+    assert [axes.get_yscale() for axes in figure.axes] == ["log", "log"]
+    assert sum(len(axes.patches) for axes in figure.axes) == sum("fill" in trace for trace in plot.data)
     texts = {text.get_text() for axes in figure.axes for text in axes.texts}
     assert texts == {note["text"] for note in plot.layout["annotations"]}
     shown = {text.get_text() for text in figure.legends[0].get_texts()}

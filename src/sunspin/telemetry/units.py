@@ -44,9 +44,9 @@ FINEST, OFFSET = 1e5, 30.0
 ABSURD_ACCELERATION = 0.1
 """rad/s2: no dipole in a planet's field turns a spacecraft so."""
 
-STEEP_SHARE = 0.7
-"""Part of its readings that a Sun sensor has at the steepest angle: a Sun that stands there more often hardly reaches it. Of angles
-spread over 40 degrees or more to each side and read as radians it is more than 0.95."""
+STEEP_SHARE, STEEP_SAMPLES = 0.85, 30
+"""Part of its readings, of so many at least, that a Sun sensor has at the steepest angle: it is 0.55 for one that reads on while the
+Sun turns behind it, and 0.96 for angles spread over 40 degrees to each side that are read as radians."""
 
 RPM = 60 / (2 * np.pi)
 
@@ -173,7 +173,7 @@ def _sun_sensors(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
     for k, sensor in enumerate(vehicle.sensors.sun_sensors):
         angle = telemetry["sun_sensor_angle"].values[:, k, 0]
         angle = angle[np.isfinite(angle)]
-        if len(angle) >= PAIRS and np.mean(np.abs(angle) >= STEEPEST_RAD) > STEEP_SHARE:
+        if len(angle) >= STEEP_SAMPLES and np.mean(np.abs(angle) >= STEEPEST_RAD) > STEEP_SHARE:
             steep, value = np.degrees(STEEPEST_RAD), sensor.x_scale * np.pi / 180
             what = f"Sun sensor {sensor.name} nearly always reads {steep:.0f} degrees or more from its normal"
             found.append(WrongUnit(f"{what}: degrees read as radians", "[sun_sensor]", "x_scale", value))
