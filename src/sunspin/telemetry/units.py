@@ -45,8 +45,8 @@ ABSURD_ACCELERATION = 0.1
 """rad/s2: no dipole in a planet's field turns a spacecraft so."""
 
 STEEP_SHARE, STEEP_SAMPLES = 0.85, 30
-"""Part of its readings, of so many at least, that a Sun sensor has at the steepest angle: it is 0.55 for one that reads on while the
-Sun turns behind it, and 0.96 for angles spread over 40 degrees to each side that are read as radians."""
+"""Part of its readings, of so many at least, that a Sun sensor has at the steepest angle: it is 0.55 for one that reads on while
+the Sun turns behind it, and 0.96 for angles spread over 40 degrees to each side that are read as radians."""
 
 RPM = 60 / (2 * np.pi)
 

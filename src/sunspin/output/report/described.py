@@ -47,7 +47,7 @@ def figure_of(plot: Plot, view: int = 0) -> Figure:
         if k in chosen["show"] if chosen else trace.get("visible", True):
             _draw(axes[x, y], trace, _of(layout, x).get("type") == "date")
     for (x, y), one in axes.items():
-        first = next(other for other in axes if other[1] == y)
+        first = min((other for other in axes if other[1] == y), key=lambda pair: axes[pair].get_position().x0)
         _finish(one, _of(layout, x), _of(layout, y), _of(layout, x).get("anchor", y) == y, first == (x, y))
     for second in (about for key, about in layout.items() if key.startswith("yaxis") and "overlaying" in about):
         _second_scale(axes[second["anchor"], second["overlaying"]], second)
