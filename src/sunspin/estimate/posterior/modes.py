@@ -59,6 +59,10 @@ SPEED_LEFT = 0.3
 TURNS = 4
 """Turns about the Sun that are tried where torques depend on them."""
 
+SHARED_EDGE = 0.5
+"""Step of the grid over the largest rate, at most, where panels share inputs: three samples then fit motions all along a line of
+rates, and with one cell for the whole ball 1 of 8 true motions was lost."""
+
 MOST_CHOICES = 40
 """Samples looked at for the reference, evenly over those that may be it."""
 
@@ -112,6 +116,7 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     for a in choices:
         around = _neighbours(data, a)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
+        edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
         work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
         tried.append((work, int(a), around, edge, suns[a]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
