@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import gyrostat as g
@@ -47,6 +46,8 @@ class Rows:
             return np.zeros((len(self), 0))
         if self.B_from_N is None:
             raise InputError(sentence("torques that depend on directions need the attitude of each row", do="give B_from_N"))
+        from scipy.spatial.transform import Rotation
+
         return acting.carried(Rotation.from_quat(self.B_from_N).as_matrix())
 
     def bodies_of(self, vehicle: Vehicle) -> Bodies:
