@@ -183,7 +183,7 @@ def run_rows(
     wanted = accuracy(direction_error, emd_error)
     commands = check_commands(vehicle, wheel_mode)
     n, layout = len(rows), c.RowLayout.under(acting.torques, len(vehicle.wheels))
-    modes = mode_table(vehicle, rows.bodies_of(vehicle))
+    modes = mode_table(vehicle, rows.bodies_of(vehicle), with_frames=bool(bins))
     if acting.torques:
         modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
     work = work_array(vehicle, rows, commands, modes, acting)
