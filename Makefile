@@ -38,6 +38,7 @@ $(READY): requirements.lock pyproject.toml
 	$(PIP) -r requirements.lock
 	@$(BYTECODE) || true
 	$(PIP) --no-deps --no-build-isolation --editable .
+	@$(BIN)/sunspin compile --quiet || echo "the first scan will compile its kernels (half a minute)" >&2
 	@touch $(READY)
 
 reproduce: $(READY)

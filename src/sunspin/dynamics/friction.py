@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.optimize import curve_fit
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.base.provenance import provenance
@@ -82,6 +81,8 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     MotionError
         Fewer than four samples, times that do not increase, a speed that is not finite, changes sign or does not decay.
     """
+    from scipy.optimize import curve_fit
+
     t, speed = _record(t_s, wheel_speed_rad_s)
     span = t[-1] - t[0]
     start = _first_guess(t - t[0], speed)

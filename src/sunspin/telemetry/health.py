@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.stats import chi2, norm
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -206,6 +205,8 @@ def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_thresh
     lit_threshold : float
         Readings above it count as lit.
     """
+    from scipy.stats import chi2, norm
+
     readings = np.atleast_2d(np.asarray(power, dtype=np.float64))
     vehicle.require_panels()
     n_panel = len(vehicle.inputs)

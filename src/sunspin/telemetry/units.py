@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.telemetry.panel_unit import BRIGHT_QUANTILE, WrongUnit, panel_unit
 from sunspin.telemetry.quality import lit_threshold
@@ -114,6 +113,8 @@ def _carried(time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: in
 
 def _turned(direction: np.ndarray, turns: np.ndarray, at: np.ndarray, lag: int) -> np.ndarray:
     """Directions that stand still in space, in a body that makes the turns after `at`, one after the other."""
+    from scipy.spatial.transform import Rotation
+
     for k in range(lag):
         direction = Rotation.from_rotvec(-turns[at + k]).apply(direction)
     return direction
