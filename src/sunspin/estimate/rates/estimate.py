@@ -29,10 +29,11 @@ from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.rates.told import SUSPECTED, believed, dataset_of, in_space, verdict
+from sunspin.estimate.rates.told import SUSPECTED, believed, dataset_of, in_space, in_the_field, verdict
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
+from sunspin.estimate.terms.sensors import FIELD
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import alike_motions, misfit
 from sunspin.estimate.wiring import Better, better
@@ -177,6 +178,7 @@ def rates(
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
+    result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
     result = result.assign_attrs(
         late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),

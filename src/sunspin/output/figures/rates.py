@@ -44,9 +44,9 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Fig
 
 def sources(result: xr.Dataset) -> str:
     """The sensors that a motion was found from, in words."""
-    seen = {"panels": "panel signals", "sun_sensor": "Sun sensors", "directions": "Sun directions"}[result.attrs["source"]]
+    seen = {"panels": ["panel signals"], "sun_sensor": ["Sun sensors"], "directions": ["Sun directions"], "field": []}
     words = {"gyro_used": "gyro", "field_used": "magnetometer", "attitude_used": "attitude"}
-    used = [seen, *(word for key, word in words.items() if result.attrs.get(key))]
+    used = [*seen[result.attrs["source"]], *(word for key, word in words.items() if result.attrs.get(key))]
     return used[0] if len(used) == 1 else f"{', '.join(used[:-1])} and {used[-1]}"
 
 
