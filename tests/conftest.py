@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
 import pytest
 
+from drawing import frame
 from sunspin.base.cache import is_writable
 
 pytest_plugins = ["evidence"]
+
+
+def pytest_collection_finish() -> None:
+    """What the test modules have imported stays to the end: the search for garbage need not go through it each time."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +36,16 @@ def undrawn(monkeypatch) -> None:
     from sunspin.output import figures
 
     monkeypatch.setattr(figures, "save", lambda figure, folder, name: [folder / f"{name}.png"])
+
+
+@pytest.fixture
+def framed(monkeypatch) -> None:
+    """Figures are made, but only their frames drawn, in files and on pages."""
+    from sunspin.output import figures
+    from sunspin.output.figures import inline
+
+    monkeypatch.setattr(figures, "lay_out", frame)
+    monkeypatch.setattr(inline, "lay_out", frame)
 
 
 def kernel_cache() -> Path:
