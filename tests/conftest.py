@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from drawing import frame
 from sunspin.base.cache import is_writable
 
 pytest_plugins = ["evidence"]
@@ -41,6 +40,7 @@ def undrawn(monkeypatch) -> None:
 @pytest.fixture
 def framed(monkeypatch) -> None:
     """Figures are made, but only their frames drawn, in files and on pages."""
+    from drawing import frame
     from sunspin.output import figures
     from sunspin.output.figures import inline
 

@@ -40,7 +40,8 @@ LONG = [pytest.param(suite, 30, marks=pytest.mark.long) for suite in (Fuzz, Corr
 
 
 @pytest.mark.parametrize(("suite", "n"), [(Fuzz, 15), *LONG])
-def test_hostile_input_is_a_result_or_a_sentence(suite, n):
+def test_hostile_input_is_a_result_or_a_sentence(suite, n, monkeypatch):
+    monkeypatch.setattr("validation.fuzz.SEARCH_S", 0.5)
     with suite(seed=20, memory=None) as case:
         verdicts = [case(index) for index in range(n)]
     assert [v for v in verdicts if v.bad] == []
