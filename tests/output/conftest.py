@@ -100,7 +100,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
         data = str(vehicle), str(telemetry)
         sunspin("sun", *data, "--out", str(root / "sun"))
-        sunspin("rates", *data, "--max-rate", "8", "--out", str(root / "rates"))
+        sunspin("rates", *data, "--max-rate", "5", "--out", str(root / "rates"))
         grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
         known = [f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed")]
