@@ -13,10 +13,15 @@ from sunspin.base.cache import is_writable
 pytest_plugins = ["evidence"]
 
 
-def pytest_collection_finish() -> None:
-    """What the test modules have imported stays to the end: the search for garbage need not go through it each time."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """What the test modules import stays to the end: the search for garbage need not go through it, then or each time after."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

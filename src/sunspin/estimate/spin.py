@@ -92,7 +92,7 @@ class SpinFit:
 
 
 def phase(coefficients: npt.ArrayLike, t_s: npt.ArrayLike) -> np.ndarray:
-    """Angle (..., n) (rad) turned since t = 0 by t_s (n) at rates of these polynomials (..., degree + 1), lowest coefficient first."""
+    """Angle (..., n) (rad) turned since t = 0 by t_s (n) at rates of these coefficients (..., degree + 1), lowest first."""
     lowest_first = np.moveaxis(np.asarray(coefficients, dtype=np.float64), -1, 0)
     integral = np.polynomial.polynomial.polyint(lowest_first)
     return np.polynomial.polynomial.polyval(np.asarray(t_s, dtype=np.float64), integral)
