@@ -234,7 +234,7 @@ def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, undrawn, f
     assert "bomb.nc could not be read" in page and "GB of memory" in page and "<script>x" not in page
 
 
-@pytest.mark.parametrize("value", [0.0, 1e300, np.nan])
+@pytest.mark.parametrize("value", [pytest.param(0.0, marks=pytest.mark.long), 1e300, np.nan])
 def test_a_page_of_numbers_that_cannot_be(home, undrawn, value):
     assert sunspin("simulate", "philae", *START, "--duration=20", "--out=results").code == 0
     with xr.open_dataset("results/trajectory.nc", engine="h5netcdf") as data:
