@@ -19,7 +19,7 @@ from sunspin.philae.row import settled
 @pytest.fixture(scope="module")
 def landing():
     case = ss.load_case("philae")
-    return la.compute(case, chain_on_the_lines(case), n=300, seed=2, workers=2)
+    return la.compute(case, chain_on_the_lines(case), n=500, seed=2, workers=2)
 
 
 def test_strategies_share_their_draws_and_differ_only_in_the_wheel(landing):
