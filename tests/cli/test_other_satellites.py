@@ -19,7 +19,7 @@ from sunspin import cli
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 MAKERS = {
-    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=20),
+    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=30),
     "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng, n=24),
     "wheel, MET, Parquet": lambda folder, rng: satellites.wheeled(folder, rng, n=20),
     "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(folder, rng, n=20, form="netcdf", speed=False),
