@@ -182,6 +182,7 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, r
 
 @pytest.mark.evidence("rates", "validated", "skCUBE's Sun sensors, 23 to 27 June: the plainer fit of docs/skcube_gyro.py")
 @pytest.mark.real_data
+@pytest.mark.long  # the quick test of the gyro's scale is that of the rates above, which are held against it
 def test_scale_and_zero_of_the_gyro_are_those_that_carry_the_sun_along(data_dir, reached):
     """140 pairs of beacons, the gyro of 28 June not read; the vehicle file's values agree within two sigma of both."""
     spec = importlib.util.spec_from_file_location("skcube_gyro", Path(__file__).parents[2] / "docs" / "skcube_gyro.py")
