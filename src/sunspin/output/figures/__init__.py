@@ -41,9 +41,9 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
-        lay_out(figure)
+        draw = lay_out(figure).savefig
         return [
-            write_whole(folder / f"{name}.{suffix}", partial(figure.savefig, format=suffix, dpi=130, metadata=metadata))
+            write_whole(folder / f"{name}.{suffix}", partial(draw, format=suffix, dpi=130, metadata=metadata))
             for suffix, metadata in (("png", {}), ("svg", {"Date": None}))
         ]
 

@@ -53,7 +53,7 @@ def corner_figure(tree: Any, truth: Any = None) -> Figure:
 def _histogram(axes: Any, value: np.ndarray, mode: np.ndarray) -> None:
     edges = np.histogram_bin_edges(value, 60)
     for k in np.unique(mode):
-        axes.hist(value[mode == k], edges, color=COLOURS[int(k) % 8], alpha=0.7)
+        axes.hist(value[mode == k], edges, histtype="stepfilled", color=COLOURS[int(k) % 8], alpha=0.7)
 
 
 def search_figure(tree: Any) -> Figure:

@@ -48,7 +48,7 @@ def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | N
 def _spread(axes: Any, values: np.ndarray, colour: str, label: str | None, true: float | None) -> None:
     """A histogram with its 50 % and 90 % intervals as bars below."""
     values = values[np.isfinite(values)]
-    axes.hist(values, 50, color=colour, alpha=0.6, label=label)
+    axes.hist(values, 50, histtype="stepfilled", color=colour, alpha=0.6, label=label)
     for level, width in ((0.9, 1.5), (0.5, 4.0)):
         low, high = np.quantile(values, [0.5 - level / 2, 0.5 + level / 2])
         axes.plot([low, high], [0, 0], color=colour, lw=width, solid_capstyle="butt", clip_on=False, zorder=5)

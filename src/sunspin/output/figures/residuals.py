@@ -116,7 +116,7 @@ def _unused(result: xr.Dataset, sensor: str) -> str:
 
 def _distribution(axes: Any, value: np.ndarray) -> None:
     edges = np.linspace(-SHOWN_SIGMAS, SHOWN_SIGMAS, 25)
-    axes.hist(value, edges, orientation="horizontal", color=COLOURS[0], alpha=0.5)
+    axes.hist(value, edges, histtype="stepfilled", orientation="horizontal", color=COLOURS[0], alpha=0.5)
     x = np.linspace(-SHOWN_SIGMAS, SHOWN_SIGMAS, 200)
     axes.plot(len(value) * (edges[1] - edges[0]) * norm.pdf(x), x, color=COLOURS[6], lw=1)
     far, expected = np.mean(np.abs(value) > BEYOND), 2 * norm.sf(BEYOND)

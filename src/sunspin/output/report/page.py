@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,7 @@ def _save_figures(results: Results, page: sections.Page) -> None:
         sections.guarded(results, f"the figure {plot.id}", lambda _, plot=plot: save(figure_of(plot), results.folder, plot.id))
 
 
+@cache
 def _template() -> Any:
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(_asset("page.html.j2"))
