@@ -36,7 +36,8 @@ LAYERS, APART = "A room uses the rooms below it", "do not know each other"
 FORBIDDEN = (
     (LAYERS, "vehicle/response/cosine.py", "sunspin.dynamics.gyrostat", "vehicle.response.cosine -> sunspin.dynamics.gyrostat"),
     (LAYERS, "dynamics/impact.py", "sunspin.estimate.scan.metrics", "dynamics.impact -> sunspin.estimate.scan.metrics"),
-    ("stands on what the rooms offer", "philae/twin.py", "sunspin.dynamics.ensemble.codegen", "philae.twin -> sunspin.dynamics.ensemble.codegen"),
+    ("stands on what the rooms offer", "philae/twin.py", "sunspin.dynamics.ensemble.codegen",
+     "philae.twin -> sunspin.dynamics.ensemble.codegen"),
     (APART, "telemetry/sun.py", "sunspin.dynamics.gyrostat", "telemetry.sun -> sunspin.dynamics.gyrostat"),
     ("Physics does not draw", "landing/flight.py", "matplotlib", "landing.flight -> matplotlib"),
     ("No circles", "estimate/scan/metrics.py", "sunspin.estimate.scan.rows", "No cycles are allowed in sunspin.estimate.scan"),

@@ -41,7 +41,8 @@ CUBE = Vehicle(
     telemetry=TelemetryForm(quantity="current_A", noise=NOISE),
 )  # fmt: skip
 TURN = np.array([0.0, 0.12, 0.15])
-BODY, KNOWN = replace(CUBE, inertia_kg_m2=np.diag([0.010, 0.012, 0.008])), {"max_rate_rad_s": 0.1, "inertia": 0.0}
+BODY = replace(CUBE, inertia_kg_m2=np.diag([0.010, 0.012, 0.008]))
+KNOWN = {"max_rate_rad_s": 0.1, "inertia": 0.0, "steady_torque": 0.0}
 FACING = Rotation.from_rotvec(TURN).apply([1.0, 0.0, 0.0])
 LAWS = {"grazing": Grazing(0.6), "wall": Wall("+x", [0, 1, 0], 0.3), "tilted": Tilted("+x", TURN)}
 
