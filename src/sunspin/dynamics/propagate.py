@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.base.provenance import provenance
@@ -201,6 +200,8 @@ def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> n
 
 
 def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N) -> tuple[_Run, tuple]:
+    from scipy.spatial.transform import Rotation
+
     omega, sun = _vector(omega_B, "omega_B"), _vector(sun_B, "sun_B")
     if abs(np.linalg.norm(sun) - 1) > SUN_LENGTH_TOLERANCE:
         raise MotionError(

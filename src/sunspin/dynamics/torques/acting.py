@@ -13,7 +13,6 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.dynamics import gyrostat as g
@@ -150,6 +149,8 @@ class Acting:
         if attitude.shape != (4,) or not abs(np.linalg.norm(attitude) - 1) < SUN_TOLERANCE:
             raise MotionError(sentence("B_from_N must be a unit quaternion, scalar last", got=B_from_N))
         attitude = attitude / np.linalg.norm(attitude)
+        from scipy.spatial.transform import Rotation
+
         away = np.linalg.norm(Rotation.from_quat(attitude).apply(here.sun_N[0]) - sun_B)
         if not away < SUN_TOLERANCE:
             raise MotionError(sentence("sun_B is not where B_from_N shows the environment's Sun", got=f"{away:.2g} rad away"))

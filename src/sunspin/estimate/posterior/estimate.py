@@ -40,6 +40,7 @@ from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, 
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.posterior.widths import resampled, sample
+from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-6
@@ -312,7 +313,7 @@ def _judge(
     told = regions["weight"].values >= 0.01
     if np.any(regions["starts"].values[told] == 1):
         doubts.append("a region of weight was reached from one start only, so others may have been missed")
-    spoilt = spoilt_panels(vehicle.panel_names, checked.outliers, data.lit)
+    spoilt = spoilt_panels(vehicle.input_names, checked.outliers, data.lit)
     found = Found(
         regions["weight"].values, regions["omega_B"].values,
         np.sqrt(np.linalg.eigvalsh(regions["omega_cov_B"].values)[:, -1].clip(0)), regions["starts"].values,
@@ -320,6 +321,8 @@ def _judge(
         drawn.effective, doubts,
     )  # fmt: skip
     word, text = verdict(found)
+    if word != "not explained" and (alike := alike_motions(vehicle)):
+        text += f"; {alike}"
     likeliest, weight = max(drawn.said.items(), key=lambda one: one[1])
     if likeliest != STATED:
         text += f"; the readings ask for {likeliest} (weight {weight:.2f})"

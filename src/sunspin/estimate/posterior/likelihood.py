@@ -110,7 +110,7 @@ class Likelihood:
         scale = np.zeros(len(u))
         for i in model.where("scale"):
             scale = model.unknowns[i].centre + model.unknowns[i].sigma * u[:, i]
-        gains = model.relative(u, "gain", len(model.vehicle.panels))
+        gains = model.relative(u, "gain", len(model.vehicle.inputs))
         return np.exp(scale[:, None] + gains)[:, None]
 
     def noise(self, u: np.ndarray) -> np.ndarray:

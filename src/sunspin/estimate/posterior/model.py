@@ -235,7 +235,7 @@ def model(
     made += [] if off is None else [off]
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
-    made += [Unknown(f"log_gain_{panel.name}", "gain", "1", 0.0, gain, j) for j, panel in enumerate(vehicle.panels) if gain]
+    made += [Unknown(f"log_gain_{name}", "gain", "1", 0.0, gain, j) for j, name in enumerate(vehicle.input_names) if gain]
     limit = priors.get("max_rate_rad_s") or vehicle.sensors.disturbance.max_rate_rad_s or DEFAULT_MAX_RATE
     if not (np.isfinite(limit) and limit > 0):
         raise InputError(sentence("max_rate_rad_s must be positive", got=limit))

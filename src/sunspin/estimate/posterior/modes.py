@@ -59,6 +59,10 @@ SPEED_LEFT = 0.3
 TURNS = 4
 """Turns about the Sun that are tried where torques depend on them."""
 
+SHARED_EDGE = 0.5
+"""Step of the grid over the largest rate, at most, where panels share inputs: three samples then fit motions all along a line of
+rates, and with one cell for the whole ball 1 of 8 true motions was lost."""
+
 MOST_CHOICES = 40
 """Samples looked at for the reference, evenly over those that may be it."""
 
@@ -123,6 +127,7 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     for a in choices:
         around = _neighbours(data, a)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
+        edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
         work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
         tried.append((work, int(a), around, edge, suns[a]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
@@ -266,7 +271,7 @@ class Search:
                 state, normal, beside = state.take(only), normal[only], beside[only]
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
-                return self._last(likelihood, state, hits, trace, notes)
+                return self._with_images(likelihood, self._last(likelihood, state, hits, trace, notes))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
@@ -279,6 +284,14 @@ class Search:
         nearest = coming.take(np.array([np.argmin(np.abs(coming.t_s))]))
         look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale)
         return self.run(look, "looking ahead", 8192)["allowed"]
+
+    def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:
+        """The modes and their images under what changes no reading of panels on shared inputs: the search may miss some."""
+        images = likelihood.response.images
+        if len(images) == 1:
+            return found
+        every = State.joined([_imaged(found.state, image) for image in images])
+        return self._last(likelihood, every, np.tile(found.hits, len(images)), list(found.trace), list(found.notes))
 
     def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
         if likelihood.model.frame:
@@ -330,6 +343,11 @@ def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes:
         state.take(index), cost[index], hessian[index], starts, tuple(trace), tuple(notes), found["share"][index],
         (state.take(far), hits[far]),
     )  # fmt: skip
+
+
+def _imaged(state: State, image: np.ndarray) -> State:
+    """Motions as a mirror or a turn of the body (3, 3) shows them: rates are axial vectors."""
+    return replace(state, omega=np.linalg.det(image) * (state.omega @ image.T), sun=state.sun @ image.T)
 
 
 def _turned(model: Model, state: State) -> list[State]:
