@@ -14,7 +14,7 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import principal
 from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.dynamics.torques.acting import needed
+from sunspin.dynamics.torques.acting import needed, needed_around
 from sunspin.vehicle import Vehicle
 
 
@@ -40,15 +40,17 @@ class Rows:
         attitude = None if self.B_from_N is None else self.B_from_N[index]
         return Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index], bodies, attitude)
 
-    def carried(self, acting: Acting) -> np.ndarray:
-        """What torques need of directions (n, n_carried); `InputError` for rows without attitudes where some is needed."""
+    def carried(self, acting: Acting, own: np.ndarray) -> np.ndarray:
+        """What torques need of directions (n, n_carried), `own` as `Acting.own` gives it; `InputError` for rows without attitudes
+        where some is needed."""
         if not needed(acting.torques):
             return np.zeros((len(self), 0))
-        if self.B_from_N is None:
+        if self.B_from_N is None and needed_around(acting.torques):
             raise InputError(sentence("torques that depend on directions need the attitude of each row", do="give B_from_N"))
         from scipy.spatial.transform import Rotation
 
-        return acting.carried(Rotation.from_quat(self.B_from_N).as_matrix())
+        attitude = np.tile([0.0, 0.0, 0.0, 1.0], (len(self), 1)) if self.B_from_N is None else self.B_from_N
+        return acting.carried(Rotation.from_quat(attitude).as_matrix(), own=own)
 
     def bodies_of(self, vehicle: Vehicle) -> Bodies:
         """The numbers of these rows, leading shape (n,) or, where all have the same, (1,)."""
@@ -116,7 +118,7 @@ def work_array(
     work[:, 3 : layout.r] = g.axial_momenta(bodies, rows.omega_B, speeds)
     work[:, layout.r : layout.r + 3] = rows.sun_B
     if acting.torques:
-        work[:, layout.r + 3 : layout.n_state - 1] = rows.carried(acting)
+        work[:, layout.r + 3 : layout.n_state - 1] = rows.carried(acting, acting.own(bodies))
         work[:, layout.n_state - 1] = acting.start_s
         work[:, layout.torques : layout.count] = acting.values(bodies)
     own = np.arange(len(rows)) if len(modes) > 1 else np.zeros(len(rows), dtype=np.int64)

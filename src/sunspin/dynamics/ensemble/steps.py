@@ -99,11 +99,13 @@ class Scales:
         still = np.zeros(len(self.rows))
         if not self.acting.torques:
             return still, still
-        torque = self.acting.largest(self.acting.values(self.rows.bodies_of(self.vehicle)))
+        bodies = self.rows.bodies_of(self.vehicle)
+        own = self.acting.own(bodies)
+        torque = self.acting.largest(self.acting.values(bodies)) + np.linalg.norm(own, axis=-1)
         moments = np.linalg.eigvalsh(self.inertias)
         slow, fast = 1.0 / moments[..., -1], 1.0 / moments[..., 0]
         gained = torque * abs(duration_s)
-        carried = self.rows.carried(self.acting).reshape(len(self.rows), -1, 2, 3)[:, :, 1]
+        carried = self.rows.carried(self.acting, own).reshape(len(self.rows), -1, 2, 3)[:, :, 1]
         turning = np.linalg.norm(carried, axis=-1).max(axis=1, initial=0.0)
         swing = np.sqrt(torque * fast.max(axis=0))
         common = 0.5 * (slow + fast).max(axis=0) * (self.momentum_size + gained)
