@@ -24,6 +24,7 @@ from sunspin.dynamics import gyrostat as g
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.fit import asked
 from sunspin.estimate.posterior.model import Model, State
+from sunspin.estimate.posterior.tilt import spread
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response import cube, inside
 from sunspin.vehicle.response.inside import between, seen
@@ -79,7 +80,8 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
     """Directions (n, 3), about `CANDIDATE_RAD` apart, that a sample allows; best first."""
     grid = sphere(CANDIDATE_GRID)
     gap = panel_power(model.vehicle, grid) * scale - data.value[sample]
-    tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.panel_gains)
+    sigma = spread(data.sigma, model.vehicle, model.unknowns, scale)
+    tolerance = np.hypot(SIGMAS * sigma, SCALE_SHARE * scale * model.vehicle.panel_gains)
     misfit = np.where(data.used[sample], np.minimum((gap / tolerance) ** 2, CAP), 0.0).sum(axis=1)
     allowed = grid[order := np.argsort(misfit, kind="stable")][misfit[order] < misfit.min() + 1.0]
     kept = allowed[:1]
@@ -92,7 +94,8 @@ def shortfall(model: Model, data: Readings, sun: np.ndarray, angle: float, scale
     """How far (n) readings of samples (K) speak against any direction within `angle` rad of `sun` (n, K, 3)."""
     low, high = model.vehicle.response_in().bounds(sun, angle)
     low, high = scale * low * (1 - SCALE_SHARE), scale * high * (1 + SCALE_SHARE)
-    beyond = np.maximum(np.maximum(low - data.value, data.value - high) / data.sigma - SIGMAS, 0.0)
+    sigma = spread(data.sigma, model.vehicle, model.unknowns, scale)
+    beyond = np.maximum(np.maximum(low - data.value, data.value - high) / sigma - SIGMAS, 0.0)
     return np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=(1, 2))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import needed
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
+from sunspin.estimate.posterior import tilt
 from sunspin.estimate.terms.term import Unknown
 from sunspin.vehicle import Vehicle
 
@@ -39,8 +41,11 @@ NOISE_UNKNOWN = 1.0
 SCALE_SIGMA = {True: 0.06, False: 1.0}
 """Of the logarithm of the brightness where gains have a unit (cell temperature, distance) and where they are relative."""
 
-KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale", "time_s",
-        "wheel_off_s", "wheel_off"}
+KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "tilt", "tilt_common", "noise", "scale",
+        "time_s", "wheel_off_s", "wheel_off"}
+
+STANDING = ("scale", "noise", "gain", tilt.KIND, tilt.COMMON)
+"""Kinds of unknowns on which readings depend and the motion does not."""
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
 
@@ -96,7 +101,12 @@ class Model:
     @property
     def moving(self) -> list[int]:
         """Places of the unknowns on which the motion depends, so that a derivative needs another run."""
-        return [i for i, x in enumerate(self.unknowns) if x.kind not in ("scale", "noise", "gain")]
+        return [i for i, x in enumerate(self.unknowns) if x.kind not in STANDING]
+
+    @cached_property
+    def turns(self) -> np.ndarray | None:
+        """Turns (k, n_panel, 3) of the panels by one sigma of each unknown; None where they stand as drawn."""
+        return tilt.turns(self.vehicle, self.unknowns) if self.where(tilt.KIND) or self.where(tilt.COMMON) else None
 
     @property
     def dimension(self) -> int:
@@ -211,6 +221,7 @@ def model(
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
     made += [Unknown(f"log_gain_{panel.name}", "gain", "1", 0.0, gain, j) for j, panel in enumerate(vehicle.panels) if gain]
+    made += _tilts(vehicle, priors, told)
     limit = priors.get("max_rate_rad_s") or vehicle.sensors.disturbance.max_rate_rad_s or DEFAULT_MAX_RATE
     if not (np.isfinite(limit) and limit > 0):
         raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
@@ -241,6 +252,14 @@ def _not_negative(value: Any, said: str) -> None:
     """Refuse, as it is `said`, what is no finite number or a negative one."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
         raise InputError(sentence(said, got=value))
+
+
+def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:
+    """Turns of the panels, where the file or the caller says that they may stand off."""
+    for key in ("tilt", "tilt_common"):
+        _not_negative(priors.get(key, 0.0), f"the prior sigma of {key} must be zero (known) or positive, in rad")
+    own, common, told["tilt"] = tilt.told(priors, vehicle)
+    return tilt.unknowns(vehicle, own, common)
 
 
 def _tags(priors: Mapping[str, Any], told: dict[str, str]) -> float:

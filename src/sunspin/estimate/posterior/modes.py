@@ -18,6 +18,7 @@ from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, Unknown
+from sunspin.estimate.posterior.tilt import spread
 from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
@@ -201,7 +202,7 @@ class Search:
     def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
         """Starts around the reference; `data` counts time from it."""
         near = data.take(chosen.tried)
-        tried = replace(near, others=())
+        tried = replace(near, others=(), sigma=spread(near.sigma, model.vehicle, model.unknowns, scale))
         # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
         free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_untorqued(model))
         grid = c.Attitudes(free, tried.t_s, chosen.edge)
