@@ -1,11 +1,11 @@
 """Is the posterior right? Twins drawn from its own prior, their ranks in it, and how often its regions hold the truth.
 
     python -m validation.calibrate OUT --twins 100 --kind unknown
-    python -m validation.calibrate OUT --twins 30 --kind tilted --max-rate 0.3 --samples 23 --interval 120
+    python -m validation.calibrate OUT --twins 30 --kind turned --max-rate 0.3 --samples 23 --interval 120
 
 Every twin is a file in OUT, written whole; the same command goes on where it was stopped. Twin i depends on seed and i alone.
-Kinds: "known", "unknown" and "tilted" (panels' normals off by `TILT_RAD`, too) are drawn from the prior that the posterior is told,
-of "untold" too, but for those tilts, of which it knows nothing; "shadow", "dead", "jitter" break its assumptions
+Kinds: "known", "unknown", and with panels that stand off "tilted" and "turned" are drawn from the prior that the posterior is told;
+"untold" is "turned" with a posterior that takes panels to stand as drawn; "shadow", "dead", "jitter" break its assumptions
 a little; "swapped" and "wheel_off" are telemetry of another model, which the predictive check has to refuse.
 """
 
@@ -35,19 +35,21 @@ from sunspin.estimate.posterior.estimate import DIRECTION_ERROR, posterior
 from sunspin.estimate.posterior.fit import FILES
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model, rate_and_direction
+from sunspin.estimate.posterior.modes import standing
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Vehicle, load_vehicle
 
-KINDS = ("known", "unknown", "shadow", "dead", "jitter", "swapped", "wheel_off", "tilted", "untold")
+KINDS = ("known", "unknown", "shadow", "dead", "jitter", "swapped", "wheel_off", "tilted", "turned", "untold")
 
 QUANTITIES = ("omega_x", "omega_y", "omega_z", "momentum", "theta", "alpha", "log_likelihood")
 """What is ranked: rates, |H|, the angles of H from z and from the Sun, and the log-likelihood."""
 
 KNOWN = {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
 
-TILT_RAD = float(np.radians(5.0))
-"""Sigma of the panels' normals, to each side, of the kinds "tilted" and "untold"."""
+TURNED = {"tilt": float(np.radians(1.0)), "tilt_common": float(np.radians(5.0))}
+TILTS = {"tilted": {"tilt": float(np.radians(5.0))}, "turned": TURNED, "untold": TURNED}
+"""Sigmas by which panels stand off. Those of "turned" make E and Delta of Philae's descent as published."""
 
 JITTER_S = 6.0
 """Sample times are irregular by up to this."""
@@ -77,19 +79,22 @@ def make(
     """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate} | (KNOWN if kind == "known" else {})
-    priors |= {"tilt": TILT_RAD} if kind == "tilted" else {}
+    priors |= TILTS.get(kind, {})
     scale = vehicle.require_noise() / (0.02 * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, priors, scale)
     truth = prior_truth(unknown, rng)
     t = interval_s * np.arange(samples) + np.concatenate([[0.0], rng.uniform(-1, 1, samples - 1)]) * min(JITTER_S, interval_s / 4)
     noise = vehicle.require_noise() * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
     speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
-    off = TILT_RAD if kind == "untold" else 0.0 if unknown.turns is None else np.tensordot(truth.u[0], unknown.turns, axes=1)
+    off = 0.0 if unknown.turns is None else np.tensordot(truth.u[0], unknown.turns, axes=1)
     told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise, tilt_B_rad=off)
     telemetry = synthetic_telemetry(unknown.bodies(truth.u).vehicle(vehicle, 0), told, seed=int(rng.integers(2**31)))
     telemetry = _spoilt(telemetry, kind, rng)
     if kind == "jitter":
         truth = _at_first_tag(unknown, truth, float(telemetry["time"].values[0]) - float(t[0]))
+    if kind == "untold":
+        unknown, kept = standing(unknown)
+        truth, priors = replace(truth, u=truth.u[:, kept]), {key: value for key, value in priors.items() if key not in TURNED}
     return telemetry, truth, unknown, priors
 
 

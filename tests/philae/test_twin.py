@@ -192,13 +192,13 @@ def test_a_landing_with_turned_panels_shows_what_flew(tilted):
     true = tilted["true_sun_B"].values[first]
     assert np.radians(0.5) < np.arccos(true @ expected) < np.radians(20)
     known = is_reconstructed(seen["status"])
-    assert 3 <= np.count_nonzero(known & (at == "rest")) <= 8
-    low, high = published["delta_shadowed"]
-    assert np.all((seen["delta"].values[known & (at == "rest")] > low) & (seen["delta"].values[known & (at == "rest")] < high))
     free = known & np.isin(at, ["descent", "first_rebound", "second_rebound"])
     off = np.arccos(np.clip(np.sum(seen["sun_B"].values[free] * tilted["true_sun_B"].values[free], axis=1), -1, 1))
     assert np.radians(2) < np.sqrt(np.mean(off**2)) < np.radians(20)
-    assert seen["delta"].values[free].mean() < 2 * published["delta_mean"]
+    delta = seen["delta"].values
+    assert delta[free].mean() == pytest.approx(published["delta_mean"], abs=0.004)
+    assert np.count_nonzero(known & (at == "rest")) == 5
+    assert delta[known & (at == "rest")].min() > 3 * delta[free].mean()
     turns = tilted.attrs["truth_tilt_B_rad"].reshape(6, 3)
     assert turns.std(axis=0).max() < np.radians(4) and np.linalg.norm(turns.mean(axis=0)) > np.radians(1)
 
@@ -211,7 +211,7 @@ def test_the_command_says_how_the_panels_were_turned(tmp_path):
     assert known["turned_sigma_rad"] == pytest.approx(np.radians(5)) and len(known["tilt_B_rad"]) == 18
     with pytest.raises(ss.InputError, match="no Sun makes panels turned so far"):
         ss.twin(case, seed=0, turned_rad=2.0)
-    with pytest.raises(ss.InputError, match="no options of the landing, got tilt_rad"):
+    with pytest.raises(ss.InputError, match="no options of the landing .found tilt_rad"):
         ss.twin(case, {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}, tilt_rad=0.1)
 
 

@@ -163,9 +163,11 @@ def philae_twin(
     return telemetry_dataset(vehicle, t, power, sun, timeline.epoch_utc, truth, phase)
 
 
-def panel_turns(vehicle: Vehicle, tilt_rad: float, turned_rad: float, rng: np.random.Generator) -> np.ndarray | None:
+def panel_turns(
+    vehicle: Vehicle, tilt_rad: float | np.ndarray, turned_rad: float, rng: np.random.Generator
+) -> np.ndarray | None:
     """Turns (n_panel, 3) in rad of the panels: each its own, and one of all; None where neither is asked for."""
-    if not (tilt_rad or turned_rad):
+    if not (np.any(tilt_rad) or turned_rad):
         return None
     return turned_rad * rng.standard_normal(3) + drawn_tilts(vehicle, tilt_rad, rng)
 

@@ -37,10 +37,10 @@ def noisy_power(vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.rando
     return np.where(power > 0, np.maximum(power + noise, least), 0.0)
 
 
-def drawn_tilts(vehicle: Vehicle, sigma_rad: float, rng: np.random.Generator) -> np.ndarray:
-    """Turns (n_panel, 3) of the panels' normals at random: `sigma_rad` about each of two axes across a normal."""
+def drawn_tilts(vehicle: Vehicle, sigma_rad: float | np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Turns (n_panel, 3) of the panels' normals at random: `sigma_rad`, or (n_panel), about each of two axes across a normal."""
     across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
-    return sigma_rad * np.einsum("ps,psi->pi", rng.standard_normal(across.shape[:2]), across)
+    return np.einsum("p,ps,psi->pi", np.broadcast_to(sigma_rad, len(across)), rng.standard_normal(across.shape[:2]), across)
 
 
 def on_time_grid(t_s: Any) -> np.ndarray:

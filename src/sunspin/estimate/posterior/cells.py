@@ -94,8 +94,7 @@ def shortfall(model: Model, data: Readings, sun: np.ndarray, angle: float, scale
     """How far (n) readings of samples (K) speak against any direction within `angle` rad of `sun` (n, K, 3)."""
     low, high = model.vehicle.response_in().bounds(sun, angle)
     low, high = scale * low * (1 - SCALE_SHARE), scale * high * (1 + SCALE_SHARE)
-    sigma = spread(data.sigma, model.vehicle, model.unknowns, scale)
-    beyond = np.maximum(np.maximum(low - data.value, data.value - high) / sigma - SIGMAS, 0.0)
+    beyond = np.maximum(np.maximum(low - data.value, data.value - high) / data.sigma - SIGMAS, 0.0)
     return np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=(1, 2))
 
 

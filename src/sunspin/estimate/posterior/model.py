@@ -258,7 +258,8 @@ def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) ->
     """Turns of the panels, where the file or the caller says that they may stand off."""
     for key in ("tilt", "tilt_common"):
         _not_negative(priors.get(key, 0.0), f"the prior sigma of {key} must be zero (known) or positive, in rad")
-    own, common, told["tilt"] = tilt.told(priors, vehicle)
+    own, common, words = tilt.told(priors, vehicle)
+    told.update(words)
     return tilt.unknowns(vehicle, own, common)
 
 

@@ -20,13 +20,26 @@ KIND, COMMON = "tilt", "tilt_common"
 """Kinds of the unknowns: of one panel, and of all together."""
 
 
-def stated_sigma(vehicle: Vehicle) -> np.ndarray:
-    """Sigma (n_panel) in rad of the normals' directions as the vehicle's file has it, to each side; 0 where it states none.
+LIT_SINE = 2 / 3
+"""Mean square of the sine of the angle between a normal and the Suns that light its panel."""
 
-    Of a unit vector the sigma of each component; where these differ, their root mean square.
+
+def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
+    """Sigmas in rad as the vehicle's file has them, 0 where it states none: (n_panel) of each normal's direction, to each side, and
+    of the turn of all panels.
+
+    That of `normal_B`, each component's (where these differ, their root mean square), and of the turn of a panel that is tilted.
     """
-    facts = [vehicle.facts.get(f"panel.{panel.name}.normal_B") for panel in vehicle.panels]
-    return np.array([0.0 if fact is None or fact.sigma is None else np.sqrt(np.mean(np.square(fact.sigma))) for fact in facts])
+    own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
+    tilted = vehicle.panel_response.tilted
+    if tilted is not None:
+        own = np.hypot(own, _sigma(vehicle, "panel_response.tilted.turn_B_rad") * (np.array(vehicle.panel_names) == tilted.panel))
+    return own, _sigma(vehicle, "panel_response.turned_B_rad")
+
+
+def _sigma(vehicle: Vehicle, key: str) -> float:
+    fact = vehicle.facts.get(key)
+    return 0.0 if fact is None or fact.sigma is None else float(np.sqrt(np.mean(np.square(fact.sigma))))
 
 
 def unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> list[Unknown]:
@@ -52,18 +65,18 @@ def turns(vehicle: Vehicle, unknown: Sequence[Unknown]) -> np.ndarray:
 
 
 def spread(sigma: float, vehicle: Vehicle, unknown: Sequence[Unknown], scale: float) -> float:
-    """Sigma of a reading with what turns may add to that of its noise: for the search for starts, which knows no turn."""
-    size = np.sqrt((turns(vehicle, unknown) ** 2).sum(axis=0).max(initial=0.0))  # of the panel that may be off most, about an axis
-    return float(np.hypot(sigma, size * scale * vehicle.panel_gains.max())) if size else sigma
+    """Sigma of a reading with what turns add to that of its noise, for the search, which knows no turn: the root mean square over
+    panels and over Suns in front of them."""
+    off = (np.cross(turns(vehicle, unknown), vehicle.panel_normals_B) ** 2).sum(axis=(0, 2)) / 2  # to each side
+    size = np.sqrt(np.mean(off * vehicle.panel_gains**2) * LIT_SINE) if len(off) else 0.0
+    return float(np.hypot(sigma, size * scale)) if size else sigma
 
 
-def told(priors: Mapping[str, Any], vehicle: Vehicle) -> tuple[np.ndarray, float, str]:
+def told(priors: Mapping[str, Any], vehicle: Vehicle) -> tuple[np.ndarray, float, dict[str, str]]:
     """Sigmas of `unknowns`, given or stated, and the words for that; what is given is checked by the caller."""
-    common = float(priors.get("tilt_common", 0.0))
-    if "tilt" in priors:
-        own, source = np.full(len(vehicle.panels), float(priors["tilt"])), "given"
-    else:
-        own = stated_sigma(vehicle)
-        source = "vehicle file" if own.any() else "assumed"
-    words = f"{np.degrees(own.max(initial=0.0)):.3g} deg ({source})"
-    return own, common, words + (f", {np.degrees(common):.3g} deg common to all panels (given)" if common else "")
+    own, common = stated_sigma(vehicle)
+    own = np.full(len(own), float(priors["tilt"])) if "tilt" in priors else own
+    common = float(priors.get("tilt_common", common))
+    sizes = {"tilt": float(own.max(initial=0.0)), "tilt_common": common}
+    sources = {key: "given" if key in priors else "vehicle file" if size else "assumed" for key, size in sizes.items()}
+    return own, common, {key: f"{np.degrees(size):.3g} deg ({sources[key]})" for key, size in sizes.items()}
