@@ -3,10 +3,10 @@
     python -m validation.calibrate OUT --twins 100 --kind unknown
     python -m validation.calibrate OUT --twins 30 --kind turned --max-rate 0.3 --samples 23 --interval 120
 
-Every twin is a file in OUT, written whole; the same command goes on where it was stopped. Twin i depends on seed and i alone.
-Kinds: "known", "unknown", and with panels that stand off "tilted" and "turned" are drawn from the prior that the posterior is told;
-"untold" is "turned" with a posterior that takes panels to stand as drawn; "shadow", "dead", "jitter" break its assumptions
-a little; "swapped" and "wheel_off" are telemetry of another model, which the predictive check has to refuse.
+Every twin is a file in OUT, written whole; the same command goes on where it was stopped, within a twin too. Twin i depends on
+seed and i alone. Kinds: "known", "unknown", and with panels that stand off "tilted" and "turned" are drawn from the prior that the
+posterior is told; "untold" is "turned" with a posterior that takes panels to stand as drawn; "shadow", "dead", "jitter" break its
+assumptions a little; "swapped" and "wheel_off" are telemetry of another model, which the predictive check has to refuse.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -215,12 +216,15 @@ def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float =
 
     def row(i: int) -> dict[str, Any]:
         telemetry, truth, unknown, priors = make(craft, kind, max_rate, samples, interval_s, seed, i)
+        stages = folder / f"{i:04d}-stages"
         try:
-            return judge(craft, telemetry, truth, unknown, priors, seed, workers=workers)
+            made = judge(craft, telemetry, truth, unknown, priors, seed, workers=workers, store=stages)
         except Interrupted:
             raise
         except SunspinError as error:
-            return {"refused": str(error)}
+            made = {"refused": str(error)}
+        rmtree(stages, ignore_errors=True)
+        return made
 
     return [kept(folder / f"{i:04d}.json", partial(row, i)) for i in range(twins)]
 

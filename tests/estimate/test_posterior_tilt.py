@@ -90,7 +90,7 @@ def test_known_tilts_widen_the_rates_by_as_much_as_they_move_them(cube, reached)
     for seed in range(8):
         data, _, _ = readings(cube, twin(cube, seed))
         for tilt, squares in found.items():
-            unknown, _ = model(cube, PRIORS | {"tilt": tilt}, 0.5)
+            unknown, _ = model(cube, PRIORS | {"tilt": tilt, "noise": 0.0}, 0.5)
             start = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
             fit = Fit(Likelihood(unknown, data, 1e-8), start, ((3.0, 4), (1.0, 12)), curved=True)(np.arange(1))
             off = fit["omega"][0] - RATE
