@@ -24,7 +24,6 @@ from sunspin.dynamics import gyrostat as g
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.fit import asked
 from sunspin.estimate.posterior.model import Model, State
-from sunspin.estimate.posterior.tilt import spread
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response import cube, inside
 from sunspin.vehicle.response.inside import between, seen
@@ -80,8 +79,7 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
     """Directions (n, 3), about `CANDIDATE_RAD` apart, that a sample allows; best first."""
     grid = sphere(CANDIDATE_GRID)
     gap = panel_power(model.vehicle, grid) * scale - data.value[sample]
-    sigma = spread(data.sigma, model.vehicle, model.unknowns, scale)
-    tolerance = np.hypot(SIGMAS * sigma, SCALE_SHARE * scale * model.vehicle.panel_gains)
+    tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.panel_gains)
     misfit = np.where(data.used[sample], np.minimum((gap / tolerance) ** 2, CAP), 0.0).sum(axis=1)
     allowed = grid[order := np.argsort(misfit, kind="stable")][misfit[order] < misfit.min() + 1.0]
     kept = allowed[:1]

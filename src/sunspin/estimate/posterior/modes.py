@@ -231,9 +231,9 @@ class Search:
         """All modes; `model` and `data` have the plan's sample as the reference.
 
         While the window grows turns of the panels are left alone and counted as noise: there would be as many of them as readings.
+        Starts and looks ahead have room enough for them.
         """
-        whole = Likelihood(model, data)
-        data = replace(data, sigma=spread(data.sigma, model.vehicle, model.unknowns, scale))
+        whole, wide = Likelihood(model, data), replace(data, sigma=spread(data.sigma, model.vehicle, model.unknowns, scale))
         model, kept = standing(model)
         state, hits = self.starts(model, data, chosen, scale)
         notes: list[str] = []
@@ -247,7 +247,7 @@ class Search:
         trace, first, beside = [], True, np.zeros(len(state))
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
-            part = data.take(used)
+            part = wide.take(used)
             likelihood = Likelihood(model, part)
             still = len(used) < FEW
             levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
