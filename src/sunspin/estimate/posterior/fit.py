@@ -10,7 +10,6 @@ import numpy as np
 
 from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.least_squares import least_squares, shortened, take
@@ -19,10 +18,10 @@ from sunspin.solve.rotations import moved
 
 FILES = (
     "estimate/posterior/data.py", "estimate/posterior/model.py", "estimate/posterior/likelihood.py", "estimate/posterior/fit.py",
-    "estimate/posterior/cells.py", "estimate/posterior/tilt.py", "estimate/posterior/widths.py",
-    "estimate/posterior/tags.py", "estimate/inertia.py", "estimate/terms/reading.py", "estimate/terms/angular_speed.py",
-    "estimate/terms/gyro.py", "estimate/terms/sun_angle.py", "estimate/terms/sun_direction.py",
-    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py",
+    "estimate/posterior/cells.py", "estimate/posterior/widths.py", "estimate/posterior/tags.py", "estimate/inertia.py",
+    "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
+    "estimate/terms/sun_direction.py",
+    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "estimate/posterior/tilt.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
@@ -34,9 +33,6 @@ FAR = 8.0
 
 LARGEST_TURN = 0.5
 """rad by which one step may turn the Sun within the window."""
-
-STRAIGHT = 4.0
-"""Sigmas by which one step may move an unknown on which readings depend in proportion, where others move by one."""
 
 READINGS_AT_ONCE = 2_500_000
 """Derivatives held in memory at once by one worker."""
@@ -132,7 +128,6 @@ class _Search:
     def __init__(self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None) -> None:
         self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
         self._prior = np.concatenate([np.zeros(5), np.ones(state.u.shape[1])])
-        self._reach = np.where([x.kind in (tilt.KIND, tilt.COMMON) for x in likelihood.model.unknowns], STRAIGHT, 1.0)
         self._factor = 1.0
         self._system = self._linearised((state.omega, state.sun, state.u))
 
@@ -197,7 +192,7 @@ class _Search:
     def _longest(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> np.ndarray:
         move, window = self._whole(step), self.likelihood.data.reach_s
         turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
-        return np.maximum(turn / LARGEST_TURN, (np.abs(move[:, 5:]) / self._reach).max(axis=1, initial=0.0))
+        return np.maximum(turn / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
 
     def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         move = self._whole(step)

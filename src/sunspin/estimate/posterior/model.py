@@ -44,10 +44,10 @@ SCALE_SIGMA = {True: 0.06, False: 1.0}
 KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "tilt", "tilt_common", "noise", "scale",
         "time_s", "wheel_off_s", "wheel_off"}
 
+MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
+
 STANDING = ("scale", "noise", "gain", tilt.KIND, tilt.COMMON)
 """Kinds of unknowns on which readings depend and the motion does not."""
-
-MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
 
 
 @dataclass(frozen=True)
