@@ -20,14 +20,14 @@ from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.parts import Fact
 
 RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
-TILT = 0.09
+TILT = 0.04
 PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0}
 
 
 @pytest.fixture(scope="module")
 def cube() -> Vehicle:
     panels = [Panel("xyzXYZ"[k], normal, 1.0) for k, normal in enumerate(np.concatenate([np.eye(3), -np.eye(3)]))]
-    form = TelemetryForm(quantity="current_A", noise=0.01)
+    form = TelemetryForm(quantity="current_A", noise=0.005)
     return Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form)
 
 
@@ -77,8 +77,8 @@ def test_sigmas_are_those_of_the_file_unless_given(cube):
     np.testing.assert_allclose(ss.panel_power(file, [0, 1, 0]), [np.sin(0.2)], atol=1e-15)
     across = unknown.turns @ cube.panel_normals_B.T  # a turn about the normal itself would change nothing
     assert np.abs(np.einsum("kpp->kp", across)).max() < 1e-15
-    wide = spread(0.01, cube, model(cube, PRIORS | {"tilt": 0.03, "tilt_common": 0.04}, 0.5)[0].unknowns, 0.5)
-    assert wide == pytest.approx(np.hypot(0.01, 0.025 * (2 / 3) ** 0.5))
+    wide = spread(0.005, cube, model(cube, PRIORS | {"tilt": 0.03, "tilt_common": 0.04}, 0.5)[0].unknowns, 0.5)
+    assert wide == pytest.approx(np.hypot(0.005, 0.025 * (2 / 3) ** 0.5))
     with pytest.raises(InputError, match="sigma of tilt must be zero"):
         model(cube, {"tilt": -1.0}, 0.5)
 
