@@ -21,7 +21,7 @@ from sunspin.vehicle.parts import Fact
 
 RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 TILT = 0.04
-PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0}
+PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0, "steady_torque": 0.0}
 
 
 @pytest.fixture(scope="module")

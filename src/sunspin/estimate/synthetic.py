@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,6 +12,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.propagate import propagate
+from sunspin.dynamics.torques import Torque
 from sunspin.telemetry.synthetic import drawn_tilts, generator, noisy_power, on_time_grid, telemetry_dataset
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
@@ -31,7 +32,8 @@ class Truth:
     (default: the vehicle's nominal speeds); `scale` the signal of a panel of gain one at normal incidence (default: 1,
     or with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma in the unit of the
     signal (default: the vehicle's, zero where it states none); `tilt_B_rad` (n_panel, 3) turns of the panels' normals, or one
-    number, the sigma of their angles to each side, by which they are then drawn from the seed.
+    number, the sigma of their angles to each side, by which they are then drawn from the seed; `torques` as in
+    `propagate`.
     """
 
     omega_B: npt.ArrayLike
@@ -42,6 +44,7 @@ class Truth:
     scale: float | None = None
     noise: float | None = None
     tilt_B_rad: npt.ArrayLike = 0.0
+    torques: Sequence[str | Torque] = ()
 
 
 def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed: int = 0) -> xr.Dataset:
@@ -53,7 +56,7 @@ def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed
     if speeds is None:
         speeds = [wheel.speed_rad_s for wheel in vehicle.wheels]
     t = on_time_grid(np.atleast_1d(known.t_s))
-    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode)
+    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode, torques=known.torques)
     sun = track["sun_B"].values
     tilt = _tilt(known, vehicle, generator(seed, 1))
     exact = panel_power(vehicle, sun) if tilt is None else vehicle.response_in().power(sun, tilt=tilt)
