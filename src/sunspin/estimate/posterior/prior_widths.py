@@ -21,7 +21,8 @@ FACTORS = (0.5, 2.0)
 
 KEYS = {
     "inertia": ("inertia",), "wheel_speed": ("wheel_speed",), "wheel_inertia": ("wheel_inertia",),
-    "friction": ("coulomb", "viscous"), "gain": ("gain",), "noise": ("noise",), "scale": ("scale",), "wheel_off": ("wheel_off",),
+    "friction": ("coulomb", "viscous"), "gain": ("gain",), "tilt": ("tilt",), "tilt_common": ("tilt_common",),
+    "noise": ("noise",), "scale": ("scale",), "wheel_off": ("wheel_off",),
 }  # fmt: skip
 """Key of `priors` -> kinds of its unknowns."""
 
