@@ -15,6 +15,7 @@ from scipy.special import logsumexp
 from sunspin.estimate.posterior.model import Model
 from sunspin.estimate.posterior.verdict import Found, word_of
 from sunspin.estimate.posterior.widths import Sample, pareto_tail
+from sunspin.estimate.verdict import LEAST_DRAWS
 
 FACTORS = (0.5, 2.0)
 
@@ -26,8 +27,8 @@ KEYS = {
 
 RATE = "max_rate_rad_s"
 
-LEAST_DRAWS, LARGEST_TAIL = 200.0, 0.7
-"""Effective draws from which a median is known to a tenth of its sigma, and Pareto's k up to which their number can be believed."""
+LARGEST_TAIL = 0.7
+"""Pareto's k up to which the number of effective draws can be believed."""
 
 
 def prior_widths(model: Model, drawn: Sample, found: Found) -> list[dict[str, Any]]:
