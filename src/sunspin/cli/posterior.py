@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import Changeable, opened, set_options
+from sunspin.cli.changes import LANDING, Changeable, opened, set_options
 from sunspin.cli.common import (
     claim,
     data_option,
@@ -43,7 +43,7 @@ from sunspin.cli.values import field, observation, period_option, periods_of, pr
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @device_option
-@set_options()
+@set_options(idle=LANDING)
 @output_options()
 @run_options
 @data_option

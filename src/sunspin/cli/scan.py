@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import Changeable, opened, set_options
+from sunspin.cli.changes import LANDING, Changeable, once, opened, set_options
 from sunspin.cli.common import (
     WHEEL_MODE,
     claim,
@@ -46,7 +46,7 @@ from sunspin.cli.values import grid, numbers
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
               "on this machine. Needs pip install \"sunspin[cluster]\".")
-@set_options("study.mask", "study.target_weights")
+@set_options("study.mask", "study.target_weights", idle=LANDING)
 @output_options()
 @run_options
 @data_option
@@ -69,6 +69,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     from sunspin.telemetry.reader import read_telemetry
 
     made = opened(vehicle, sets, "study.mask", "study.target_weights")
+    once(made, wheel_speed=("speed_rad_s", wheel_speed))
     craft, study = made.craft, made.assumptions.study
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     track = directions_within(craft, samples, begin, end)

@@ -83,9 +83,11 @@ class Impulse:
     seen: Seen
 
     def rates(self) -> dict[str, np.ndarray]:
-        """Angular speeds (n) rad/s of which rows are made."""
-        before, after = (np.linalg.norm(self.runs[f"omega_{name}_B"].values, axis=1) for name in ("before", "after"))
-        return {"touchdown": self.speed_touchdown, "before": before, "after": after}
+        """Angular speeds (n) rad/s, by the row that they make."""
+        before, after = (np.linalg.norm(self.runs[name].values, axis=1) for name in ("omega_before_B", "omega_after_B"))
+        return {
+            "impulse_rate_touchdown": self.speed_touchdown, "impulse_rate_before": before, "impulse_rate_after": after,
+        }  # fmt: skip
 
 
 def seen_in(case: Case, folder: str | Path) -> Seen:
@@ -155,7 +157,7 @@ def rows(found: Impulse) -> list[Row]:
         high=high, seen=found.seen, sigma_deg=float(np.degrees(found.seen.direction_sigma_rad)),
         effective=effective_runs(weights[1]), drawn=len(angle),
     )  # fmt: skip
-    return [head, *(_rate(found, f"impulse_rate_{name}", values, weights) for name, values in found.rates().items())]
+    return [head, *(_rate(found, name, values, weights) for name, values in found.rates().items())]
 
 
 def _rate(found: Impulse, name: str, values: np.ndarray, weights: list[np.ndarray]) -> Row:

@@ -44,6 +44,7 @@ from sunspin.philae.row import Row, counts, settled
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle, load_vehicle
+from sunspin.vehicle.changes import OF_READINGS
 
 LANDING_RUNS = 5_000
 """Simulated collisions: their probabilities err by 0.007 at most, ten times what the paper had; `sunspin outcomes` runs more."""
@@ -146,7 +147,7 @@ def _worth(i: Inputs) -> tuple[Case, coverage.Worth]:
     if found is None:
         raise InputError(sentence("the case comes without a study of twins", do="sunspin worth"))
     alike = rb.moves_and_sees_alike(i.case.vehicle, load_vehicle(i.case.name))
-    if not alike or any(one.key.startswith("study.") for one in i.case.assumptions.changes):
+    if not alike or any(one.key.startswith(("study.", *OF_READINGS)) for one in i.case.changes):
         do = "make one with `sunspin coverage` and the same --set"
         raise InputError(sentence("the study of twins that comes with the case is of another body or other assumptions", do=do))
     return i.case, found

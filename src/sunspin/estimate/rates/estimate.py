@@ -111,9 +111,9 @@ def rates(
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
     periods : list of Period, optional
-        Periods seen from outside (:class:`sunspin.estimate.terms.period.Period`), of the precession, the spin or their sum: the
-        modes found are weighted by them (:mod:`sunspin.estimate.rates.period`). `weight_without_periods (pass_id, mode)` has the
-        weights without, and attrs["periods"], in JSON, what each decided.
+        Periods seen from outside, of the precession, the spin or their sum: the modes found are weighted by them
+        (:mod:`sunspin.estimate.rates.period`). `weight_without_periods (pass_id, mode)` has the weights without, and
+        attrs["periods"], in JSON, what each decided.
     wirings : bool
         Where a pass does not fit, try on the one with the most samples other wirings of panels and sensors
         (:mod:`sunspin.estimate.wiring`), and if none fits to leave out each sensor, the Sun's too
