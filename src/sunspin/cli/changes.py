@@ -99,7 +99,9 @@ def asked(sets: tuple[str, ...], uses: tuple[str, ...], **short: str | None) -> 
     for change in changes[len(given) :]:
         if change.key in given:
             raise _twice(change.key, f"--{given[change.key].replace('_', '-')}")
-    _say_idle(change.key for change in changes)
+    context = click.get_current_context(silent=True)
+    if context is not None and isinstance(context.command, Changeable):
+        say_idle((change.key for change in changes), context.command.idle)
     for change in changes:
         table = change.key.partition(".")[0]
         if table in TABLES and table not in uses and change.key not in uses:
@@ -128,14 +130,12 @@ def once(made: Opened, **options: Any) -> None:
             raise _twice(same[0], f"--{name.replace('_', '-')}")
 
 
-def _say_idle(keys: Iterable[str]) -> None:
-    """Say, beside the output, which changes have no effect on the command."""
-    context = click.get_current_context(silent=True)
-    if context is None or not isinstance(context.command, Changeable):
-        return
+def say_idle(keys: Iterable[str], idle: tuple[str, ...]) -> None:
+    """Say, beside the output, which changes have no effect: those of `idle` keys or tables."""
     for key in keys:
-        if _is_idle(key, context.command.idle):
-            click.echo(f"sunspin: {key} changes nothing here: `sunspin {context.command.name}` does not use it", err=True)
+        if _is_idle(key, idle):
+            command = click.get_current_context().command.name
+            click.echo(f"sunspin: {key} changes nothing here: `sunspin {command}` does not use it", err=True)
 
 
 def _is_idle(key: str, idle: tuple[str, ...]) -> bool:

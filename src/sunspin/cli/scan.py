@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import LANDING, Changeable, once, opened, set_options
+from sunspin.cli.changes import LANDING, Changeable, once, opened, say_idle, set_options
 from sunspin.cli.common import (
     WHEEL_MODE,
     claim,
@@ -71,6 +71,8 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     made = opened(vehicle, sets, "study.mask", "study.target_weights")
     once(made, wheel_speed=("speed_rad_s", wheel_speed))
     craft, study = made.craft, made.assumptions.study
+    if craft.telemetry.lit_threshold and not craft.channels:  # then directions do not depend on the noise, only their sigmas do
+        say_idle((one.key for one in craft.changes), ("telemetry.noise",))
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     track = directions_within(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
