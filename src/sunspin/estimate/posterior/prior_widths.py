@@ -16,6 +16,7 @@ from sunspin.estimate.posterior.hypotheses import Mixed
 from sunspin.estimate.posterior.model import Model
 from sunspin.estimate.posterior.verdict import Found, word_of
 from sunspin.estimate.posterior.widths import pareto_tail
+from sunspin.estimate.verdict import LEAST_DRAWS
 
 FACTORS = (0.5, 2.0)
 
@@ -28,8 +29,8 @@ KEYS = {
 
 RATE = "max_rate_rad_s"
 
-LEAST_DRAWS, LARGEST_TAIL = 200.0, 0.7
-"""Effective draws from which a median is known to a tenth of its sigma, and Pareto's k up to which their number can be believed."""
+LARGEST_TAIL = 0.7
+"""Pareto's k up to which the number of effective draws can be believed."""
 
 
 def prior_widths(model: Model, drawn: Mixed, found: Found) -> list[dict[str, Any]]:
