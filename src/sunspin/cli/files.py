@@ -168,7 +168,7 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
 
 def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     from sunspin.output.kinds.seen import status_counts, status_lines
-    from sunspin.telemetry.health import panel_health
+    from sunspin.telemetry.health import noise_made, panel_health
     from sunspin.telemetry.quality import lit_threshold
     from sunspin.telemetry.sun import sun_directions
 
@@ -182,6 +182,7 @@ def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
         "impossible": {"-".join(pattern): n for pattern, n in health["impossible"].items()},
         "explanations": [list(lost) for lost in health["explanations"]],
         "noise_probability": {"-".join(pattern): verdict.largest for pattern, verdict in health["noise"].items()},
+        "noise_made": noise_made(health, samples.sizes["time"] // stride),
         "health_of_every": stride,
     }
     return summary, status_lines(sun) + _health_lines(summary)
@@ -191,6 +192,8 @@ def _health_lines(summary: dict[str, Any]) -> list[str]:
     if not summary["impossible"]:
         return []
     seen = ", ".join(f"{pattern} ({n})" for pattern, n in summary["impossible"].items())
+    if summary["noise_made"]:
+        return [f"  sets of lit panels that the Sun cannot light, as noise alone makes them: {seen}"]
     lost = " or ".join(" and ".join(panels) for panels in summary["explanations"][:3])
     why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
     chance = summary["noise_probability"]

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.special import gammaln
 from scipy.stats import chi2, norm
 
 from sunspin.base.errors import InputError, sentence
@@ -23,6 +24,10 @@ from sunspin.vehicle.response.protocol import PanelResponse
 STEPS, ROUNDING = 60, 1e-12
 """Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma
 squared, at which it ends."""
+
+NOISE_ALONE = 0.01
+"""Noise alone does not make forbidden patterns where it would show such readings in so many of a file's samples with a smaller
+probability than this."""
 
 CHUNK = 2000
 """Samples searched at once: each from every cell of the sphere."""
@@ -71,6 +76,17 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
         "explanations": explanations(vehicle, needed),
         "noise": verdicts,
     }
+
+
+def noise_made(health: dict[str, Any], n: int) -> bool:
+    """Whether noise alone may have made all forbidden patterns that `panel_health` found among `n` samples: by the bound of how
+    probable it is that any so many of them read so."""
+    count = sum(health["impossible"].values())
+    if not count or set(health["noise"]) != set(health["impossible"]):
+        return False
+    log10 = sum(verdict.log10_together for verdict in health["noise"].values())
+    any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
+    return bool(log10 + any_of_them / np.log(10) > np.log10(NOISE_ALONE))
 
 
 def _values(telemetry: Any) -> np.ndarray:
