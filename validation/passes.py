@@ -179,11 +179,13 @@ def few(rng: np.random.Generator) -> Made:
 
 
 def misread(made: Made, rng: np.random.Generator) -> Made:
-    """The same with one or two of the Sun's directions 20 to 70 degrees off."""
+    """The same with one or two of the Sun's directions off, by two of their sigmas to 70 degrees."""
     sun = made.telemetry["sun_sensor_B"].values.copy()
+    sigma = np.sqrt(made.telemetry["sun_sensor_cov_B"].values[0, 0, 0])
     for k in rng.choice(len(sun), int(rng.integers(1, 3)), replace=False):
-        off = np.cross(sun[k], unit(rng))
-        sun[k] = Rotation.from_rotvec(np.radians(rng.uniform(20.0, 70.0)) * off / np.linalg.norm(off)).apply(sun[k])
+        about = np.cross(sun[k], unit(rng))
+        off = np.exp(rng.uniform(np.log(2 * sigma), np.log(np.radians(70.0))))
+        sun[k] = Rotation.from_rotvec(off * about / np.linalg.norm(about)).apply(sun[k])
     return made._replace(telemetry=made.telemetry.assign(sun_sensor_B=(("time", "axis"), sun)))
 
 
