@@ -70,7 +70,8 @@ COUNTED = 0.01
 """A mode of an alternative that holds less than this part of the weight is left out."""
 
 BENT_RAD = 1.0
-"""Two hypotheses may bend one motion apart by so much between two samples; other motions differ by more, mostly by whole turns."""
+"""Two hypotheses, or two meanings of a reading, may bend one motion apart by so much between two samples; other motions differ by
+more, mostly by whole turns."""
 
 TORQUES_STRONGER, SWINGS_QUICKLY = "unknown torques stronger than in the rest of the file", "a swinging quicker than the samples"
 """What such hypotheses change, in words."""
@@ -370,7 +371,7 @@ def counted(trials: list[Trial]) -> list[Counted]:
         one = trials[i].hypothesis
         place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
         for head, members in found:
-            others = all(every[n][1] != i for n in members)
+            others = all(every[n][1] != i for n in members) or any(term.several() for term in one.o.terms)
             if ((head - place) ** 2).sum(axis=-1).max() <= (BENT_RAD if others else ALIKE_RAD) ** 2:
                 members.append(m)
                 break

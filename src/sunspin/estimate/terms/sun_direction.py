@@ -68,6 +68,9 @@ class SunDirection(SunTerm):
     def points(self) -> np.ndarray:
         return self.present()
 
+    def several(self) -> bool:
+        return bool(np.isfinite(self.other_B).any())
+
     def freedom(self) -> np.ndarray:
         return 2 * self.present()
 

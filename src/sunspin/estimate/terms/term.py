@@ -89,6 +89,10 @@ class Term:
         """At which samples (n) it has a reading."""
         return np.zeros(0, dtype=bool)
 
+    def several(self) -> bool:
+        """Whether one of its readings may mean several things."""
+        return False
+
     def blind(self, index: int) -> Self:
         """The same without what it read at a sample."""
         arrays = {name: getattr(self, name).copy() for name in self.measured}
