@@ -110,15 +110,18 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, tuple[str, str], dict[
 
 
 def judge(seed: int, i: int) -> dict[str, Any]:
-    """What the check says of the elements as they are and with their node turned."""
+    """What the check says of the elements as they are, with their node turned, and of a clock that is an hour behind and a field of
+    the opposite sign."""
     vehicle, data, given, about = make(seed, i)
-    for wrong in WRONG_DEG:
+    late = data.assign_attrs(epoch_utc=(datetime.fromisoformat(data.attrs["epoch_utc"]) - timedelta(hours=1)).isoformat())
+    cases = {f"{wrong:g} deg": (wrong, data) for wrong in WRONG_DEG}
+    for name, (wrong, samples) in (cases | {"clock": (0.0, late), "sign": (0.0, data.assign(field_B=-data["field_B"]))}).items():
         elements = parse_elements("\n".join((given[0], turned(given[1], wrong))), "twin")
-        orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=about["sigma_s"])
-        found = check_orbit(orbit, vehicle, data, seed=i)
+        orbit = in_orbit(elements, samples.attrs["epoch_utc"], samples["time"].values, shift_sigma_s=about["sigma_s"])
+        found = check_orbit(orbit, vehicle, samples, seed=i)
         angles = np.degrees([found.turn_rad, found.angle_residual_rad])
-        about[f"{wrong:g}"] = [found.verdict.name, found.better, found.mistaken, found.shift_s, found.shift_sigma_s,
-                               found.turn_times, *angles, 1e6 * found.strength_residual_T]  # fmt: skip
+        about[name] = [found.verdict.name, found.better, found.mistaken, found.shift_s, found.shift_sigma_s, found.turn_times,
+                       *angles, 1e6 * found.strength_residual_T, found.clock_behind_s, found.sign_turned]  # fmt: skip
     return about
 
 
@@ -129,9 +132,12 @@ def main(arguments: list[str] | None = None) -> None:
     for i, row in campaign("tests/tle_twins.py", "orbit check", judge, arguments):
         print(i, {k: np.round(v, 3) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
         rows.append(row)
-    for wrong in WRONG_DEG:
-        verdicts = [row[f"{wrong:g}"][0] for row in rows if f"{wrong:g}" in row]
-        print(f"{wrong:g} deg", {name: verdicts.count(name) for name in sorted(set(verdicts))})
+    for case in (f"{wrong:g} deg" for wrong in WRONG_DEG):
+        verdicts = [row[case][0] for row in rows]
+        print(case, {name: verdicts.count(name) for name in sorted(set(verdicts))})
+    print("clock named", sum(row["clock"][-2] == 3600 for row in rows), "sign named", sum(row["sign"][-1] for row in rows))
+    pulls = np.array([(row["0 deg"][3] - row["ahead_s"]) / row["0 deg"][4] for row in rows])
+    print(f"shift: rms {np.sqrt((pulls**2).mean()):.2f} sigma, {(np.abs(pulls) < 1.645).sum()} within 1.645, of {len(rows)}")
 
 
 if __name__ == "__main__":

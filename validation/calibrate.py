@@ -50,7 +50,7 @@ JITTER_S = 6.0
 TAG_S = 0.1
 """Error of the time tags of the kind "jitter"."""
 
-STEPS = ("brightness", "modes", "family", "mixture", "check", "verdict", "estimate")
+STEPS = ("brightness", "modes", "family", "mixture", "hypotheses", "check", "verdict", "estimate")
 DECIDING = (*FILES, *(f"estimate/posterior/{name}.py" for name in STEPS))
 """Files whose text decides what a twin gives; each row keeps their digest."""
 
@@ -69,9 +69,12 @@ def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
 def make(
     vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int
 ) -> tuple[xr.Dataset, State, Model, dict[str, Any]]:
-    """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told."""
+    """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told.
+
+    No torque acts, and the posterior is told so: `python -m validation torque` is about those.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
-    priors: dict[str, Any] = {"max_rate_rad_s": max_rate} | (KNOWN if kind == "known" else {})
+    priors: dict[str, Any] = {"max_rate_rad_s": max_rate, "steady_torque": 0.0} | (KNOWN if kind == "known" else {})
     scale = vehicle.require_noise() / (0.02 * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, priors, scale)
     truth = prior_truth(unknown, rng)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,8 +24,9 @@ from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
 
 
+@cache
 def few(off: float = 1.0):
-    """A twin with every second sample."""
+    """A twin with every second sample; nobody changes it."""
     twin = make(1, 0, off, gyro=False)
     return twin._replace(telemetry=twin.telemetry.isel(time=slice(None, None, 2)))
 
@@ -104,6 +106,20 @@ def test_a_gyro_is_calibrated_by_rates_found_without_it():
         sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
         off.append((fit.values - [0.01, -0.02, 0.005, 1.04]) / sigma)
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(off))) < 1.5 and fit.passes == 8
+
+
+@pytest.mark.evidence("calibrate_sensors", "modelled", "a gyro off by a known zero and scale, from telemetry to the file's keys")
+@pytest.mark.long
+def test_a_gyro_is_calibrated_end_to_end():
+    twin = make(1, 0)
+    begins = np.flatnonzero(np.diff(twin.telemetry["time"].values, prepend=-1e6) > 1000)
+    data = twin.telemetry.isel(time=slice(0, begins[5])).drop_vars(["field_B"])
+    found = ss.calibrate_sensors(twin.vehicle, data)
+    z = deviations(twin, found)
+    assert {"gyro.zero", "gyro.scale_rad_s"} <= set(z) and "passes that are decided without it" in found.attrs["notes"]
+    assert np.abs([*z["gyro.zero"], *z["gyro.scale_rad_s"]]).max() < 4
+    gyro = found.isel(quantity=np.char.startswith(found["key"].values.astype(str), "gyro."))
+    assert np.all(gyro["sigma"].values < 0.5 * gyro["prior_sigma"].values) and np.all(gyro["written"].values)
 
 
 FILE = """# my satellite

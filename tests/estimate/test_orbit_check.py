@@ -11,6 +11,7 @@ import sunspin as ss
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate import orbit_check
+from sunspin.estimate.invariants import fit, predict, seen_in
 from sunspin.estimate.orbit import judged_orbit, orbit_of
 from sunspin.estimate.orbit_check import Verdict, check_orbit
 from sunspin.vehicle.parts import Orbit
@@ -78,6 +79,18 @@ def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin, fits, few_copies):
     vehicle, data, _, _ = twin
     found = check_orbit(orbit(twin), vehicle, data.assign(field_B=-data["field_B"]))
     assert found.sign_turned and not fits.sign_turned
+
+
+def test_a_field_of_the_wrong_sign_is_seen_where_the_calibration_turns_it_round():
+    nine = make(1, 9)
+    given, mirrored = orbit(nine), []
+    for sign in (1, -1):
+        seen, grid = seen_in(nine[0], nine[1].assign(field_B=sign * nine[1]["field_B"])), orbit_check._Grid.of(given)
+        there = predict(given, seen, grid.shifts)
+        found = fit(seen, there, grid.prior)
+        k = int(found.cost.argmin())
+        mirrored.append(orbit_check._mirrored(seen, there.take([k]), found.calibration[k]))
+    assert mirrored == [False, True]
 
 
 def _earlier(epoch_utc: str, seconds: float) -> str:

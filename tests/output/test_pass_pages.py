@@ -15,7 +15,9 @@ from sunspin.output.figures import _passes_together, save, sun_directions_figure
 from sunspin.output.figures.rates import sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
 from sunspin.output.kinds.rate_words import rate_at
-from sunspin.output.report import measured
+from sunspin.output.report import measured, orbit
+from sunspin.output.report.other import unknown
+from sunspin.output.report.read import Results
 from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -76,6 +78,7 @@ def test_residuals_scatter_as_their_noise_and_show_a_wrong_motion():
 def test_the_sensors_used_are_named(used, said):
     result, _ = tumble()
     assert sources(result.assign_attrs({f"{name}_used": 1 for name in used})) == said
+    assert sources(result.assign_attrs(source="field", field_used=1)) == "magnetometer"
 
 
 def test_the_factor_is_fitted_to_panels_that_count():
@@ -137,3 +140,26 @@ def test_names_that_look_like_formulas_are_drawn_as_they_are(seed, tmp_path):
         save(sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun")
         save(residuals_figure(result, samples, odd), tmp_path, "residuals")
     assert (tmp_path / "sun.png").stat().st_size and (tmp_path / "residuals.svg").stat().st_size
+
+
+def test_the_orbit_is_a_table_of_its_own_and_no_raw_entry(tmp_path):
+    entry = {
+        "epoch_utc": "2017-08-24T21:49:23Z", "age_days": -60.5, "satellite": 42790, "name": "VZLUSAT-1", "verdict": "fits",
+        "copies": 50, "better_copies": 0, "node_turn_rad": 0.0, "node_turn_times": 1.0, "shift_s": -152.4, "shift_sigma_s": 6.6,
+        "clock_behind_s": 0.0, "field_residual_T": 5.1e-7, "sun_field_residual_rad": 0.08, "in_shadow": 4,
+        "in_shadow_with_sun": 0, "sign_turned": False, "samples": {"field": 200}, "notes": ["old"], "used": True,
+    }  # fmt: skip
+    results = Results(tmp_path, "rates", {"orbit": entry})
+    found = orbit.section(results)
+    assert unknown(results) is None and found.lead == ["The orbit is used."]
+    text = dict(found.items[0].rows)
+    assert text["elements of"] == "VZLUSAT-1 42790" and text["age in the middle of the telemetry"] == "-60.5 days"
+    assert text["ahead of the elements along the track"] == "-152 s, sigma 7 s"
+    assert text["median residual of the field's strength"] == "0.51 uT" and not any("clock" in what for what in text)
+    entry |= {"used": False, "verdict": "refused", "clock_behind_s": 3600.0, "samples": "<b>", "shift_s": "x"}
+    entry |= {"node_turn_times": 1.4, "node_turn_rad": 0.2}
+    found = orbit.section(results)
+    text = dict(found.items[0].rows)
+    assert "NOT USED" in found.lead[0] and text["clock behind UTC with which the elements would fit"] == "+1 h"
+    assert text["residuals with another plane"] == "1.40 times smaller, node +11 deg on"
+    assert orbit.section(Results(tmp_path, "rates", {"orbit": 3})) is None

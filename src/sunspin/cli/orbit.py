@@ -32,7 +32,7 @@ def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: fl
 
     one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
     found = check_orbit(orbit, craft, samples)
-    return {"orbit": _summary(one, found, notes)}, _lines(one, found, notes)
+    return {"orbit": _age(orbit, samples, one) | _summary(one, found, notes)}, _lines(one, found, notes)
 
 
 def orbit_used(
@@ -53,7 +53,7 @@ def orbit_used(
         return None, None, {}, []
     one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
     used, found, words = judged_orbit(orbit, craft, samples)
-    summary = _summary(one, found, notes) | {"used": used is not None}
+    summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
     calibration = None if used is None else field_calibration(used, craft, samples)
     return used, calibration, {"orbit": summary}, [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
 
@@ -62,6 +62,15 @@ def _nearest(orbit: Any, samples: Any) -> Any:
     from sunspin.environment.elements import nearest
 
     return nearest(orbit.elements, orbit.instants(samples["time"].values).middle)
+
+
+def _age(orbit: Any, samples: Any, one: Any) -> dict[str, Any]:
+    """Epoch of elements, and their age in the middle of the telemetry."""
+    from sunspin.vehicle.timeline import utc_after
+
+    middle = orbit.instants(samples["time"].values).middle
+    day, fraction = one.epoch_jd
+    return {"epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"), "age_days": one.days_to(middle)}
 
 
 def _named(one: Any) -> str:

@@ -79,9 +79,9 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     options: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
     table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
     best = search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options) if best_delay else None
-    also, lines, drawings = against_kernel(craft.name, next(iter(found.values())), data) if condition else ({}, (), ())
-    tree, also = made.mark(compared(table, found, best)), {**also, "candidates_from": whose}
-    deliver(tree, out, as_json, quiet, made.file, also=also, lines=[f"Candidates: {whose}", *lines], drawings=drawings)
+    weighted = against_kernel(craft.name, next(iter(found.values())), data) if condition else None
+    tree = made.mark(compared(table, found, best, weighted))
+    deliver(tree, out, as_json, quiet, made.file, also={"candidates_from": whose}, lines=[f"Candidates: {whose}"])
 
 
 def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float | None):

@@ -28,7 +28,8 @@ from sunspin.cli.values import field, observation, period, prior, times
 @click.option("--to", "end", type=float, help="Use samples up to this time, s from the epoch.")
 @click.option("--phase", help="Use the samples of this phase of the file.")
 @click.option("--prior", "priors", multiple=True, help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
-              "friction, gain, noise, scale; also time_s, max_rate_rad_s, and in s how long "
+              "friction, gain, noise, scale; also time_s, max_rate_rad_s, steady_torque (deg by which one may turn the body in "
+              "this stretch, 300 unless given, 0: none), and in s how long "
               "before the first sample the wheels were released, wheel_off_s, with sigma wheel_off. Repeatable.")
 @click.option("--rate", "rates", multiple=True, help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.")
 @click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")

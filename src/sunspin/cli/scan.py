@@ -56,7 +56,8 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
     The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
-    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some ten seconds.
+    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some twenty seconds, unless
+    `sunspin compile` has done so.
 
     \b
     Examples:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from datetime import datetime
+from functools import lru_cache, wraps
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,6 +71,23 @@ class Instants(NamedTuple):
         return (1 - share) * values[k] + share * values[k + 1]
 
 
+def _remembered(function: Callable[[Instants], np.ndarray]) -> Callable[[Instants], np.ndarray]:
+    """The same, without computing anew what was asked for just before: a fit asks for many orbits at the same times."""
+
+    @lru_cache(maxsize=4)
+    def found(jd: bytes, fraction: bytes, tt_ahead: float) -> np.ndarray:
+        value = function(Instants(np.frombuffer(jd), np.frombuffer(fraction), tt_ahead))
+        value.flags.writeable = False
+        return value
+
+    @wraps(function)
+    def remembered(when: Instants) -> np.ndarray:
+        return found(when.jd.tobytes(), when.fraction.tobytes(), when.tt_ahead)
+
+    return remembered
+
+
+@_remembered
 def J2000_from_TEME(when: Instants) -> np.ndarray:
     """Matrices (n, 3, 3) from the true equator and mean equinox of SGP4 to J2000.
 
@@ -84,6 +102,7 @@ def J2000_from_TEME(when: Instants) -> np.ndarray:
     return when.slowly(matrix)
 
 
+@_remembered
 def earth_from_J2000(when: Instants) -> np.ndarray:
     """Matrices (n, 3, 3) from J2000 to the axes that turn with the Earth (ITRF without polar motion, which is 0.3 arcseconds)."""
     import erfa
@@ -91,6 +110,7 @@ def earth_from_J2000(when: Instants) -> np.ndarray:
     return erfa.rz(erfa.era00(when.jd, when.fraction), when.slowly(erfa.c2i06a))
 
 
+@_remembered
 def sun_J2000_m(when: Instants) -> np.ndarray:
     """The Sun (n, 3) in m from the Earth's centre, where it is seen: aberration included."""
     import erfa

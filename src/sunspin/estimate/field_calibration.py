@@ -1,22 +1,21 @@
 """What a magnetometer reads in an orbit that is known: zero and matrix (scale, soft iron, axes), with their errors, from a file.
 
-Strength of the field and its angle to the Sun need no attitude; the model of both and the priors are those of the orbit check
-(:mod:`sunspin.estimate.orbit_check`). Of few readings little more comes back than the priors, which are wide: then a fit of the
+Strength of the field and its angle to the Sun need no attitude; model and priors are those by which an orbit is judged
+(:mod:`sunspin.estimate.invariants`). Of few readings little more comes back than the priors, which are wide: then a fit of the
 motion finds the rest. What is open of the place along the track is part of the errors: a calibration along a shifted orbit is
 another one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate import orbit_check as check
-from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import dense
+from sunspin.estimate.calibrate.in_orbit import Calibration, Start, by_sun_sensors
+from sunspin.estimate.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight
 from sunspin.vehicle import Vehicle
 
 FEW_SCATTER = 0.02
@@ -26,6 +25,10 @@ FEW = 24
 
 OF_GAUSSIAN = 0.83
 """The scale of Student's law of four degrees of freedom that fits Gaussian noise of one sigma."""
+
+
+STEP = 1e-5
+"""Of the differences by which errors are carried to matrix and zero."""
 
 
 @dataclass(frozen=True)
@@ -54,40 +57,66 @@ def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> 
     """The calibration of a file's magnetometer along this orbit; None where it has none, or it reads nothing."""
     if "field_B" not in telemetry:
         return None
-    seen = check._seen(vehicle, telemetry)
+    seen = seen_in(vehicle, telemetry)
     use = np.isfinite(seen.field).all(axis=1)
     if not use.any():
         return None
-    seen = check.Seen(*(part[use] for part in seen))
-    size = np.linalg.norm(seen.field, axis=1)
-    median = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
+    seen = Seen(*(part[use] for part in seen))
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)) * np.array([-1.0, 0.0, 1.0])
-    every = check._predict(orbit, seen, check._Grid.of(orbit)._replace(shifts=along), 0.0, 0.0)
-    predicted = every.take([1])
-    strength = float(np.median(predicted.strength))
-    model = check._Model(seen.field / median, seen.sun, seen.covariance)
-    state = check._State(np.zeros((1, 12)), predicted.strength / strength, predicted.to_sun / strength, np.array([[0.1, 1.0]]))
-    for _ in range(check.ROUNDS):
-        state = least_squares(model.linearise, check._stepped, dense, state, steps=3 * check.STEPS).state
-        state = state._replace(scatter=model.scatter(state))
-    scatter = max(model.scatter(state)[0, 0], FEW_SCATTER if len(size) < FEW else 0.0)
-    state = state._replace(scatter=np.array([[scatter, state.scatter[0, 1]]]))
-    along_track = [(part[2] - part[0]) / 2 / strength for part in (every.strength, every.to_sun)]
-    scale, unknown = strength / median, state.unknown[0]
-    units = np.concatenate([np.full(9, scale), np.full(3, strength), [1.0]])
+    every = predict(orbit, seen, along)
+    found = calibrated(seen, every.take([1]), steps=3 * STEPS)
+    matrix, _, _, unit = found.model.fields(found.state)
+    steep = found.model.steepness(unit, matrix)[0]
+    few = FEW_SCATTER / float(np.median(steep)) if len(steep) < FEW else 0.0
+    scatter = np.maximum(found.state.scatter, [few, 0.0])
+    found = found._replace(state=found.state._replace(scatter=scatter))
+    start = Start(found.values[0, :9].reshape(3, 3), found.values[0, 9:])
+    made = by_sun_sensors(orbit, vehicle, telemetry, start)
+    if made is not None and made.strength[1] < _left(found, seen.field, every.strength[1]):
+        return _of_sun_sensors(made, float(along[2]))
+    along_track = [(part[2] - part[0]) / 2 / found.unit_T for part in (every.strength, every.to_sun)]
+    scale, values = found.unit_T / found.unit, found.values[0]
+    units = np.concatenate([np.full(9, scale), np.full(3, found.unit_T), [1.0]])
     return FieldCalibration(
-        scale * (np.eye(3) + unknown[:9].reshape(3, 3)), strength * unknown[9:], _errors(model, state, along_track) * units,
-        float(state.scatter[0, 0]) / OF_GAUSSIAN * strength, scale,
+        values[:9].reshape(3, 3), values[9:], _errors(found, steep, along_track) * units,
+        float(scatter[0, 0] * np.median(steep)) / OF_GAUSSIAN * found.unit_T, scale,
     )  # fmt: skip
 
 
-def _errors(model: check._Model, state: check._State, along_track: list[np.ndarray]) -> np.ndarray:
+def _left(found: Calibrated, reading: np.ndarray, strength: np.ndarray) -> float:
+    """Median of what is left of the field's strength (n), T."""
+    size = np.linalg.norm(reading @ found.values[0, :9].reshape(3, 3).T - found.values[0, 9:], axis=1)
+    return float(np.median(np.abs(size - strength)))
+
+
+def _of_sun_sensors(made: Calibration, along_s: float) -> FieldCalibration:
+    """That of a fit in which Sun sensors have errors, too; `along_s`: one sigma of the place along the track."""
+    covariance = made.model * max(1.0, float(np.mean(np.diag(made.robust)[:12] / np.diag(made.model)[:12])))
+    by_shift = covariance[:12, 12] / covariance[12, 12]
+    rest = covariance[:12, :12] - np.outer(by_shift, covariance[12, :12])
+    own = np.concatenate([np.linalg.cholesky(rest + 1e-12 * np.trace(rest) * np.eye(12)).T, along_s * by_shift[None]])
+
+    def values(unknown: np.ndarray) -> np.ndarray:
+        one = replace(made, values=np.concatenate([unknown, made.values[12:]]))
+        return np.concatenate([one.matrix_T.ravel(), one.matrix_T @ one.zero])
+
+    middle = made.values[:12]
+    changed = np.array([(values(middle + STEP * each) - values(middle - STEP * each)) / (2 * STEP) for each in np.eye(12)])
+    errors = np.concatenate([own @ changed, np.eye(13)[:, 12:]], axis=1)
+    scale = float(np.cbrt(abs(np.linalg.det(made.matrix_T))))
+    return FieldCalibration(made.matrix_T, made.matrix_T @ made.zero, errors, made.noise_T, scale)
+
+
+def _errors(found: Calibrated, steep: np.ndarray, along_track: list[np.ndarray]) -> np.ndarray:
     """One sigma (13, 13) of each independent error of the twelve unknowns and of the place along the track, which changes strength
-    and component to the Sun (n) by `along_track`."""
+    and component to the Sun (n) by `along_track`; `steep` (n): of the strengths."""
+    model, state = found.model, found.state
     strength, to_sun, by_strength, by_sun = (part[0] for part in model.residuals(state))
     there, (field, sine) = state.strength[0], state.scatter[0]
-    moved = [along_track[0] / (there * field), (along_track[1] / there)[model.with_sun] / (model.sigma * sine)]
+    moved = [along_track[0] / (steep * field), (along_track[1] / there)[model.with_sun] / (model.sigma * sine)]
     jacobian = np.concatenate([np.column_stack([by_strength, -moved[0]]), np.column_stack([by_sun, -moved[1]])])
-    normal = (jacobian * check.student_weight(np.concatenate([strength, to_sun]))[:, None]).T @ jacobian + np.eye(13)
-    normal[:12, :12] += model.prior - np.eye(12)
+    normal = (jacobian * student_weight(np.concatenate([strength, to_sun]))[:, None]).T @ jacobian + np.eye(13)
+    normal[:12, :12] += model.prior(state)[0] - np.eye(12)
+    # what these readings say of the place is in its sigma already, where they have judged the orbit
+    normal[12, 12] = 1 + normal[12, :12] @ np.linalg.solve(normal[:12, :12], normal[:12, 12])
     return np.linalg.cholesky(np.linalg.inv(normal)).T

@@ -63,14 +63,16 @@ def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple
     refused ones are None: no answer may rest on them.
     """
     found = check_orbit(orbit, vehicle, telemetry)
+    sign = "; THE MAGNETOMETER READS THE FIELD WITH THE OPPOSITE SIGN: turn its `matrix` round" if found.sign_turned else ""
     if found.verdict is Verdict.REFUSED:
         why = found.verdict.value.split(":")[0]
         return None, found, f"the orbit is NOT USED: {why} (`sunspin check` with the same elements says more)"
     if found.verdict is Verdict.UNDECIDED:
         sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
         along = f"{orbit.shift_s:+.0f} +- {sigma:.0f} s along the track"
-        return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it"
+        return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it{sign}"
     # the shift found is that of place and clock together, of which the data determine the sum
     rest = float(np.sqrt(max(found.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
     known = replace(orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s))
-    return known, found, f"the orbit is used: its elements fit, {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track"
+    shift = f"{found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track"
+    return known, found, f"the orbit is used: its elements fit, {shift}{sign}"

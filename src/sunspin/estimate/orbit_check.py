@@ -11,19 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.special import erfc
 
-from sunspin.environment.earth import earth_from_J2000, sun_J2000_m
-from sunspin.environment.light import lit
-from sunspin.environment.orbit import Orbit, turned
-from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
-from sunspin.telemetry.quality import lit_threshold
-from sunspin.telemetry.sun import SunStatus, sun_directions
+from sunspin.environment.orbit import Orbit
+from sunspin.estimate.calibrate.in_orbit import Start, by_sun_sensors
+from sunspin.estimate.invariants import FEWEST, Fits, Predicted, Seen, fit, predict, seen_in
 from sunspin.vehicle import Vehicle
 
 COPIES = 50
@@ -38,30 +34,8 @@ whose plane is known, some of them do by 1.05: a sensor's own errors."""
 SPAN, STEP_S, MOST_STEPS = 3.0, 20.0, 37
 """The shift is sought within so many sigmas, in such steps; a wider span has wider steps."""
 
-MOST_SAMPLES = 200
-"""Samples of the file that are compared, spread evenly."""
-
-STUDENT = 4.0
-"""Degrees of freedom of the residuals' distribution: a beacon in eight is worse than a Gaussian allows."""
-
-MATRIX_SIGMA = 0.2
-"""Of each element of the magnetometer's matrix over its scale: soft iron, axes."""
-
-ZERO_SIGMA = 1.0
-"""Of its zero, in medians of its readings: the file's may be missing."""
-
-LEAST_FIELD, LEAST_SINE = 0.003, 0.5
-"""The smallest scatter that residuals may have, as a part of the field and in units of the Sun's sigma: models are no better. Where
-few samples have a Sun, a calibration fits their angles nearly exactly, and they would then outvote the field's strength."""
-
-SEEN_IN_SHADOW = 0.02
-"""Samples that show a Sun where there is none: a clock's jitter, the Moon, noise."""
-
 MISTAKEN = 0.2
 """If more copies than this are expected to win by chance against right elements, the data cannot rank."""
-
-FEWEST = 20
-"""Fewer readings of field or light than this are not compared."""
 
 NEAR = 60.0
 """A copy is fitted at a third of the shifts first, and at all of them where its cost comes so near to the one that counts."""
@@ -72,6 +46,9 @@ MOST_SCATTER = np.array([0.1, 3.0])
 HOURS, CLEARLY = range(-12, 15), 12.0
 """Errors of a clock that are tried, those of time zones; and by how much (in log likelihood) one must fit better."""
 
+ROUND = 0.5
+"""A field of the wrong sign is named where, turned round, its angle to the Sun is left off by less than this part."""
+
 FINE, DEEP = 33, 10.0
 """The shift is found among so many steps, between the ends of what costs no more than this above the least: all minima count."""
 
@@ -81,8 +58,6 @@ BLOCKS, AROUND, BESIDE = 8, 9, 3.0
 FEW = 1.15
 """By so much a sigma from so few parts is too small for 90 % to lie within 1.645 of it: Student's law, 7 degrees of freedom."""
 
-ROUNDS, STEPS, TOLERANCE = 3, 10, 0.05
-
 
 class Verdict(Enum):
     """What the rank says; the values are the sentences."""
@@ -90,37 +65,6 @@ class Verdict(Enum):
     FITS = "the elements fit the telemetry"
     REFUSED = "the elements do not fit the telemetry: no answer may rest on them"
     UNDECIDED = "the telemetry cannot tell these elements from others; what is known of the shift stays as it was"
-
-
-class Seen(NamedTuple):
-    """What n samples show whatever the attitude: `t_s`; `field` (n, 3), any unit, NaN where none; `sun` (n, 3) and its
-    covariance, NaN where none; `light` (n): 1 the Sun is up, 0 it is dark, NaN not known."""
-
-    t_s: np.ndarray
-    field: np.ndarray
-    sun: np.ndarray
-    covariance: np.ndarray
-    light: np.ndarray
-
-
-class Predicted(NamedTuple):
-    """For K shifts: strength of the field (K, n) T, its component to the Sun (K, n) T, part of the Sun seen (K, n)."""
-
-    strength: np.ndarray
-    to_sun: np.ndarray
-    lit: np.ndarray
-
-    def take(self, shifts: Any) -> Predicted:
-        return Predicted(*(part[shifts] for part in self))
-
-
-class Fits(NamedTuple):
-    """For K shifts: the cost; matrix and zero of the magnetometer (K, 12); scatter (K, 2) of strength (part of the field) and of
-    the component to the Sun (sigmas of the Sun)."""
-
-    cost: np.ndarray
-    calibration: np.ndarray
-    scatter: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -154,14 +98,14 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """
-    seen, grid = _seen(vehicle, telemetry), _Grid.of(orbit)
+    seen, grid = seen_in(vehicle, telemetry), _Grid.of(orbit)
     if not len(seen.t_s):
         return OrbitCheck(orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)))
     rng = np.random.default_rng(seed)
     turns = zip(rng.uniform(0, 2 * np.pi, COPIES), rng.uniform(0, orbit.elements[0].period_s, COPIES), strict=True)
-    here = _predict(orbit, seen, grid, 0.0, 0.0)
-    own = _fit(seen, here, grid.prior)
-    copies = [_predict(orbit, seen, grid, *one) for one in turns]
+    here = predict(orbit, seen, grid.shifts)
+    own = fit(seen, here, grid.prior)
+    copies = [predict(orbit, seen, grid.shifts, *one) for one in turns]
     fits = [_nearly(seen, copy, grid.prior, float(own.cost.min())) for copy in copies]
     turn, times = _turned(orbit, seen, grid, own)
     better = sum(fit.cost.min() <= own.cost.min() for fit in fits)
@@ -172,7 +116,7 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
     answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
     if verdict is Verdict.FITS:
-        return answer
+        return _with_sun_sensors(answer, orbit, vehicle, telemetry)
     return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, min(fit.cost.min() for fit in [own, *fits])))
 
 
@@ -194,162 +138,14 @@ class _Grid(NamedTuple):
         return self._replace(shifts=shifts, prior=(shifts / self.along) ** 2 / 2)
 
 
-# ---------------------------------------------------------------------------------------------------------- what is seen, predicted
-
-
-def _seen(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
-    time = telemetry["time"].values
-    n, nothing = len(time), np.full((len(time), 3), np.nan)
-    reading = telemetry["field_B"].values if "field_B" in telemetry else nothing
-    sun, covariance, light = nothing, np.full((n, 3, 3), np.nan), np.full(n, np.nan)
-    if "panel" in telemetry.coords:
-        found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
-        sun, covariance = found["sun_B"].values, found["sun_cov_B"].values
-        status = found["status"].values
-        light = np.where(status == SunStatus.MISSING, np.nan, np.where(status == SunStatus.DARK, 0.0, 1.0))
-    if "sun_sensor_B" in telemetry:
-        there = np.array(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
-        sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
-        covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
-        light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
-    late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
-    use = np.flatnonzero((np.isfinite(reading).all(axis=1) | np.isfinite(light)) & ~late)
-    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), MOST_SAMPLES)).astype(int))] if len(use) else use
-    return Seen(*(part[use] for part in (time, reading, sun, covariance, light)))
-
-
-def _predict(orbit: Orbit, seen: Seen, grid: _Grid, node_rad: float, phase_s: float) -> Predicted:
-    when = orbit.instants(seen.t_s)
-    place, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(when, orbit.shift_s + phase_s + grid.shifts[:, None])
-    sun, turn = sun_J2000_m(when), earth_from_J2000(when)
-    field = orbit.map(when, place).at(turned(turn, place))
-    to_sun = turned(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))
-    return Predicted(np.linalg.norm(field, axis=-1), (field * to_sun).sum(axis=-1), lit(place, np.broadcast_to(sun, place.shape)))
-
-
-# ------------------------------------------------------------------------------------------------------------------------ fitting
-
-
-class _State(NamedTuple):
-    """Unknowns (K, 12): the matrix over its first scale less one, by rows, and the zero over the field; predictions; scatters."""
-
-    unknown: np.ndarray
-    strength: np.ndarray
-    to_sun: np.ndarray
-    scatter: np.ndarray
-
-
-def _fit(seen: Seen, predicted: Predicted, prior: np.ndarray, scatter: np.ndarray | None = None) -> Fits:
-    """The magnetometer's calibration at each shift, by residuals with Student's tails whose scatter is fitted too, or given (2)."""
-    n_shift = len(prior)
-    use = np.isfinite(seen.field).all(axis=1)
-    cost = prior + _eclipse_cost(seen.light, predicted.lit)
-    if use.sum() < FEWEST:
-        return Fits(cost, np.full((n_shift, 12), np.nan), np.full((n_shift, 2), np.nan))
-    reading = seen.field[use] / np.median(np.linalg.norm(seen.field[use], axis=1))
-    size = np.median(predicted.strength[:, use])
-    state = _State(np.zeros((n_shift, 12)), predicted.strength[:, use] / size, predicted.to_sun[:, use] / size,
-                   np.tile([0.1, 1.0] if scatter is None else scatter, (n_shift, 1)))  # fmt: skip
-    model = _Model(reading, seen.sun[use], seen.covariance[use])
-    for _ in range(ROUNDS if scatter is None else 1):
-        state = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE).state
-        state = state if scatter is not None else state._replace(scatter=model.scatter(state))
-    system = model.linearise(state)
-    cost = cost + system.cost + np.linalg.slogdet(system.matrix)[1] / 2  # all calibrations count, not the best alone
-    scale = size / np.median(np.linalg.norm(seen.field[use], axis=1))
-    calibration = np.concatenate([scale * (np.eye(3).ravel() + state.unknown[:, :9]), size * state.unknown[:, 9:]], axis=1)
-    return Fits(cost, calibration, state.scatter)
-
-
-def _stepped(state: _State, step: np.ndarray) -> _State:
-    return state._replace(unknown=state.unknown + step)
-
-
-class _Model:
-    """Residuals of readings (n, 3), in units of their median, with Sun directions (n, 3; NaN: none) and their covariance."""
-
-    def __init__(self, reading: np.ndarray, sun: np.ndarray, covariance: np.ndarray) -> None:
-        self.reading, self.with_sun = reading, np.isfinite(sun).all(axis=1)
-        self.sun = sun[self.with_sun]
-        unit = reading[self.with_sun] / np.linalg.norm(reading[self.with_sun], axis=1, keepdims=True)
-        across = unit - (unit * self.sun).sum(axis=1, keepdims=True) * self.sun
-        self.sigma = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance[self.with_sun], across) + 0.02**2)
-        # the mean of the diagonal is the scale, which is free
-        isotropic = np.eye(3).ravel() / np.sqrt(3)
-        tied = np.eye(9) - np.outer(isotropic, isotropic)
-        self.prior = np.zeros((12, 12))
-        self.prior[:9, :9], self.prior[9:, 9:] = tied / MATRIX_SIGMA**2 + np.eye(9) / 10, np.eye(3) / ZERO_SIGMA**2
-
-    def residuals(self, state: _State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Of strength (K, n) and component to the Sun (K, m), in units of their scatter, and their Jacobians (K, ., 12)."""
-        matrix = np.eye(3) + state.unknown[:, :9].reshape(-1, 3, 3)
-        field = np.einsum("kij,nj->kni", matrix, self.reading) - state.unknown[:, None, 9:]
-        length = np.linalg.norm(field, axis=2)
-        unit = field / np.maximum(length, 1e-9)[..., None]
-        strength = (length - state.strength) / state.strength / state.scatter[:, :1]
-        by_strength = self._by_unknown(unit, self.reading) / (state.strength * state.scatter[:, :1])[..., None]
-        there = state.strength[:, self.with_sun]
-        weight = 1 / (there * self.sigma * state.scatter[:, 1:])
-        to_sun = ((field[:, self.with_sun] * self.sun).sum(axis=2) - state.to_sun[:, self.with_sun]) * weight
-        by_sun = self._by_unknown(np.broadcast_to(self.sun, (len(field), *self.sun.shape)), self.reading[self.with_sun])
-        return strength, to_sun, by_strength, by_sun * weight[..., None]
-
-    @staticmethod
-    def _by_unknown(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
-        rows = (direction[..., :, None] * reading[None, :, None, :]).reshape(*direction.shape[:2], 9)
-        return np.concatenate([rows, -direction], axis=2)
-
-    def linearise(self, state: _State) -> Dense:
-        strength, to_sun, by_strength, by_sun = self.residuals(state)
-        cost = (state.unknown @ self.prior * state.unknown).sum(axis=1) / 2
-        slope = state.unknown @ self.prior
-        matrix = np.tile(self.prior, (len(cost), 1, 1))
-        for k, (residual, by) in enumerate(((strength, by_strength), (to_sun, by_sun))):
-            weight = student_weight(residual)
-            cost = cost + (STUDENT + 1) / 2 * np.log1p(residual**2 / STUDENT).sum(axis=1)
-            cost = cost + residual.shape[1] * np.log(state.scatter[:, k])
-            turned = np.swapaxes(by * weight[..., None], 1, 2)
-            slope = slope + (turned @ residual[..., None])[..., 0]
-            matrix = matrix + turned @ by
-        return Dense(cost, matrix, slope)
-
-    def scatter(self, state: _State) -> np.ndarray:
-        """The scatters (K, 2) that make the residuals likeliest, given their weights and how much of them has been fitted."""
-        least, covariance = np.array([LEAST_FIELD, LEAST_SINE]), np.linalg.inv(self.linearise(state).matrix)
-        found = []
-        strength, to_sun, by_strength, by_sun = self.residuals(state)
-        for k, (residual, by) in enumerate(((strength, by_strength), (to_sun, by_sun))):
-            weight = student_weight(residual)
-            free = residual.shape[1] - ((by @ covariance) * by).sum(axis=(1, 2))
-            rms = np.sqrt((weight * residual**2).sum(axis=1) / np.maximum(free, 1.0)) if residual.shape[1] else 1.0
-            found.append(np.maximum(state.scatter[:, k] * rms, least[k]))
-        return np.stack(found, axis=1)
-
-
-def student_weight(residual: np.ndarray) -> np.ndarray:
-    """How much residuals (...), in units of their scatter, count under the Student law."""
-    return (STUDENT + 1) / (STUDENT + residual**2)
-
-
-def _eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Minus the log likelihood (K) of light and dark where part (K, n) of the Sun is predicted; how often it is dark in the Sun
-    (a face that sees nothing, an idle panel) is fitted."""
-    known = np.isfinite(light)
-    dark, sunny = light[known] == 0, part[:, known]
-    in_sun = (sunny * dark).sum(axis=1) / np.maximum(sunny.sum(axis=1), 1)
-    in_sun = np.clip(in_sun, 0.5 / max(len(dark), 1), 1 - SEEN_IN_SHADOW)[:, None]
-    chance = sunny * in_sun + (1 - sunny) * (1 - SEEN_IN_SHADOW)
-    return -np.where(dark, np.log(chance), np.log1p(-chance)).sum(axis=1)
-
-
 # ------------------------------------------------------------------------------------------------------------------------ judging
 
 
 def _nearly(seen: Seen, copy: Predicted, prior: np.ndarray, reach: float, scatter: np.ndarray | None = None) -> Fits:
     """A copy's fits: at every third shift, and at all where one of those comes near the cost that would win."""
     some = slice(1, None, 3)
-    coarse = _fit(seen, copy.take(some), prior[some], scatter)
-    return coarse if coarse.cost.min() > reach + NEAR else _fit(seen, copy, prior, scatter)
+    coarse = fit(seen, copy.take(some), prior[some], scatter)
+    return coarse if coarse.cost.min() > reach + NEAR else fit(seen, copy, prior, scatter)
 
 
 def _turned(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, float]:
@@ -358,7 +154,8 @@ def _turned(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, fl
     field = np.isfinite(seen.field).all(axis=1)
     if field.sum() < FEWEST:
         return 0.0, 1.0
-    costs = [_nearly(seen, _predict(orbit, seen, grid, turn, 0.0), grid.prior, np.inf).cost.min() for turn in np.radians(TURNS_DEG)]
+    turned = [predict(orbit, seen, grid.shifts, turn) for turn in np.radians(TURNS_DEG)]
+    costs = [_nearly(seen, one, grid.prior, np.inf).cost.min() for one in turned]
     gain = (own.cost.min() - min(costs)) / (field.sum() + (field & np.isfinite(seen.sun).all(axis=1)).sum())
     return (float(np.radians(TURNS_DEG)[np.argmin(costs)]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
 
@@ -367,7 +164,7 @@ def _clock_behind(orbit: Orbit, seen: Seen, grid: _Grid, lowest: float) -> float
     """By how many s the telemetry's clock is behind UTC if it is off by whole hours and the elements are right: what fits best,
     where it fits clearly better than the orbit and all its copies; else 0."""
     clocks = [replace(orbit, clock_s=orbit.clock_s + 3600.0 * hours) for hours in HOURS if hours]
-    costs = [_nearly(seen, _predict(other, seen, grid, 0.0, 0.0), grid.prior, lowest).cost.min() for other in clocks]
+    costs = [_nearly(seen, predict(other, seen, grid.shifts), grid.prior, lowest).cost.min() for other in clocks]
     return clocks[int(np.argmin(costs))].clock_s - orbit.clock_s if min(costs) < lowest - CLEARLY else 0.0
 
 
@@ -379,13 +176,13 @@ def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits,
     which its cost is higher, and noise of the data makes that D +- sqrt(2 D).
     """
     k = int(best.cost.argmin())
-    clean, scatter = _as_predicted(seen, right, best.calibration[k]), np.minimum(best.scatter[k], MOST_SCATTER)
-    zero = float(_fit(clean, right, np.zeros(1), scatter).cost[0])
+    clean, scatter = _as_predict(seen, right, best.calibration[k]), np.minimum(best.scatter[k], MOST_SCATTER)
+    zero = float(fit(clean, right, np.zeros(1), scatter).cost[0])
     higher = np.array([_nearly(clean, copy, prior, zero, scatter).cost.min() - zero for copy in copies])
     return float((erfc(np.sqrt(np.maximum(higher, 0)) / 2) / 2).sum())
 
 
-def _as_predicted(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen:
+def _as_predict(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen:
     """The samples as they would be if the orbit were right and nothing had noise: the field of the predicted strength and angle
     to the Sun, in the half plane where it was read; dark in the predicted shadow."""
     light = np.where(np.isfinite(seen.light) & (right.lit[0] < 0.5), 0.0, seen.light)
@@ -412,23 +209,48 @@ def _answer(
     dark, shadow = seen.light == 0, here.lit[k] < 0.5
     known = np.isfinite(seen.light)
     calibrated = bool(np.isfinite(own.calibration[k]).all())
-    strength = angle = np.nan
-    if calibrated:
-        field = seen.field @ own.calibration[k][:9].reshape(3, 3).T - own.calibration[k][9:]
-        size = np.linalg.norm(field, axis=1)
-        strength = float(np.nanmedian(np.abs(size - here.strength[k])))
-        both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, here.to_sun[k] / here.strength[k])]
-        angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
-    opposite = _fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
+    strength, angle = _left(seen, here.take([k]), own.calibration[k]) if calibrated else (np.nan, np.nan)
+    opposite = fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
+    sign_turned = bool(opposite.cost[0] < own.cost[k] - CLEARLY)
+    sign_turned |= calibrated and _mirrored(seen, here.take([k]), own.calibration[k])
     return OrbitCheck(
         verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0], turn_times=beside[1],
-        sign_turned=bool(opposite.cost[0] < own.cost[k] - CLEARLY), shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
+        sign_turned=sign_turned, shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
         border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
         samples={"field": int(np.isfinite(seen.field).all(axis=1).sum()), "light": int(known.sum()),
                  "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
         eclipse=(int((known & shadow & ~dark).sum()), int((known & shadow).sum())),
         matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None, zero=own.calibration[k][9:] if calibrated else None,
     )  # fmt: skip
+
+
+def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> OrbitCheck:
+    """The answer with shift and calibration of the fit that counts biases and scales of Sun sensors, where there are any."""
+    if answer.matrix is None or answer.zero is None:
+        return answer
+    made = by_sun_sensors(orbit, vehicle, telemetry, Start(answer.matrix, answer.zero, answer.shift_s - orbit.shift_s))
+    if made is None or not made.strength[1] < answer.strength_residual_T:
+        return answer
+    return replace(
+        answer, shift_s=orbit.shift_s + made.shift_s, shift_sigma_s=made.shift_sigma_s, matrix=made.matrix_T,
+        zero=made.matrix_T @ made.zero, strength_residual_T=float(made.strength[1]), angle_residual_rad=float(made.angle[1]),
+    )  # fmt: skip
+
+
+def _left(seen: Seen, there: Predicted, calibration: np.ndarray) -> tuple[float, float]:
+    """Medians of what is left of the field's strength (T) and of its angle to the Sun (rad), NaN where no sample shows both."""
+    field = seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:]
+    size = np.linalg.norm(field, axis=1)
+    both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, there.to_sun[0] / there.strength[0])]
+    angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
+    return float(np.nanmedian(np.abs(size - there.strength[0]))), angle
+
+
+def _mirrored(seen: Seen, there: Predicted, calibration: np.ndarray) -> bool:
+    """Whether a calibration turns the readings round, and by this their angle to the Sun fits that else would not."""
+    if np.linalg.det(calibration[:9].reshape(3, 3)) > 0 or np.isfinite(seen.field + seen.sun).all(axis=1).sum() < FEWEST:
+        return False
+    return _left(seen, there, calibration)[1] < ROUND * _left(seen, there, -calibration)[1]
 
 
 def _shift(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, float, bool]:
@@ -440,14 +262,14 @@ def _shift(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, flo
     k, step = int(own.cost.argmin()), grid.shifts[1] - grid.shifts[0]
     deep = grid.shifts[own.cost < own.cost.min() + DEEP]
     fine = grid.at(np.linspace(deep.min() - step, deep.max() + step, FINE))
-    mean, sigma = _lowest(fine.shifts, _fit(seen, _predict(orbit, seen, fine, 0.0, 0.0), fine.prior).cost)
+    mean, sigma = _lowest(fine.shifts, fit(seen, predict(orbit, seen, fine.shifts), fine.prior).cost)
     near = grid.at(mean + sigma * np.linspace(-BESIDE, BESIDE, AROUND))
-    part, found = _predict(orbit, seen, near, 0.0, 0.0), []
+    part, found = predict(orbit, seen, near.shifts), []
     blocks = np.array_split(np.arange(len(seen.t_s)), BLOCKS)
     for block in blocks if len(seen.t_s) >= BLOCKS * FEWEST / 2 else ():
         rest = np.setdiff1d(np.arange(len(seen.t_s)), block)
         some = Seen(*(each[rest] for each in seen))
-        cost = _fit(some, Predicted(*(each[:, rest] for each in part)), near.prior).cost
+        cost = fit(some, Predicted(*(each[:, rest] for each in part)), near.prior).cost
         found.append(_lowest(near.shifts, cost)[0])
     if found:
         apart = float(np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,6 +12,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.propagate import propagate
+from sunspin.dynamics.torques import Torque
 from sunspin.telemetry.synthetic import generator, noisy_power, on_time_grid, telemetry_dataset
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
@@ -30,7 +31,7 @@ class Truth:
     `omega_B` (3) rad/s and `sun_B` (3) in body axes; `t_s` (n) s from the epoch; `wheel_speed_rad_s` as in `propagate`
     (default: the vehicle's nominal speeds); `scale` the signal of a panel of gain one at normal incidence (default: 1,
     or with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma in the unit of the
-    signal (default: the vehicle's, zero where it states none).
+    signal (default: the vehicle's, zero where it states none); `torques` as in `propagate`.
     """
 
     omega_B: npt.ArrayLike
@@ -40,6 +41,7 @@ class Truth:
     wheel_mode: Any = "coast"
     scale: float | None = None
     noise: float | None = None
+    torques: Sequence[str | Torque] = ()
 
 
 def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed: int = 0) -> xr.Dataset:
@@ -51,7 +53,7 @@ def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed
     if speeds is None:
         speeds = [wheel.speed_rad_s for wheel in vehicle.wheels]
     t = on_time_grid(np.atleast_1d(known.t_s))
-    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode)
+    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode, torques=known.torques)
     sun = track["sun_B"].values
     power = noisy_power(vehicle, scale * panel_power(vehicle, sun), noise, generator(seed, 0))
     told = {

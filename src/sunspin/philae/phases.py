@@ -14,7 +14,7 @@ from sunspin.philae.carries import whole_panels
 from sunspin.philae.rebound import case_seconds
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
-from sunspin.telemetry.health import explanations, noise_alone, panel_health
+from sunspin.telemetry.health import PanelHealth, explanations, noise_alone, panel_health
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
 from sunspin.vehicle.timeline import utc_seconds
 
@@ -54,7 +54,7 @@ class Phases:
 
     case: Case
     phases: list[PhaseStatistics]
-    health: dict[str, Any]
+    health: PanelHealth
     sun: xr.Dataset
     log10_probability: np.ndarray
 

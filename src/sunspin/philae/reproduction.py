@@ -134,7 +134,7 @@ def reproduce(
     }  # fmt: skip
     made_with = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
     write_run(folder, summary, made_with, case.telemetry, pictures)
-    return Written(folder, write_report(folder, ours=True), summary)
+    return Written(folder, write_report(folder, ours=True, figures=True), summary)
 
 
 def _case(telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]) -> Case:

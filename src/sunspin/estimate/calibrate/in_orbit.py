@@ -17,29 +17,35 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.environment.earth import earth_from_J2000, sun_J2000_m
-from sunspin.environment.light import lit
 from sunspin.environment.orbit import Orbit, turned
-from sunspin.estimate.rates.observe import GAP_FACTOR
+from sunspin.estimate.along_track import AlongTrack
+from sunspin.estimate.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA
+from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import cross_matrix, tangents, turn
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
 
-STUDENT = 4.0
-"""Degrees of freedom of a sample's readings together: a beacon in eight is worse than a Gaussian allows."""
-
-MATRIX_SIGMA, SCALE_FREE = 0.2, 3.0
-"""Prior sigmas of each element of the magnetometer's matrix over its scale, and of the scale itself, which is free."""
-
-ZERO_SIGMA = 1.0
-"""Of its zero where the vehicle file states no sigma, in medians of what its columns hold: the file's may be missing."""
+SCALE_FREE = 3.0
+"""Prior sigma of the magnetometer's scale over the first, which is free."""
 
 BIAS_SIGMA_RAD, ANGLE_SCALE_SIGMA = 0.1, 0.2
 """Of a Sun sensor's bias, and of its scales over those stated, where the vehicle file states none."""
 
+MOST_SAMPLES = 600
+"""Samples that magnetometer and Sun sensors are calibrated by, spread evenly."""
+
+FEWEST = 40
+"""Conditions that samples must put on the unknowns before magnetometer and Sun sensors are calibrated."""
+
 SHIFTS = 31
 """Of these the one is taken from which the fit begins."""
+
+REACH, STEP_S, MOST_STEPS = 4.0, 20.0, 24
+"""The field is computed within so many sigmas of the shift, in such steps, with as many on a side; wider ones where they do not
+suffice."""
 
 DRIFT_DAYS = 30.0
 """The shift along the track may drift by its own sigma in so many days: drag."""
@@ -49,6 +55,9 @@ PANEL_SIGMA_RAD = 0.03
 
 WEAK = 1e-4
 """Information (1/rad^2) that keeps a turn finite which no sensor of a sample sees."""
+
+ROUNDING = 1e-12
+"""The same as a part of all information, where a trial is far off and the information huge."""
 
 INNER, ROUNDS, STEPS, TOLERANCE = 4, 12, 12, 0.01
 STEADY = 0.01
@@ -128,6 +137,10 @@ class Calibration:
         return float(self.values[12])
 
     @property
+    def shift_sigma_s(self) -> float:
+        return float(np.sqrt(max(self.model[12, 12], self.robust[12, 12])))
+
+    @property
     def drift_s_day(self) -> float:
         return float(self.values[13])
 
@@ -143,15 +156,13 @@ class Calibration:
 def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, prior: np.ndarray) -> Calibration:
     """Calibrate by these readings, from a start or from the sphere that explains the field's strength, whichever fits better;
     `prior` (D): one sigma of each unknown (those of :func:`priors`)."""
-    sky = _Sky(orbit, seen.t_s)
-    _, field_T, light = sky.at(start.shift_s, 0.0)
-    dark = light < 0.5  # what is seen there is not the Sun
+    half = int(np.clip(np.ceil(REACH * prior[12] / STEP_S), 4, MOST_STEPS))
+    sky = AlongTrack.of(orbit, seen.t_s, REACH * prior[12] / half * np.arange(-half, half + 1))
+    dark = sky.lit_at(start.shift_s) < 0.5  # what is seen there is not the Sun
     seen = seen._replace(angle=np.where(dark[:, None, None], np.nan, seen.angle), sun=np.where(dark[:, None], np.nan, seen.sun))
     keep = seen.has_field | seen.has_sun
     seen, sky = seen.take(keep), sky.take(keep)
-    unit_T = float(np.median(np.linalg.norm(field_T, axis=1)))
-    sphere = _sphere(seen, sky, prior[12])
-    unit = unit_T * abs(np.linalg.det(sphere.matrix)) ** (-1 / 3)
+    unit_T = float(np.median(np.linalg.norm(sky.at(start.shift_s)[0], axis=1)))
 
     def begun(one: Start, unit: float) -> tuple[_Model, _State]:
         model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
@@ -161,7 +172,9 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
         return model, _State(first[None], model.triads(first)[None])
 
     found = []
-    for one in (sphere, start):
+    sphere = _sphere(seen, sky, prior[12])
+    for one in (start,) if sphere is None else (sphere, start):
+        unit = unit_T * abs(np.linalg.det(one.matrix)) ** (-1 / 3)
         unknown = _settled(*begun(one, unit), rounds=2)[1].unknown[0]
         back = np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)) * unit_T / unit
         own = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
@@ -169,6 +182,17 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
         found.append((model.left_of_both(state.unknown[0]), model, state, own))
     _, model, state, unit = min(found, key=lambda each: each[0])
     return model.answer(state, unit)
+
+
+def by_sun_sensors(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start: Start) -> Calibration | None:
+    """The calibration of a file whose Sun sensors may be off, from a start; None where it has none, or too few samples show them
+    and the field."""
+    if "sun_sensor_angle" not in telemetry or not vehicle.sensors.sun_sensors:
+        return None
+    seen = readings(vehicle, telemetry)
+    if seen.has_field.sum() + (seen.has_field & seen.has_sun).sum() < FEWEST:
+        return None
+    return fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
 
 
 def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model, _State]:
@@ -182,14 +206,15 @@ def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model
     return model, state
 
 
-def _sphere(seen: Readings, sky: _Sky, sigma_s: float) -> Start:
+def _sphere(seen: Readings, sky: AlongTrack, sigma_s: float) -> Start | None:
     """Zero and one scale for all axes by the field's strength alone, at the shift within three of its sigmas where they fit best:
-    r^2 = 2 r.z - z^2 + (B / scale)^2 is linear in z, z^2 and 1 / scale^2."""
-    use, best = seen.has_field, (np.inf, Start(np.eye(3), np.zeros(3)))
+    r^2 = 2 r.z - z^2 + (B / scale)^2 is linear in z, z^2 and 1 / scale^2. None where no such scale is positive."""
+    use = seen.has_field
+    best: tuple[float, Start | None] = (np.inf, None)
     reading, some = seen.field[use], sky.take(seen.has_field)
     size = float(np.median(np.linalg.norm(reading, axis=1)))
     for shift in np.linspace(-3, 3, SHIFTS) * sigma_s:
-        strength = np.linalg.norm(some.at(shift, 0.0)[1], axis=1)
+        strength = np.linalg.norm(some.at(shift)[0], axis=1)
         middle = float(np.median(strength))
         design = np.column_stack([2 * reading / size, np.ones(len(reading)), (strength / middle) ** 2])
         target = (reading**2).sum(axis=1) / size**2
@@ -223,9 +248,10 @@ SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 """Keys of a Sun sensor in the order of its unknowns."""
 
 
-def readings(vehicle: Vehicle, telemetry: xr.Dataset, sun: np.ndarray, sun_sigma: np.ndarray, most: int) -> Readings:
-    """Those of a telemetry file that show field or Sun, at most so many, spread evenly; `sun` (n, 3) by panels, sigma (n) rad."""
+def readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
+    """Those of a telemetry file that show field or Sun, spread evenly."""
     time = telemetry["time"].values
+    sun, sun_sigma = _sun_by_panels(vehicle, telemetry)
     n, faces = len(time), len(vehicle.sensors.sun_sensors)
     angle, is_turned = np.full((n, faces, 2), np.nan), np.zeros((n, faces), dtype=bool)
     if "sun_sensor_angle" in telemetry:
@@ -236,8 +262,20 @@ def readings(vehicle: Vehicle, telemetry: xr.Dataset, sun: np.ndarray, sun_sigma
     seen = Readings(time, angle, is_turned, sun, np.hypot(sun_sigma, PANEL_SIGMA_RAD), field, passes)
     late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
     use = np.flatnonzero((seen.has_field | seen.has_sun) & ~late)
-    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), most)).astype(int))] if len(use) else use
+    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), MOST_SAMPLES)).astype(int))] if len(use) else use
     return seen.take(use)
+
+
+def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (n, 3) by panels, or Sun vectors as they are given, NaN where none, and sigma (n) rad of each of two angles."""
+    n = telemetry.sizes["time"]
+    sun, sigma = np.full((n, 3), np.nan), np.full(n, np.nan)
+    if "panel" in telemetry.coords:
+        found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
+        sun, sigma = found["sun_B"].values, found["sigma_rad"].values
+    elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
+        sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)
+    return sun, np.where(np.isfinite(sigma), sigma, 0.0) / np.sqrt(2)
 
 
 def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
@@ -248,33 +286,6 @@ def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
     isotropic = np.eye(3).ravel() / np.sqrt(3)
     found[:9, :9] += (SCALE_FREE**-2 - MATRIX_SIGMA**-2) * np.outer(isotropic, isotropic)
     return found
-
-
-# -------------------------------------------------------------------------------------------------------------------- environment
-
-
-@dataclass(frozen=True)
-class _Sky:
-    """Sun and field in J2000 at n samples, along the track."""
-
-    orbit: Orbit
-    t_s: np.ndarray
-
-    def take(self, which: np.ndarray) -> _Sky:
-        return replace(self, t_s=self.t_s[which])
-
-    @property
-    def days(self) -> np.ndarray:
-        return (self.t_s - self.t_s.mean()) / 86400.0
-
-    def at(self, shift_s: float, drift_s_day: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Direction to the Sun (n, 3), field (n, 3) in T, part of the Sun that is seen (n)."""
-        when = self.orbit.instants(self.t_s)
-        place, _ = self.orbit.states(when, self.orbit.shift_s + shift_s + drift_s_day * self.days)
-        sun, axes = sun_J2000_m(when), earth_from_J2000(when)
-        to_sun = sun - place
-        field = turned(np.swapaxes(axes, -1, -2), self.orbit.map(when, place).at(turned(axes, place)))
-        return to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True), field, lit(place, sun)
 
 
 # ------------------------------------------------------------------------------------------------------------------------ fitting
@@ -305,7 +316,7 @@ class _Model:
 
     vehicle: Vehicle
     seen: Readings
-    sky: _Sky
+    sky: AlongTrack
     unit_T: float
     precision: np.ndarray
     scatter: tuple[float, float, float] = (0.5, 1.0, 0.02)
@@ -332,7 +343,7 @@ class _Model:
 
     def triads(self, unknown: np.ndarray) -> np.ndarray:
         """Attitudes (n, 3, 3) to begin with, from one reading of the Sun and the field."""
-        sun_N, field_N, _ = self.sky.at(unknown[12], unknown[13])
+        sun_N, field_N = self.sky.sun, self.sky.at(unknown[12], unknown[13])[0]
         sun_N, field_N = sun_N * self.seen.has_sun[:, None], field_N * self.seen.has_field[:, None]
         sun = np.nan_to_num(self.seen.sun)
         for k, sensor in enumerate(self.vehicle.sensors.sun_sensors):
@@ -388,9 +399,8 @@ class _Model:
         return value, by_turn, by_unknown
 
     def _sky(self, unknown: np.ndarray) -> tuple[np.ndarray, ...]:
-        sun, field, _ = self.sky.at(unknown[12], unknown[13])
-        later = self.sky.at(unknown[12] + 1.0, unknown[13])[1]
-        return sun, field / self.unit_T, (later - field) / self.unit_T
+        field, slope = self.sky.at(unknown[12], unknown[13])
+        return self.sky.sun, field / self.unit_T, slope / self.unit_T
 
     def _settled(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, _At, np.ndarray]:
         """Attitudes that fit best, what is there, and the inverse of the turns' information (n, 3, 3)."""
@@ -417,7 +427,7 @@ class _Model:
         square = (at.value**2).sum(axis=1)
         weight = (STUDENT + self.conditions) / (STUDENT + square)
         scores = weight[:, None] * np.einsum("nrd,nr->nd", at.by_unknown, at.value)
-        matrix = np.einsum("n,nrd,nre->de", weight, alone, alone)
+        matrix = _summed(weight, alone)
         cost = ((STUDENT + self.conditions) / 2 * np.log1p(square / STUDENT)).sum()
         logs = (self.read.sum(axis=0) * np.log(np.array(self.scatter)[self.kinds])).sum()
         return attitude, scores, matrix, float(cost + logs)
@@ -433,9 +443,9 @@ class _Model:
         _, at, back = self._settled(unknown, state.attitude[0])
         alone = self._projected(at, back)
         weight = (STUDENT + self.conditions) / (STUDENT + (at.value**2).sum(axis=1))
-        covariance = np.linalg.inv(self.precision + np.einsum("n,nrd,nre->de", weight, alone, alone))
-        taken = np.einsum("nri,nij,nrj->nr", at.by_turn, back, at.by_turn)
-        taken = taken + weight[:, None] * np.einsum("nrd,de,nre->nr", alone, covariance, alone)
+        covariance = np.linalg.inv(self.precision + _summed(weight, alone))
+        taken = ((at.by_turn @ back) * at.by_turn).sum(axis=2)
+        taken = taken + weight[:, None] * ((alone @ covariance) * alone).sum(axis=2)
         free = np.where(self.read, 1 - taken, 0.0)
         found = []
         for k, old in enumerate(self.scatter):
@@ -451,7 +461,7 @@ class _Model:
         _, at, back = self._settled(unknown, state.attitude[0])
         alone, conditions = self._projected(at, back), self.conditions
         expected = (STUDENT + conditions) / (STUDENT + conditions + 2)  # of the Student law, on average
-        matrix = np.einsum("n,nrd,nre->de", expected, alone, alone)
+        matrix = _summed(expected, alone)
         covariance = np.linalg.inv(self.precision + matrix)
         fitted, total = float((covariance * matrix).sum()), float(conditions.sum())
         clusters = _clusters(self.seen.pass_of)
@@ -510,8 +520,16 @@ class _Model:
         return float(np.nanmedian(strength)), float(np.median(np.abs(np.arccos(np.clip(cosine, -1, 1)) - np.arccos(known))))
 
 
+def _summed(weight: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Information (D, D) that samples with a weight (n) and slopes (n, R, D) have together."""
+    flat = (np.sqrt(weight)[:, None, None] * slope).reshape(-1, slope.shape[2])
+    return flat.T @ flat
+
+
 def _information(by_turn: np.ndarray) -> np.ndarray:
-    return np.swapaxes(by_turn, -1, -2) @ by_turn + WEAK * np.eye(3)
+    found = np.swapaxes(by_turn, -1, -2) @ by_turn
+    weak = WEAK + ROUNDING * np.einsum("nii->n", found)
+    return found + weak[:, None, None] * np.eye(3)
 
 
 def _triad(first: np.ndarray, second: np.ndarray) -> np.ndarray:

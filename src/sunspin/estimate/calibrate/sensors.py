@@ -15,22 +15,15 @@ from sunspin.base.errors import InputError, MotionError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
-from sunspin.estimate.calibrate.in_orbit import SUN_KEYS, Calibration, Readings, Start, fit_in_orbit, priors, readings
+from sunspin.estimate.calibrate.in_orbit import FEWEST, SUN_KEYS, Calibration, Readings, Start, fit_in_orbit, priors, readings
 from sunspin.estimate.orbit_check import OrbitCheck, Verdict, check_orbit
 from sunspin.estimate.rates.estimate import rates
 from sunspin.estimate.verdict import NARROWER
 from sunspin.telemetry.gains import prior_sigmas, with_gains
-from sunspin.telemetry.quality import lit_threshold, panel_quality
-from sunspin.telemetry.sun import sun_directions
+from sunspin.telemetry.quality import panel_quality
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.rewrite import NewValue
 from sunspin.vehicle.timeline import utc_after
-
-MOST_SAMPLES = 600
-"""Samples that magnetometer and Sun sensors are calibrated by, spread evenly."""
-
-FEWEST = 40
-"""Conditions that samples must put on the unknowns before magnetometer and Sun sensors are calibrated."""
 
 BLOCKS = 8
 """Parts of the file that are left out in turn."""
@@ -94,7 +87,7 @@ def calibrate_sensors(vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | No
         found, calibrated = _panels(vehicle, telemetry, notes)
         keys += found
     if "field_B" in telemetry or "sun_sensor_angle" in telemetry:
-        seen = _readings(calibrated, telemetry)
+        seen = readings(calibrated, telemetry)
         made = _in_orbit(vehicle, telemetry, orbit, seen, notes, attrs)
         keys += [] if made is None else _magnetometer(vehicle, made) + list(_sun_sensors(vehicle, seen, made))
     if "gyro_B" in telemetry and vehicle.sensors.gyro is not None:
@@ -156,18 +149,6 @@ def _jackknife(vehicle: Vehicle, telemetry: xr.Dataset) -> np.ndarray:
     return np.sqrt((BLOCKS - 1) / BLOCKS * ((gain - gain.mean(axis=0)) ** 2).sum(axis=0))
 
 
-def _readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
-    n = telemetry.sizes["time"]
-    sun, sigma = np.full((n, 3), np.nan), np.full(n, np.nan)
-    if "panel" in telemetry.coords:
-        found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
-        sun, sigma = found["sun_B"].values, found["sigma_rad"].values
-    elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
-        sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)
-    sigma = np.where(np.isfinite(sigma), sigma, 0.0) / np.sqrt(2)  # of each of two angles
-    return readings(vehicle, telemetry, sun, sigma, MOST_SAMPLES)
-
-
 # ---------------------------------------------------------------------------------------------------------------------- in orbit
 
 
@@ -193,7 +174,7 @@ def _in_orbit(
         notes.append(f"{what}: not determined, too few samples show the field")
         return None
     attrs |= {
-        "shift_s": orbit.shift_s + made.shift_s, "shift_sigma_s": float(np.sqrt(max(made.model[12, 12], made.robust[12, 12]))),
+        "shift_s": orbit.shift_s + made.shift_s, "shift_sigma_s": made.shift_sigma_s,
         "drift_s_day": made.drift_s_day, "field_residual_before_T": made.strength[0], "field_residual_after_T": made.strength[1],
         "sun_field_residual_before_rad": made.angle[0], "sun_field_residual_after_rad": made.angle[1],
         "field_noise_T": made.noise_T, "sun_noise": made.sun_noise,

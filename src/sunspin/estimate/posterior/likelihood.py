@@ -110,7 +110,7 @@ class Likelihood:
         scale = np.zeros(len(u))
         for i in model.where("scale"):
             scale = model.unknowns[i].centre + model.unknowns[i].sigma * u[:, i]
-        gains = model.relative(u, "gain", len(model.vehicle.panels))
+        gains = model.relative(u, "gain", len(model.vehicle.inputs))
         return np.exp(scale[:, None] + gains)[:, None]
 
     def noise(self, u: np.ndarray) -> np.ndarray:
@@ -209,7 +209,7 @@ class Likelihood:
         n, model = len(state), self.model
         window = self.data.reach_s
         step = RATE_STEP / window
-        own = min(UNIT_STEP * max(UNIT_STEP_S / window, 1.0), LARGEST_UNIT_STEP)
+        own = self._steps(window)
         moving = [] if still else model.moving
         e1, _ = tangents(state.sun)
         runs = [state] + [State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)]
@@ -218,7 +218,7 @@ class Likelihood:
         else:
             runs.append(State(state.omega, e1, state.u))
         first = len(runs) - 1
-        runs += [State(state.omega, state.sun, state.u + own * np.eye(state.u.shape[1])[i]) for i in moving]
+        runs += [State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i]) for i in moving]
         every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         raw, extra = self.misfit(base, state.u)
@@ -229,7 +229,7 @@ class Likelihood:
             turned, rest = parts[3], np.zeros_like(base.rate)
             moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
             moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
-        moves += [p.slope(base, own) for p in parts[first:]]
+        moves += [p.slope(base, own[i]) for p, i in zip(parts[first:], moving, strict=True)]
         power = self.power(base.sun, state.u)
         counts = self.data.used & (self.data.lit | (power > self.data.threshold))  # not a dark panel that should be dark
         columns = self._along(base, state.u, moves, counts)
@@ -238,6 +238,12 @@ class Likelihood:
         columns = columns[:5] + [next(own_run) if i in moving else self._standing(power, counts, i) for i in each]
         jacobian = np.stack(columns, axis=-1)
         return base, raw, extra, np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
+
+    def _steps(self, window_s: float) -> np.ndarray:
+        """Steps (k) of the differences in the further unknowns."""
+        own = min(UNIT_STEP * max(UNIT_STEP_S / window_s, 1.0), LARGEST_UNIT_STEP)
+        turned = [max(x.sigma * window_s**2 / 2, RATE_STEP) if x.kind == "steady_torque" else 0.0 for x in self.model.unknowns]
+        return np.array([RATE_STEP / turn if turn else own for turn in turned])
 
     def _along(self, base: Prediction, u: np.ndarray, moves: list[Prediction], counts: np.ndarray) -> list[np.ndarray]:
         """Derivatives (n, R) of the differences along derivatives of the motion; `counts` (n, K, P): readings that change."""

@@ -23,13 +23,10 @@ from sunspin.estimate.rates.noise import falling
 from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
 from sunspin.estimate.rates.smooth import Intervals, log_noise
 from sunspin.estimate.rates.state import Track
-from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque
+from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque, sizes
 from sunspin.estimate.terms.term import MotionTerm, PairTerm, StateTerm, SunTerm, normal
 from sunspin.estimate.terms.unsteady import RateStep, Swinging
 from sunspin.solve.rotations import smallest_turn, turn_between
-
-TURNED = np.radians(np.geomspace(1.0, 300.0, 6))
-"""rad by which a constant torque may turn the body over a pass: each as likely as any other."""
 
 MODES, LIGHTEST, MORE_MODES = 2, 0.02, 5
 """Modes from which alternatives begin, at most, and the least weight of one; and modes from which those begin that may lead far."""
@@ -141,15 +138,15 @@ def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
 def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
     """One that hardly turns the body over the pass is no other hypothesis."""
     stated = start.hypothesis
-    sizes = 2 * TURNED / float(np.ptp(stated.o.t_s)) ** 2
+    tried = sizes(float(np.ptp(stated.o.t_s)))
     for frame in ("B", "N"):
-        term = SteadyTorque(sizes[-1], frame, stated.motion.body.inertia)
-        trials = [(trial, *_over_sizes(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
+        term = SteadyTorque(tried[-1], frame, stated.motion.body.inertia)
+        trials = [(trial, *_over_sizes(trial, tried)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
         trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
         k = int(np.argmax(evidence))
         size = int(np.argmax(gains[:, k]))
         if size and evidence[k] > start.best - HOPELESS:
-            sized = term.sized(float(sizes[size] / sizes[-1]))
+            sized = term.sized(float(tried[size] / tried[-1]))
             trial = _tried(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), trial)
             pulled = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
             what = f"a steady torque of {pulled:.1g} rad/s2 in {WORDS[frame]}"
@@ -163,11 +160,11 @@ def _place(trial: Trial) -> slice:
     return next(place for term, place in places_of(one.fitted(), one.motion, one.clock).motion if isinstance(term, SteadyTorque))
 
 
-def _over_sizes(trial: Trial, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of a torque fitted under the widest of the prior sigmas `sizes` (m): gains of each (m, K), and the evidence over all (K)."""
+def _over_sizes(trial: Trial, tried: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of a torque fitted under the widest of the prior sigmas `tried` (m): gains of each (m, K), and the evidence over all (K)."""
     place = _place(trial)
-    gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], sizes / sizes[-1])
-    return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(sizes))
+    gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], tried / tried[-1])
+    return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(tried))
 
 
 def _sized(error: np.ndarray, covariance: np.ndarray, shares: np.ndarray) -> np.ndarray:

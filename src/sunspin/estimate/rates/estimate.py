@@ -23,19 +23,19 @@ from sunspin.estimate.rates.common import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading, link
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
-from sunspin.estimate.rates.images import not_told
 from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.rates.told import SUSPECTED, believed, dataset_of, in_space, verdict
+from sunspin.estimate.rates.told import SUSPECTED, believed, dataset_of, in_space, in_the_field, verdict
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
+from sunspin.estimate.terms.sensors import FIELD
 from sunspin.estimate.terms.term import SUN_N
-from sunspin.estimate.verdict import misfit
+from sunspin.estimate.verdict import alike_motions, misfit
 from sunspin.estimate.wiring import Better, better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
@@ -178,12 +178,13 @@ def rates(
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
+    result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
     result = result.assign_attrs(
         late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(body.spherical and noise >= HIGHER_NOISES[0]),
     )  # fmt: skip
-    if source == "panels" and (alike := not_told(vehicle)):
+    if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
     if wirings and not result["fits"].values.all():
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:

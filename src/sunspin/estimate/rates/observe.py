@@ -10,15 +10,14 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.environment import Environment
 from sunspin.estimate.field_calibration import FieldCalibration
+from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.estimate.rates.state import Observations
+from sunspin.estimate.terms.field_direction import reads_directions
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
 from sunspin.telemetry.quality import IDLE, LATE
 from sunspin.vehicle import Vehicle
-
-GAP_FACTOR = 6.0
-"""A gap longer than this many usual intervals ends a pass."""
 
 MAX_PASS_S = 3000.0
 """Longer passes are cut: half an orbit, over which a rate's wandering is still small against a turn."""
@@ -47,7 +46,7 @@ def observations(
     the first of directions, Sun sensors, panels that the telemetry has. `environment`: with z of its N to the Sun;
     `calibration`: of the magnetometer along its orbit.
     """
-    source = sun_source(telemetry, source, calibration is not None)
+    source = sun_source(telemetry, source, calibration is not None or reads_directions(vehicle, telemetry))
     t = np.asarray(telemetry["time"], dtype=np.float64)
     terms, why = read_terms(vehicle, telemetry, source, calibration)
     if environment is not None:

@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.provenance import provenance
-from sunspin.environment.frames import J2000, SUN_Z_LOCAL
+from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, speeds, table
 from sunspin.estimate.rates.finish import Pass
@@ -97,6 +97,16 @@ def in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observa
     return result.assign(B_from_N=turned).assign_attrs(frame_N=J2000)
 
 
+def in_the_field(result: xr.Dataset) -> xr.Dataset:
+    """The result of a magnetometer alone, without an orbit: what was taken for the Sun is the field, the Sun is not known."""
+    nothing = result["sun_B"] * np.nan
+    about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
+    return result.assign(
+        field_direction_B=result["sun_B"].assign_attrs(about), sun_B=nothing.assign_attrs(result["sun_B"].attrs),
+        sun_sigma_rad=result["sun_sigma_rad"] * np.nan,
+    ).assign_attrs(frame_N=FIELD_Z_LOCAL, field_used=1)  # fmt: skip
+
+
 def believed(o: Observations, found: list[Pass], motion: Motion, missed: list[bool], epoch_utc: str | None) -> dict[str, Any]:
     """What may be believed of each pass, and its motions at the sample nearest to its middle."""
     rows, names = [], sorted({name for p in found for name in p.residual})
@@ -171,8 +181,19 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
     elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
-    if not any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
-        text += "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
-        if result.attrs["no_sphere"]:
-            text += "; the body is far from the sphere that the search takes it for, and another motion may fit: GIVE ITS INERTIA"
+    return text + _seen_alone(result)
+
+
+def _seen_alone(result: xr.Dataset) -> str:
+    """What is not known where a single kind of direction was used."""
+    if result.attrs["frame_N"] == FIELD_Z_LOCAL:
+        return (
+            "; the magnetometer was used WITHOUT AN ORBIT: the Sun and the attitude in space are not known, a turn about the field "
+            "is seen only through the motion, and the field itself turns by some 0.1 deg/s, which the sigmas contain"
+        )
+    if any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
+        return ""
+    text = "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
+    if result.attrs["no_sphere"]:
+        text += "; the body is far from the sphere that the search takes it for, and another motion may fit: GIVE ITS INERTIA"
     return text

@@ -59,7 +59,7 @@ class Magnetometer(PairTerm):
             return None
         part = vehicle.sensors.magnetometer
         noise = part.noise if part is not None else None
-        read = _without_outliers(np.asarray(telemetry["field_B"], dtype=np.float64))
+        read = without_outliers(np.asarray(telemetry["field_B"], dtype=np.float64))
         zero = np.zeros((0, 3)) if part is None or not part.zero_sigma.any() else (part.matrix * part.zero_sigma).T
         return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), zero_B=zero, calibration=calibration)
 
@@ -147,7 +147,7 @@ class Magnetometer(PairTerm):
         return np.concatenate([change, zero], axis=-1) * inverse
 
 
-def _without_outliers(read: np.ndarray) -> np.ndarray:
+def without_outliers(read: np.ndarray) -> np.ndarray:
     """Fields (n, 3) with readings far beyond the usual size, which the Earth's field cannot reach, made NaN."""
     size = np.linalg.norm(np.nan_to_num(read), axis=1)
     usual = np.median(size[size > 0]) if np.any(size > 0) else 0.0

@@ -8,6 +8,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.estimate.field_calibration import FieldCalibration
 from sunspin.estimate.terms.attitude import Attitude
+from sunspin.estimate.terms.field_direction import FieldDirection, TurningAxes
 from sunspin.estimate.terms.gyro import Gyro
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
@@ -19,12 +20,12 @@ SENSORS = (Gyro, Magnetometer, Attitude)
 """Those beside the Sun's."""
 
 FIELD = "field"
-"""Where directions come from without a Sun: a magnetometer in an orbit that is known."""
+"""Where directions come from without a Sun: a magnetometer."""
 
 
 def sun_source(telemetry: xr.Dataset, wanted: str | None, field_known: bool = False) -> str:
     """Where the Sun comes from: the first of directions, Sun sensors, panels that there is, unless one is wanted; `FIELD` without
-    any where the magnetometer's field is known."""
+    any where the magnetometer's field is known, or at least its directions in the body."""
     has = {
         "directions": "sun_B" in telemetry and "sun_cov_B" in telemetry,
         "sun_sensor": "sun_sensor_B" in telemetry,
@@ -32,13 +33,14 @@ def sun_source(telemetry: xr.Dataset, wanted: str | None, field_known: bool = Fa
     }
     if wanted is None:
         wanted = next((name for name, there in has.items() if there), None)
-    if wanted is None and field_known:
+    if wanted in (None, FIELD) and field_known:
         return FIELD
     if wanted not in has or not has[wanted]:
         there = ", ".join(name for name, is_there in has.items() if is_there) or "nothing of the Sun"
-        raise InputError(
-            sentence(f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}", got=there, do=f"use {', '.join(has)}")
-        )
+        do = f"use {', '.join(has)}"
+        if wanted is None and "field_B" in telemetry:
+            do = "a magnetometer alone needs its `noise` in the vehicle file, or an orbit (--tle)"
+        raise InputError(sentence(f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}", got=there, do=do))
     return wanted
 
 
@@ -46,6 +48,11 @@ def read_terms(
     vehicle: Vehicle, telemetry: xr.Dataset, source: str, calibration: FieldCalibration | None = None
 ) -> tuple[tuple[Term, ...], np.ndarray]:
     """All that telemetry has, the Sun first, and a sentence for each sample (n); `calibration` of the magnetometer, by an orbit."""
+    part = vehicle.sensors.magnetometer
+    if source == FIELD and calibration is None and part is not None:
+        field, why = FieldDirection.alone(part, telemetry)
+        more = (Gyro.read(vehicle, telemetry), Attitude.read(vehicle, telemetry))
+        return (field, TurningAxes(), *(term for term in more if term is not None)), why
     if source == FIELD:
         sun, why = None, np.full(telemetry.sizes["time"], UNREAD, dtype=object)
     else:
