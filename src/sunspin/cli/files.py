@@ -168,17 +168,19 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
 
 def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     from sunspin.output.kinds.seen import health_lines, health_summary, status_counts, status_lines
-    from sunspin.telemetry.health import panel_health
+    from sunspin.telemetry.health import noise_made, panel_health
     from sunspin.telemetry.quality import lit_threshold
     from sunspin.telemetry.sun import sun_directions
 
     threshold = lit_threshold(craft, samples)
     sun = sun_directions(craft, samples, lit_threshold=threshold)
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
-    health = health_summary(panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold))
+    found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
+    health = health_summary(found)
     summary = {
         "status": status_counts(sun), "noise_from": str(sun.attrs["noise_from"]),
-        **{key: health[key] for key in ("impossible", "explanations", "noise_probability")}, "health_of_every": stride,
+        **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
+        "noise_made": noise_made(found, -(-samples.sizes["time"] // stride)), "health_of_every": stride,
     }  # fmt: skip
     return summary, status_lines(sun) + health_lines(summary)
 

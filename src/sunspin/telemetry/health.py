@@ -25,6 +25,10 @@ STEPS, ROUNDING = 60, 1e-12
 """Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma
 squared, at which it ends."""
 
+NOISE_ALONE = 0.01
+"""Noise alone does not make forbidden patterns where it would show such readings in so many of a file's samples with a smaller
+probability than this."""
+
 CHUNK = 2000
 """Samples searched at once: each from every cell of the sphere."""
 
@@ -130,6 +134,19 @@ def _health(
         coords={"panel": list(names)},
         attrs=about,
     )
+
+
+def noise_made(health: PanelHealth, n: int) -> bool:
+    """Whether noise alone may have made all forbidden patterns that `panel_health` found among `n` samples: by the bound of how
+    probable it is that any so many of them read so."""
+    from scipy.special import gammaln
+
+    count = sum(health["impossible"].values())
+    if not count or set(health["noise"]) != set(health["impossible"]):
+        return False
+    log10 = sum(verdict.log10_together for verdict in health["noise"].values())
+    any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
+    return bool(log10 + any_of_them / np.log(10) > np.log10(NOISE_ALONE))
 
 
 def _values(telemetry: Any) -> np.ndarray:

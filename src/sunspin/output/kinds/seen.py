@@ -140,6 +140,8 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
     if not numbers["impossible"]:
         return []
     seen = ", ".join(f"{pattern} ({n})" for pattern, n in numbers["impossible"].items())
+    if numbers.get("noise_made"):
+        return [f"  sets of lit panels that the Sun cannot light, as noise alone makes them: {seen}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
     why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
     chance = numbers["noise_probability"]
