@@ -44,7 +44,7 @@ def test_the_field_stands_for_the_sun_where_its_noise_is_stated():
     data, _ = telemetry(1)
     o, why, source = observations(CUBE, data)
     assert source == "field" and [type(term) for term in o.terms] == [FieldDirection, TurningAxes]
-    assert len(usable(o, why)) == len(data["time"]) and np.allclose(np.linalg.norm(o.terms[0].direction_B, axis=1), 1)
+    assert len(usable(o, why)) == len(data["time"]) and np.allclose(np.linalg.norm(o.terms[0].direction_B, axis=1), 1, rtol=1e-5)
     sigma = np.sqrt(np.trace(o.terms[0].covariance[0]) / 3)
     assert 450 / 3.1e4 < sigma < 550 / 2.6e4 and o.terms[1].hidden_variance(np.ones(3)) == TURN_RATE**2 / 3
     blunt = replace(CUBE, sensors=replace(CUBE.sensors, magnetometer=replace(PART, noise=None)))
