@@ -123,10 +123,12 @@ def test_slopes_are_those_of_the_powers(law):
         smooth = np.abs(turned[0] + turned[1] - 2 * response.power(sun)) < 1e-7
         np.testing.assert_allclose(((turned[0] - turned[1]) / (2 * step))[smooth], about_none[smooth], atol=2e-6)
     assert smooth.mean() > 0.95
-    steps, plain = [np.cross(axis, sun) for axis in np.eye(3)], response.slopes(sun)
-    for step, along in zip(steps, response.along(sun, steps, gain=np.full(6, 1.1)), strict=True):
-        expected = np.where(plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0)
-        np.testing.assert_allclose(along, expected, atol=1e-9)
+    steps = [np.cross(axis, sun) for axis in np.eye(3)]
+    for turned in (None, tilt):
+        plain = response.slopes(sun, tilt=turned)
+        for step, along in zip(steps, response.along(sun, steps, gain=np.full(6, 1.1), tilt=turned), strict=True):
+            expected = np.where(plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0)
+            np.testing.assert_allclose(along, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("law", ["cosine", *LAWS])

@@ -12,6 +12,7 @@ from sunspin.landing.weighted import explained, facts_of, weightings
 from sunspin.output.figures import outcomes as figures
 from sunspin.output.figures.collision import collision_figure
 from sunspin.philae import collision as co
+from sunspin.philae import impulse as im
 from sunspin.philae import landing as la
 from sunspin.philae.rebound import published_candidates
 from sunspin.philae.row import settled
@@ -171,7 +172,17 @@ def test_the_facts_that_ship_are_those_of_the_kernel(data_dir):
     for name, value in read.items():
         assert value == pytest.approx(shipped[name], abs=0.5 if name == "path_length" else 6e-5), name
     states = co._KernelStates(data_dir.joinpath(*co.KERNEL))
-    ends = [states(co._tdb(case, name))[:3] for name in ("first_touchdown", "rest")]
+    ends = [states(co.tdb_of(case, name))[:3] for name in ("first_touchdown", "rest")]
     assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(case.published["trajectory_distance"].value, abs=0.5)
     scenario = case_scenario(case)
     assert scenario.collision_speed_m_s == shipped["speed_before"] and scenario.collision_s == pytest.approx(2756.02)
+
+
+def test_the_impulse_of_collisions_at_free_times(landing):
+    """Runs at several instants join; angles are those of the drawn blows, and candidates keep their rates."""
+    seen = im.Seen(0.2246, 0.326, -0.126)
+    found = im.compute(landing.case, landing.chain, seen, n=10, seed=1)
+    runs = found.runs
+    assert runs.sizes["run"] == im.INSTANTS * 10 and np.isfinite(runs["change_to_sun"].values).all()
+    assert np.array_equal(found.speed_touchdown, landing.chain.chosen.speed_touchdown[runs["candidate"].values])
+    assert [one.id for one in im.rows(found)][0] == "impulse_to_sun"

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import Changeable, Opened, opened, set_options
+from sunspin.cli.changes import Changeable, Opened, once, opened, set_options
 from sunspin.cli.common import claim, deliver, on_terminal, output_options, run_options
 from sunspin.cli.values import numbers
 from sunspin.cli.values import vertical as read_vertical
@@ -64,6 +64,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     from sunspin.philae.collision_told import against_kernel
 
     made = opened(vehicle, sets, "study.lead_s", "collision")
+    once(made, wheel_speed=("speed_rad_s", wheel_speed), lead=("study.lead_s", lead))
     craft, assumed = made.craft, made.assumptions
     wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
     given = {

@@ -30,6 +30,9 @@ and so many of them."""
 IN_RUNS = 1e-2
 """Chance below which readings beyond three sigma would lie next to each other so often if they were strewn."""
 
+LEAST_DRAWS = 200.0
+"""Effective draws from which a median is known to a tenth of its sigma."""
+
 
 class Misfit(NamedTuple):
     """One sensor's residuals along the best motion: readings, share beyond three sigma, chance of so few runs over time."""

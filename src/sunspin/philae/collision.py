@@ -7,7 +7,9 @@ impulse over mass in any frame. Each simulated collision is weighted by how well
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import xarray as xr
@@ -32,6 +34,8 @@ LARGEST = 1e9
 """km or km/s: what a damaged kernel may well exceed."""
 
 J2000_UTC = "2000-01-01T12:00:00"
+T = TypeVar("T")
+
 TDB_MINUS_UTC_S = 67.184
 """In November 2014: 35 leap seconds and 32.184 s."""
 
@@ -56,20 +60,30 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
         taken at the second of the event and one second later; `path_length` in m.
     """
     path = Path(folder).joinpath(*KERNEL)
-    try:
-        with np.errstate(all="ignore"):  # a damaged record may hold any numbers; they are judged below
-            facts = _facts(case, _KernelStates(path))
-    except spice_errors() as error:
-        short = " ".join(str(error).split()).strip("= ")[:200]
-        what = f"the trajectory kernel cannot be read ({short})"
-        raise InputError(sentence(what, do="download it again", where=str(path))) from None
+    facts = _read(path, lambda states: _facts(case, states))
     if not all(0 <= value < 1e3 * LARGEST for value in facts.values()):
         raise InputError(sentence("the trajectory kernel holds no speeds of this landing", do="download it again", where=str(path)))
     return facts
 
 
+def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
+    """Positions and velocities (n, 6) of the trajectory kernel, m and m/s over the comet in its axes, at TDB seconds past J2000."""
+    return _read(path, lambda states: np.array([states(t) for t in tdb_s]))
+
+
+def _read(path: Path, asked: Callable[[_KernelStates], T]) -> T:
+    """What is asked of a kernel's states; an `InputError` where it cannot be read."""
+    try:
+        with np.errstate(all="ignore"):  # a damaged record may hold any numbers; they are judged by who asks
+            return asked(_KernelStates(path))
+    except spice_errors() as error:
+        short = " ".join(str(error).split()).strip("= ")[:200]
+        what = f"the trajectory kernel cannot be read ({short})"
+        raise InputError(sentence(what, do="download it again", where=str(path))) from None
+
+
 def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
-    begin, collision, landing = (_tdb(case, name) for name in ("first_touchdown", "collision", "second_touchdown"))
+    begin, collision, landing = (tdb_of(case, name) for name in ("first_touchdown", "collision", "second_touchdown"))
     before, after = states(collision), states(collision + 1.0)
     down, up = states(landing), states(landing + 1.0)
     path = np.array([states(t)[:3] for t in np.arange(np.ceil(begin), collision, 1.0)])
@@ -83,7 +97,7 @@ def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
     }
 
 
-def _tdb(case: Case, event: str) -> float:
+def tdb_of(case: Case, event: str) -> float:
     """TDB seconds past J2000 of an event."""
     moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, J2000_UTC) + TDB_MINUS_UTC_S

@@ -37,9 +37,11 @@ from sunspin.estimate.posterior.hypotheses import (
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
+from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.posterior.widths import resampled, sample
+from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
 
@@ -83,6 +85,7 @@ def posterior(
     device: str = "cpu",
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
+    periods: Sequence[Period] = (),
 ) -> xr.DataTree:
     """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
 
@@ -95,8 +98,9 @@ def posterior(
         `steady_torque`, the most that a steady torque of which nobody told may turn the body over the samples (deg; 300 unless
         given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`,
         `friction`, `gain`
-        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s (unless given they are
-        taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
+        (each panel's), `scale` and `noise` (of the logarithm); `tilt`, of the angles in rad by which each panel's normal is off to
+        each side, and `tilt_common`, of one turn of all panels about each axis; `time_s`, sigma of the samples' times in s (unless
+        given they are taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
         instant; `max_rate_rad_s`, the
         ball in which rates are uniform. Default: what the vehicle's file states, else the values in
@@ -119,6 +123,9 @@ def posterior(
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about the Sun at the reference sample is an unknown, `turn_about_sun_rad`.
+    periods : list of Period, optional
+        Periods seen from outside: group `period` says what they decide
+        (:func:`sunspin.estimate.posterior.period.with_periods`); the draws stay as they are.
 
     Returns
     -------
@@ -175,6 +182,8 @@ def posterior(
     row = believed(found, tree, prior_sigma, bool(off), AS_STATED if observations else UNCHECKED)
     tree["passes"] = xr.Dataset(table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]})
     tree.attrs["verdict"] += "; decided" if row.answers.decided else f"; not decided: {row.answers.why_not}"
+    if periods:
+        with_periods(vehicle, tree, periods)
     return tree
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ from sunspin.dynamics.torques import NOTHING, Acting, Steady
 from sunspin.dynamics.torques.acting import needed_around
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
+from sunspin.estimate.posterior import tilt
 from sunspin.estimate.terms.steady_torque import TURNED, SteadyTorque, sizes
 from sunspin.estimate.terms.term import Unknown
 from sunspin.vehicle import Vehicle
@@ -45,9 +47,12 @@ MOST_TURNED = 300.0
 """deg by which a steady torque may turn the body over the window, unless the caller says otherwise."""
 
 KEYS = {"max_rate_rad_s", "steady_torque", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale",
-        "time_s", "wheel_off_s", "wheel_off"}
+        "time_s", "wheel_off_s", "wheel_off", "tilt", "tilt_common"}
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
+
+STANDING = ("scale", "noise", "gain", tilt.KIND, tilt.COMMON)
+"""Kinds of unknowns on which readings depend and the motion does not."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,12 @@ class Model:
     @property
     def moving(self) -> list[int]:
         """Places of the unknowns on which the motion depends, so that a derivative needs another run."""
-        return [i for i, x in enumerate(self.unknowns) if x.kind not in ("scale", "noise", "gain")]
+        return [i for i, x in enumerate(self.unknowns) if x.kind not in STANDING]
+
+    @cached_property
+    def turns(self) -> np.ndarray | None:
+        """Turns (k, n_panel, 3) of the panels by one sigma of each unknown; None where they stand as drawn."""
+        return tilt.turns(self.vehicle, self.unknowns) if self.where(tilt.KIND) or self.where(tilt.COMMON) else None
 
     @property
     def dimension(self) -> int:
@@ -236,6 +246,7 @@ def model(
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
     made += [Unknown(f"log_gain_{name}", "gain", "1", 0.0, gain, j) for j, name in enumerate(vehicle.input_names) if gain]
+    made += _tilts(vehicle, priors, told)
     limit = priors.get("max_rate_rad_s") or vehicle.sensors.disturbance.max_rate_rad_s or DEFAULT_MAX_RATE
     if not (np.isfinite(limit) and limit > 0):
         raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
@@ -277,6 +288,18 @@ def _not_negative(value: Any, said: str) -> None:
     """Refuse, as it is `said`, what is no finite number or a negative one."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
         raise InputError(sentence(said, got=value))
+
+
+def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:
+    """Turns of the panels, where the file or the caller says that they may stand off."""
+    for key in ("tilt", "tilt_common"):
+        _not_negative(priors.get(key, 0.0), f"the prior sigma of {key} must be zero (known) or positive, in rad")
+    own, common, words = tilt.told(priors, vehicle)
+    told.update(words)
+    if vehicle.channels and (own.any() or common):
+        what, do = "the posterior does not know turns of panels that share an input", "leave them out: tilt and tilt_common 0"
+        raise InputError(sentence(what, got=f"channel {vehicle.channels[0].name!r}", do=do))
+    return tilt.unknowns(vehicle, own, common)
 
 
 def _most_turned(priors: Mapping[str, Any]) -> str:

@@ -13,11 +13,13 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.compute.rows import ensemble, worker_count
 from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.posterior import cells as c
+from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, Unknown
+from sunspin.estimate.posterior.tilt import spread
 from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
@@ -55,6 +57,9 @@ KEPT_ANYWAY = 100
 
 SPEED_LEFT = 0.3
 """Part of its speed that a wheel has left at a reference."""
+
+TURNS_OF_PANELS = (tilt.KIND, tilt.COMMON)
+"""Kinds of the unknowns that are left alone until the last fit."""
 
 TURNS = 4
 """Turns about the Sun that are tried where torques depend on them."""
@@ -239,7 +244,13 @@ class Search:
         return {name: values[best] for name, values in found.items()}
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
-        """All modes; `model` and `data` have the plan's sample as the reference."""
+        """All modes; `model` and `data` have the plan's sample as the reference.
+
+        While the window grows turns of the panels are left alone and counted as noise: there would be as many of them as readings.
+        Starts and looks ahead have room enough for them.
+        """
+        whole, wide = Likelihood(model, data), replace(data, sigma=spread(data.sigma, model.vehicle, model.unknowns, scale))
+        model, kept = standing(model)
         state, hits = self.starts(model, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
@@ -252,7 +263,7 @@ class Search:
         trace, first, beside = [], True, np.zeros(len(state))
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
-            part = data.take(used)
+            part = wide.take(used)
             likelihood = Likelihood(model, part)
             still = len(used) < FEW
             levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
@@ -271,7 +282,7 @@ class Search:
                 state, normal, beside = state.take(only), normal[only], beside[only]
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
-                return self._with_images(likelihood, self._last(likelihood, state, hits, trace, notes))
+                return self._with_images(whole, self._last(whole, _widened(state, whole.model, kept), hits, trace, notes))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
@@ -357,6 +368,22 @@ def _turned(model: Model, state: State) -> list[State]:
     place = model.where("turn")[0]
     step = 2 * np.pi / TURNS / model.unknowns[place].sigma * np.eye(len(model.unknowns))[place]
     return [replace(state, u=state.u + i * step) for i in range(TURNS)]
+
+
+def standing(model: Model) -> tuple[Model, np.ndarray]:
+    """The model with its panels as drawn, and the places (k) in u of the unknowns that are left."""
+    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in TURNS_OF_PANELS], dtype=np.int64)
+    return (model if len(kept) == len(model.unknowns) else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))), kept
+
+
+def _widened(state: State, model: Model, kept: np.ndarray) -> State:
+    """States of `standing` as those of the model: panels as drawn, under the noise that is stated."""
+    if len(kept) == len(model.unknowns):
+        return state
+    u = np.zeros((len(state), len(model.unknowns)))
+    u[:, kept] = state.u
+    u[:, model.where("noise")] = 0.0
+    return replace(state, u=u)
 
 
 def _untorqued(model: Model) -> tuple[Unknown, ...]:

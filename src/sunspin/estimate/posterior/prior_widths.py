@@ -16,19 +16,21 @@ from sunspin.estimate.posterior.hypotheses import Mixed
 from sunspin.estimate.posterior.model import Model
 from sunspin.estimate.posterior.verdict import Found, word_of
 from sunspin.estimate.posterior.widths import pareto_tail
+from sunspin.estimate.verdict import LEAST_DRAWS
 
 FACTORS = (0.5, 2.0)
 
 KEYS = {
     "inertia": ("inertia",), "wheel_speed": ("wheel_speed",), "wheel_inertia": ("wheel_inertia",),
-    "friction": ("coulomb", "viscous"), "gain": ("gain",), "noise": ("noise",), "scale": ("scale",), "wheel_off": ("wheel_off",),
+    "friction": ("coulomb", "viscous"), "gain": ("gain",), "tilt": ("tilt",), "tilt_common": ("tilt_common",),
+    "noise": ("noise",), "scale": ("scale",), "wheel_off": ("wheel_off",),
 }  # fmt: skip
 """Key of `priors` -> kinds of its unknowns."""
 
 RATE = "max_rate_rad_s"
 
-LEAST_DRAWS, LARGEST_TAIL = 200.0, 0.7
-"""Effective draws from which a median is known to a tenth of its sigma, and Pareto's k up to which their number can be believed."""
+LARGEST_TAIL = 0.7
+"""Pareto's k up to which the number of effective draws can be believed."""
 
 
 def prior_widths(model: Model, drawn: Mixed, found: Found) -> list[dict[str, Any]]:

@@ -137,9 +137,11 @@ class Cosine(Flat):
         to_tilt = None if tilt is None else lit * np.cross(normals, sun)
         return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
-    def along(self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None) -> list[np.ndarray]:
-        lit, strength = self.cosines(sun_B, None) > 0, self.strengths(gain)
-        return [strength * np.where(lit, step @ self.normals_B.T, 0.0) for step in steps]
+    def along(
+        self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> list[np.ndarray]:
+        lit, strength = self.cosines(sun_B, tilt) > 0, self.strengths(gain)
+        return [strength * np.where(lit, self.cosines(step, tilt), 0.0) for step in steps]
 
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         rows = self._rows / unit
