@@ -38,6 +38,7 @@ $(READY): requirements.lock pyproject.toml
 	$(PIP) -r requirements.lock
 	@$(BYTECODE) || true
 	$(PIP) --no-deps --no-build-isolation --editable .
+	@$(BIN)/sunspin compile --quiet || echo "the first scan will compile its kernels (half a minute)" >&2
 	@touch $(READY)
 
 reproduce: $(READY)
@@ -55,6 +56,8 @@ types: $(READY)
 	$(BIN)/ty check
 
 test long: export OPENBLAS_NUM_THREADS = 1
+# each worker, and each program that a test starts, would compile all sources and rewrite all tests anew: a fifth of the time
+unexport PYTHONDONTWRITEBYTECODE
 
 # the documents last: one of their pages shows what the tests have reached
 test: $(READY)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -10,6 +11,17 @@ import pytest
 from sunspin.base.cache import is_writable
 
 pytest_plugins = ["evidence"]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """What the test modules import stays to the end: the search for garbage need not go through it, then or each time after."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +40,17 @@ def undrawn(monkeypatch) -> None:
     from sunspin.output import figures
 
     monkeypatch.setattr(figures, "save", lambda figure, folder, name: [folder / f"{name}.png"])
+
+
+@pytest.fixture
+def framed(monkeypatch) -> None:
+    """Figures are made, but only their frames drawn, in files and on pages."""
+    from drawing import frame
+    from sunspin.output import figures
+    from sunspin.output.figures import inline
+
+    monkeypatch.setattr(figures, "lay_out", frame)
+    monkeypatch.setattr(inline, "lay_out", frame)
 
 
 def kernel_cache() -> Path:

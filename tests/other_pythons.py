@@ -48,7 +48,7 @@ def environment(program: str, version: str) -> Path:
     wanted = b"".join((ROOT / name).read_bytes() for name in ("requirements.lock", "pyproject.toml"))
     if not (ready.is_file() and ready.read_bytes() == wanted):
         subprocess.run([program, "-m", "venv", "--clear", home], check=True)
-        quiet = ["--quiet", "--disable-pip-version-check"]
+        quiet = ["--quiet", "--disable-pip-version-check", "--no-compile"]  # most files of the packages are never imported here
         pip = [python, "-m", "pip", "install", *quiet, "-c", ROOT / "requirements.lock"]
         subprocess.run([*pip, *TOOLS], check=True)
         subprocess.run([*pip, "--no-build-isolation", "--editable", f"{ROOT}[{EXTRAS}]"], check=True)

@@ -110,7 +110,7 @@ def make(seed: int, i: int, turns: float = 0.24) -> Twin:
     telemetry["current_A"].values[:] = floor[dark]
     if stated is not None:
         vehicle = replace(vehicle, telemetry=replace(form, noise=noise * truth["scale"]))
-    told = {"max_rate_rad_s": float(rng.uniform(1.1, 2.0) * rate)}
+    told = {"max_rate_rad_s": float(rng.uniform(1.1, 2.0) * rate), "steady_torque": 0.0}  # none acts
     about = {"rate": rate, "turns_between": rate * interval / 2 / np.pi, "samples": n, "panels": len(vehicle.panels),
              "wheels": len(vehicle.wheels), "noise": noise, "stated": stated is not None, "dark": dark}  # fmt: skip
     return Twin(vehicle, telemetry, omega, told, about)

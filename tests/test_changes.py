@@ -74,6 +74,20 @@ def test_what_changes_nothing_is_no_change():
         ("wheel.speed_rad_s", "write KEY=VALUE"),
         ("body=3", "this is a table of values"),
         ("study.lad_s=3", "did you mean study.lead_s?"),
+        ("stud.lead_s=3", "did you mean study.lead_s?"),
+        ("wheel.speed_rad_s=nan", "finite number"),
+        ("wheel.speed_rad_s=1e400", "finite number"),
+        ("wheel.speed_rad_s*=inf", "finite number"),
+        ("wheel.speed_rad_s=1\nbody.mass_kg=2", "a number is expected"),
+        ("wheel.speed_rad_s-=5", "did you mean wheel.speed_rad_s?"),
+        ("wheel.friction*=2", "set one of wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s"),
+        ("wheel.name=x", "nothing can be set by this name"),
+        ("name*=2", "nothing can be set by this name"),
+        ("body.inertia_kg_m2[][0]=1", "known: 0 to 2"),
+        ("body.inertia_kg_m2[-1][0]=1", "known: 0 to 2"),
+        ("body.inertia_kg_m2[0][0][0]=1", "did you mean body.inertia_kg_m2?"),
+        ("telemetry.time_column*=2", "*= needs numbers"),
+        ("=5", "write KEY=VALUE"),
         ("collision.damper=2", "must be a share between 0 and 1"),
         ("study.mask=none", "'reconstructible' or 'everywhere'"),
     ],
@@ -155,11 +169,31 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
          "does not use that assumption"),
         (("outcomes", "philae", "--set", "wheel.speed_rad_s=833"), "keep the lines with --printed-lines"),
         (("outcomes", "philae", "--printed-lines", "--omega", "0,0,1"), "give one of them"),
+        (("coverage", "--set", "study.confidence=0.8"), "give --confidence"),
+        (("outcomes", "philae", "--lead", "5", "--set", "study.lead_s=30"), "--lead and --set study.lead_s say the same thing"),
+        (("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1", "--wheel-speed", "800",
+          "--set", "wheel.speed_rad_s=833"), "--wheel-speed and --set wheel.speed_rad_s say the same thing"),
+        (("coverage", "--friction", "printed", "--set", "wheel.friction=printed"), "--friction and --set wheel.friction say"),
     ],
 )  # fmt: skip
 def test_a_command_refuses_what_it_cannot_use(words, said):
     result = command(*words)
     assert isinstance(result.exception, SunspinError) and said in str(result.exception)
+
+
+def test_what_a_command_does_not_use_is_said_and_not_listed():
+    """A change without effect is no error, as one set of changes may go through several commands, but it is not silent."""
+    words = ("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1")
+    ran = command(*words, "--set", "panel[2].gain*=2", "--set", "body.mass_kg=90", "--set", "body.inertia_kg_m2[0][1]*=2")
+    said = [line for line in ran.stderr.splitlines() if "changes nothing here" in line]
+    assert ran.exit_code == 0 and [line.split()[1] for line in said] == ["panel[2].gain", "body.mass_kg"]
+    listed = {one["key"].partition(".")[0] for one in json.loads(command("simulate", "philae", "--set", "list", "--json").output)}
+    assert listed == {"body", "wheel"}
+
+
+def test_a_noise_set_for_a_run_leaves_the_shipped_study_of_twins_out():
+    with pytest.raises(InputError, match="other assumptions"):
+        study._worth(study.Inputs(ss.load_case("philae", ["telemetry.noise*=3"]), None))
 
 
 def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):

@@ -35,7 +35,7 @@ def cases() -> list:
 
 
 @pytest.mark.parametrize(("name", "mark"), cases())
-def test_a_page_can_be_followed(name, mark, tmp_path, monkeypatch):
+def test_a_page_can_be_followed(name, mark, tmp_path, monkeypatch, framed):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     reader = Reader(PAGES[name], tmp_path)
     for block in runnable(name, mark):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import sunspin as ss
-from sources import nodes, tree
+from sources import has, nodes_if, tree
 
 ROOT = Path(__file__).parents[1]
 PYTHON = [path for part in ("src", "tests", "validation", "bench") for path in sorted((ROOT / part).rglob("*.py"))]
@@ -30,8 +30,9 @@ def test_docstrings_of_the_public_face_name_shapes_and_units(name):
     assert not missing, f"{name} does not speak of {missing}"
 
 
-def calls(path: Path):
-    return (node for node in nodes(path) if isinstance(node, ast.Call))
+def calls(path: Path, *names: str):
+    """Calls in a file that has one of these names."""
+    return (node for node in nodes_if(path, *names) if isinstance(node, ast.Call))
 
 
 def name_of(call: ast.Call) -> str:
@@ -40,11 +41,11 @@ def name_of(call: ast.Call) -> str:
 
 def test_every_comparison_states_its_tolerance():
     """The defaults of NumPy and pytest suit nobody's physics."""
-    bare = []
+    bare, names = [], ("assert_allclose", "allclose", "isclose")
     for path in PYTHON:
-        for call in calls(path):
+        for call in calls(path, *names):
             stated = {"rtol", "atol"} & {k.arg for k in call.keywords}
-            if name_of(call) in ("assert_allclose", "allclose", "isclose") and not stated:
+            if name_of(call) in names and not stated:
                 bare.append(f"{path.relative_to(ROOT)}:{call.lineno}")
     assert bare == []
 
@@ -53,7 +54,7 @@ def test_no_module_draws_random_numbers_when_it_is_imported():
     """Nor is there a generator that all share: what is drawn would hang on who came before."""
     drawn = {"default_rng", "RandomState", "SeedSequence", "Random", "seed"}
     for path in PYTHON:
-        for node in tree(path).body:
+        for node in tree(path).body if has(path, *drawn) else ():
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
                 continue
             found = [call for call in ast.walk(node) if isinstance(call, ast.Call) and name_of(call) in drawn]
@@ -62,9 +63,10 @@ def test_no_module_draws_random_numbers_when_it_is_imported():
 
 
 def test_every_generator_has_a_seed():
+    names = ("default_rng", "RandomState", "Random")
     for path in PYTHON:
-        for call in calls(path):
-            if name_of(call) in ("default_rng", "RandomState", "Random"):
+        for call in calls(path, *names):
+            if name_of(call) in names:
                 assert call.args, f"{path}:{call.lineno}"
 
 
@@ -76,21 +78,25 @@ def test_warnings_are_errors_and_marks_are_known():
 
 def test_no_file_format_of_ours_can_carry_code():
     """Nothing that a user supplies or receives is a pickle: no module reads one, and NumPy is never allowed to."""
+    modules = {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
+    functions = ("read_pickle", "to_pickle", "full_load", "unsafe_load")
     for path in PYTHON:
         if "src" not in path.parts:
             continue
-        names = {alias.name.split(".")[0] for node in nodes(path) if isinstance(node, ast.Import) for alias in node.names}
-        names |= {(node.module or "").split(".")[0] for node in nodes(path) if isinstance(node, ast.ImportFrom)}
-        assert not names & {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}, path
-        assert not [call for call in calls(path) if any(k.arg == "allow_pickle" for k in call.keywords)], path
-        assert not [call for call in calls(path) if name_of(call) in ("read_pickle", "to_pickle", "full_load", "unsafe_load")], path
+        found = nodes_if(path, *modules, *functions)  # "pickle" is in "allow_pickle", too
+        names = {alias.name.split(".")[0] for node in found if isinstance(node, ast.Import) for alias in node.names}
+        names |= {(node.module or "").split(".")[0] for node in found if isinstance(node, ast.ImportFrom)}
+        assert not names & modules, path
+        asked = [node for node in found if isinstance(node, ast.Call)]
+        assert not [call for call in asked if any(k.arg == "allow_pickle" for k in call.keywords)], path
+        assert not [call for call in asked if name_of(call) in functions], path
 
 
 def test_nothing_listens_but_what_dask_is_asked_for():
+    listeners = {"HTTPServer", "bind", "listen", "create_server", "start_server"}
     for path in PYTHON:
         if "src" in path.parts:
-            names = {name_of(call) for call in calls(path)}
-            assert not names & {"HTTPServer", "bind", "listen", "create_server", "start_server"}, path
+            assert not listeners & {name_of(call) for call in calls(path, *listeners)}, path
 
 
 def test_every_campaign_is_on_the_page():

@@ -3,6 +3,8 @@
 import importlib
 import importlib.util
 import pkgutil
+import subprocess
+import sys
 
 import sunspin
 
@@ -27,3 +29,11 @@ def test_every_module_imports():
 def test_every_public_name_is_there():
     for name in sunspin.__all__:
         assert getattr(sunspin, name) is not None, name
+
+
+def test_a_first_scan_waits_for_no_module_that_it_does_not_use():
+    """Each of these takes as long to import as a small scan takes to run."""
+    code = "import sys, sunspin as ss; ss.scan, ss.load_case, ss.sun_directions; import sunspin.cli.scan; print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    assert "sunspin.dynamics.ensemble.run" in loaded
+    assert not loaded & {"sympy", "heyoka", "scipy.stats", "scipy.optimize", "scipy.spatial", "matplotlib", "zarr", "plotly"}

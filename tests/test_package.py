@@ -36,9 +36,9 @@ def test_the_wheel_works_on_its_own(built, tmp_path):
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
-    where = run("import sunspin; print(sunspin.__file__, sunspin.load_case('philae').telemetry.sizes['time'])", tmp_path).split()
+    said = "import sunspin; print(sunspin.__file__, sunspin.load_case('philae').telemetry.sizes['time'])"
+    where = run(f"{said}; from sunspin.cli import cli; cli(['init', 'mine', '--quiet'], standalone_mode=False)", tmp_path).split()
     assert where == [str(tmp_path / "sunspin" / "__init__.py"), "251"]
-    run("from sunspin.cli import cli; cli(['init', 'mine'], standalone_mode=False)", tmp_path)
     assert (tmp_path / "mine" / "vehicle.toml").is_file() and (tmp_path / "sunspin" / "py.typed").is_file()
 
 

@@ -41,7 +41,8 @@ CUBE = Vehicle(
     telemetry=TelemetryForm(quantity="current_A", noise=NOISE),
 )  # fmt: skip
 TURN = np.array([0.0, 0.12, 0.15])
-BODY, KNOWN = replace(CUBE, inertia_kg_m2=np.diag([0.010, 0.012, 0.008])), {"max_rate_rad_s": 0.1, "inertia": 0.0}
+BODY = replace(CUBE, inertia_kg_m2=np.diag([0.010, 0.012, 0.008]))
+KNOWN = {"max_rate_rad_s": 0.1, "inertia": 0.0, "steady_torque": 0.0}
 FACING = Rotation.from_rotvec(TURN).apply([1.0, 0.0, 0.0])
 LAWS = {"grazing": Grazing(0.6), "wall": Wall("+x", [0, 1, 0], 0.3), "tilted": Tilted("+x", TURN)}
 
@@ -122,10 +123,12 @@ def test_slopes_are_those_of_the_powers(law):
         smooth = np.abs(turned[0] + turned[1] - 2 * response.power(sun)) < 1e-7
         np.testing.assert_allclose(((turned[0] - turned[1]) / (2 * step))[smooth], about_none[smooth], atol=2e-6)
     assert smooth.mean() > 0.95
-    steps, plain = [np.cross(axis, sun) for axis in np.eye(3)], response.slopes(sun)
-    for step, along in zip(steps, response.along(sun, steps, gain=np.full(6, 1.1)), strict=True):
-        expected = np.where(plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0)
-        np.testing.assert_allclose(along, expected, atol=1e-9)
+    steps = [np.cross(axis, sun) for axis in np.eye(3)]
+    for turned in (None, tilt):
+        plain = response.slopes(sun, tilt=turned)
+        for step, along in zip(steps, response.along(sun, steps, gain=np.full(6, 1.1), tilt=turned), strict=True):
+            expected = np.where(plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0)
+            np.testing.assert_allclose(along, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("law", ["cosine", *LAWS])
@@ -257,7 +260,7 @@ def test_the_minimum_of_delta_is_global(law, share, reached):
         assert (np.linalg.norm(away - power / np.linalg.norm(power, axis=1, keepdims=True), axis=1) > delta + 1e-4).mean() > 0.2
 
 
-@pytest.mark.parametrize("law", ["grazing", "tilted"])
+@pytest.mark.parametrize("law", ["grazing", pytest.param("tilted", marks=pytest.mark.long)])
 def test_directions_come_back_and_err_as_they_say(law):
     vehicle = under(law)
     power, sun = readings(vehicle, 300)
@@ -285,7 +288,7 @@ def test_behind_a_wall_one_reading_has_two_directions():
 def test_a_tilted_panel_is_a_panel_that_stands_elsewhere():
     """Directions, quality and health as of a vehicle whose file says so."""
     stands = replace(CUBE, panels=[replace(CUBE.panels[0], normal_B=Rotation.from_rotvec(TURN).apply([1, 0, 0])), *CUBE.panels[1:]])
-    power, _ = readings(stands, 120)
+    power, _ = readings(stands, 60)
     ours, theirs = (ss.sun_directions(vehicle, power) for vehicle in (under("tilted"), stands))
     assert np.array_equal(ours["status"], theirs["status"])
     np.testing.assert_allclose(ours["sun_B"], theirs["sun_B"], atol=1e-6)
@@ -329,7 +332,7 @@ def test_quality_finds_nothing_wrong_with_readings_of_the_law_itself(law):
 @pytest.mark.parametrize("law", ["grazing", *(pytest.param(law, marks=pytest.mark.long) for law in ("wall", "tilted"))])
 def test_health_knows_what_the_law_lights(law):
     vehicle = under(law, PHILAE)
-    shown, clean = set(lit_names(vehicle, directions(100_000, 15))), ss.panel_power(vehicle, directions(60, 16))
+    shown, clean = set(lit_names(vehicle, directions(100_000, 15))), ss.panel_power(vehicle, directions(30, 16))
     assert {frozenset(pattern) for pattern in ss.panel_health(vehicle, clean[:5])["allowed"]} == shown
     assert ss.panel_health(vehicle, clean, lit_threshold=0.1)["impossible"] == {}
     assert ("1",) in ss.panel_health(vehicle, clean * [0, 1, 1, 1, 1, 1], lit_threshold=0.1)["explanations"]
@@ -353,7 +356,7 @@ def test_noise_alone_finds_the_nearest_sun_of_the_law(law):
         assert ours <= (away**2).sum(axis=1).min() + 1e-3
 
 
-@pytest.mark.parametrize("law", ["grazing", "wall", pytest.param("tilted", marks=pytest.mark.long)])
+@pytest.mark.parametrize("law", ["wall", *(pytest.param(law, marks=pytest.mark.long) for law in ("grazing", "tilted"))])
 def test_the_mask_allows_what_the_law_allows(law):
     vehicle = under(law, PHILAE)
     good, sun = reconstructible_patterns(vehicle), directions(100_000, 19)

@@ -137,7 +137,8 @@ def test_a_grid_has_each_rate_once(tmp_path, monkeypatch):
 NAMES = ("$x$", "$\\frac{$", "\\$", "$$", "_x", "日本", "a$b", "$\\alpha$ & %", "\\\\$x$", "^{", "☃", "$x\\$")
 
 
-@pytest.mark.parametrize("names", [NAMES[:5], *(pytest.param(names, marks=pytest.mark.long) for names in (NAMES[5:10], NAMES[7:]))])
+@pytest.mark.long  # the quick one is in tests/output/test_pass_pages.py
+@pytest.mark.parametrize("names", [NAMES[:5], NAMES[5:10], NAMES[7:]])
 def test_names_of_panels_are_drawn_as_they_are(names, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert sunspin("init", ".", "--quiet") == Told(0, "", "")

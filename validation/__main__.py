@@ -15,6 +15,7 @@ CAMPAIGNS = {
     "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
     "controls": "telemetry of landers that did something else, and of spoilt files, through the Philae study",
     "verdicts": "simulated passes of every kind: wrong among decided, undecided among decidable, before and now",
+    "torque": "posteriors of telemetry under a torque that nobody told of, and of a body that is not as stated",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/real-data.md",
     "right": "right files of every form through `check` and `rates`: each accusation is a false alarm",
     "effort": "two files that once took an hour: what `rates` takes for them now",

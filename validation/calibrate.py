@@ -1,10 +1,12 @@
 """Is the posterior right? Twins drawn from its own prior, their ranks in it, and how often its regions hold the truth.
 
     python -m validation.calibrate OUT --twins 100 --kind unknown
+    python -m validation.calibrate OUT --twins 30 --kind turned --max-rate 0.3 --samples 23 --interval 120
 
-Every twin is a file in OUT, written whole; the same command goes on where it was stopped. Twin i depends on seed and i alone.
-Kinds: "known" and "unknown" are drawn from the prior that the posterior is told; "shadow", "dead", "jitter" break its assumptions
-a little; "swapped" and "wheel_off" are telemetry of another model, which the predictive check has to refuse.
+Every twin is a file in OUT, written whole; the same command goes on where it was stopped, within a twin too. Twin i depends on
+seed and i alone. Kinds: "known", "unknown", and with panels that stand off "tilted" and "turned" are drawn from the prior that the
+posterior is told; "untold" is "turned" with a posterior that takes panels to stand as drawn; "shadow", "dead", "jitter" break its
+assumptions a little; "swapped" and "wheel_off" are telemetry of another model, which the predictive check has to refuse.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -33,16 +36,21 @@ from sunspin.estimate.posterior.estimate import DIRECTION_ERROR, posterior
 from sunspin.estimate.posterior.fit import FILES
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model, rate_and_direction
+from sunspin.estimate.posterior.modes import standing
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Vehicle, load_vehicle
 
-KINDS = ("known", "unknown", "shadow", "dead", "jitter", "swapped", "wheel_off")
+KINDS = ("known", "unknown", "shadow", "dead", "jitter", "swapped", "wheel_off", "tilted", "turned", "untold")
 
 QUANTITIES = ("omega_x", "omega_y", "omega_z", "momentum", "theta", "alpha", "log_likelihood")
 """What is ranked: rates, |H|, the angles of H from z and from the Sun, and the log-likelihood."""
 
 KNOWN = {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
+
+TURNED = {"tilt": float(np.radians(1.0)), "tilt_common": float(np.radians(5.0))}
+TILTS = {"tilted": {"tilt": float(np.radians(5.0))}, "turned": TURNED, "untold": TURNED}
+"""Sigmas by which panels stand off. Those of "turned" make E and Delta of Philae's descent as published."""
 
 JITTER_S = 6.0
 """Sample times are irregular by up to this."""
@@ -50,7 +58,7 @@ JITTER_S = 6.0
 TAG_S = 0.1
 """Error of the time tags of the kind "jitter"."""
 
-STEPS = ("brightness", "modes", "family", "mixture", "check", "verdict", "estimate")
+STEPS = ("brightness", "modes", "family", "mixture", "hypotheses", "check", "verdict", "estimate")
 DECIDING = (*FILES, *(f"estimate/posterior/{name}.py" for name in STEPS))
 """Files whose text decides what a twin gives; each row keeps their digest."""
 
@@ -69,20 +77,28 @@ def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
 def make(
     vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int
 ) -> tuple[xr.Dataset, State, Model, dict[str, Any]]:
-    """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told."""
+    """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told.
+
+    No torque acts, and the posterior is told so: `python -m validation torque` is about those.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
-    priors: dict[str, Any] = {"max_rate_rad_s": max_rate} | (KNOWN if kind == "known" else {})
+    priors: dict[str, Any] = {"max_rate_rad_s": max_rate, "steady_torque": 0.0} | (KNOWN if kind == "known" else {})
+    priors |= TILTS.get(kind, {})
     scale = vehicle.require_noise() / (0.02 * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, priors, scale)
     truth = prior_truth(unknown, rng)
     t = interval_s * np.arange(samples) + np.concatenate([[0.0], rng.uniform(-1, 1, samples - 1)]) * min(JITTER_S, interval_s / 4)
     noise = vehicle.require_noise() * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
     speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
-    told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise)
+    off = 0.0 if unknown.turns is None else np.tensordot(truth.u[0], unknown.turns, axes=1)
+    told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise, tilt_B_rad=off)
     telemetry = synthetic_telemetry(unknown.bodies(truth.u).vehicle(vehicle, 0), told, seed=int(rng.integers(2**31)))
     telemetry = _spoilt(telemetry, kind, rng)
     if kind == "jitter":
         truth = _at_first_tag(unknown, truth, float(telemetry["time"].values[0]) - float(t[0]))
+    if kind == "untold":
+        unknown, kept = standing(unknown)
+        truth, priors = replace(truth, u=truth.u[:, kept]), {key: value for key, value in priors.items() if key not in TURNED}
     return telemetry, truth, unknown, priors
 
 
@@ -203,12 +219,15 @@ def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float =
 
     def row(i: int) -> dict[str, Any]:
         telemetry, truth, unknown, priors = make(craft, kind, max_rate, samples, interval_s, seed, i)
+        stages = folder / f"{i:04d}-stages"
         try:
-            return judge(craft, telemetry, truth, unknown, priors, seed, workers=workers)
+            made = judge(craft, telemetry, truth, unknown, priors, seed, workers=workers, store=stages)
         except Interrupted:
             raise
         except SunspinError as error:
-            return {"refused": str(error)}
+            made = {"refused": str(error)}
+        rmtree(stages, ignore_errors=True)
+        return made
 
     return [kept(folder / f"{i:04d}.json", partial(row, i)) for i in range(twins)]
 

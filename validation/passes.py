@@ -6,6 +6,7 @@ Nothing of the package's own dynamics makes them: Euler's equations with a torqu
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from typing import NamedTuple
@@ -15,7 +16,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
-from sunspin.vehicle.sensors import Gyro, Sensors
+from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
@@ -29,6 +30,7 @@ CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
 KINDS = {
     "right model": 24, "steady torque": 8, "step of the rate": 8, "jitter": 12, "columns exchanged": 12, "stop and go": 8,
     "prior given back": 12, "strong torque in the body": 6, "strong torque in space": 6, "slews": 6, "time tags": 8,
+    "few samples": 40, "few samples, bad readings": 40,
 }  # fmt: skip
 """Kind of pass -> how many."""
 
@@ -158,6 +160,35 @@ def exchanged(made: Made, rng: np.random.Generator) -> Made:
     return made._replace(telemetry=made.telemetry.assign(power_W=(("time", "panel"), power)))
 
 
+def few(rng: np.random.Generator) -> Made:
+    """Three to six directions of a Sun sensor, good to 2 to 10 degrees, 10 to 45 s apart; on some a gyro, a magnetometer."""
+    t = instants(rng, int(rng.integers(3, 7)), rng.uniform(10.0, 45.0))
+    omega, attitude = spin(np.radians(rng.uniform(0.3, 3.0)) * unit(rng), t)
+    made = seen(FACES, omega, attitude, t, 0.01, rng, bool(rng.random() < 0.3), np.radians(4.0))
+    sigma = np.radians(rng.uniform(2.0, 10.0))
+    sun = attitude @ unit(rng) + sigma * rng.normal(size=(len(t), 3))
+    data = made.telemetry.drop_vars("power_W").assign(
+        sun_sensor_B=(("time", "axis"), sun / np.linalg.norm(sun, axis=1, keepdims=True)),
+        sun_sensor_cov_B=(("time", "axis", "axis2"), np.tile(sigma**2 * np.eye(3), (len(t), 1, 1))),
+    )  # fmt: skip
+    if rng.random() < 0.5:
+        data["field_B"] = ("time", "axis"), attitude @ unit(rng) + 0.03 * rng.normal(size=(len(t), 3))
+        part = Magnetometer(("x", "y", "z"), np.zeros(3), 0.03)
+        made = made._replace(vehicle=replace(made.vehicle, sensors=replace(made.vehicle.sensors, magnetometer=part)))
+    return made._replace(telemetry=data)
+
+
+def misread(made: Made, rng: np.random.Generator) -> Made:
+    """The same with one or two of the Sun's directions off, by two of their sigmas to 70 degrees."""
+    sun = made.telemetry["sun_sensor_B"].values.copy()
+    sigma = np.sqrt(made.telemetry["sun_sensor_cov_B"].values[0, 0, 0])
+    for k in rng.choice(len(sun), int(rng.integers(1, 3)), replace=False):
+        about = np.cross(sun[k], unit(rng))
+        off = np.exp(rng.uniform(np.log(2 * sigma), np.log(np.radians(70.0))))
+        sun[k] = Rotation.from_rotvec(off * about / np.linalg.norm(about)).apply(sun[k])
+    return made._replace(telemetry=made.telemetry.assign(sun_sensor_B=(("time", "axis"), sun)))
+
+
 def stop_and_go(rng: np.random.Generator) -> Made:
     """Turned on the ground about axes of its body, 5 to 20 s at 2 to 6 deg/s, with rests in between; samples 1 s apart."""
     t = np.arange(int(rng.integers(200, 320)), dtype=float)
@@ -175,13 +206,16 @@ def stop_and_go(rng: np.random.Generator) -> Made:
 
 def make(kind: str, seed: int, i: int) -> Made:
     """Pass `i` of a kind; one whose columns are exchanged, or times are off, is that of the right model otherwise."""
-    base = {"columns exchanged": "right model", "time tags": "right model"}.get(kind, kind)
+    of_others = {"columns exchanged": "right model", "time tags": "right model", "few samples, bad readings": "few samples"}
+    base = of_others.get(kind, kind)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i)))
     makers = {
         "right model": tumbling, "steady torque": lambda r: tumbling(r, steady), "step of the rate": lambda r: tumbling(r, stepped),
         "jitter": jitter, "stop and go": stop_and_go, "prior given back": given_back, "slews": lambda r: tumbling(r, slews),
         "strong torque in the body": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=True)),
         "strong torque in space": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=False)),
+        "few samples": few,
     }  # fmt: skip
     made = makers[base](rng)
-    return {"columns exchanged": exchanged, "time tags": badly_timed}.get(kind, lambda made, _: made)(made, rng)
+    spoilt = {"columns exchanged": exchanged, "time tags": badly_timed, "few samples, bad readings": misread}
+    return spoilt.get(kind, lambda made, _: made)(made, rng)

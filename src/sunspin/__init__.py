@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py com
     from sunspin.estimate.posterior.estimate import posterior as posterior
     from sunspin.estimate.calibrate.sensors import calibrate_sensors as calibrate_sensors
     from sunspin.estimate.rates.estimate import rates as rates
+    from sunspin.estimate.terms.period import Period as Period
     from sunspin.estimate.scan.volume import near_minimum as near_minimum, scan as scan
     from sunspin.telemetry.health import panel_health as panel_health
     from sunspin.vehicle.response.panels import panel_power as panel_power
@@ -74,6 +75,7 @@ _HOME = {
     "panel_quality": "sunspin.telemetry.quality",
     "calibrate_sensors": "sunspin.estimate.calibrate.sensors",
     "rates": "sunspin.estimate.rates.estimate",
+    "Period": "sunspin.estimate.terms.period",
     "propagate": "sunspin.dynamics.propagate",
     "impact": "sunspin.dynamics.impact",
     "fit_spin_down": "sunspin.dynamics.friction",

@@ -6,6 +6,8 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
+from sunspin.estimate.terms.sun_direction import SunDirection
+from sunspin.estimate.terms.term import Seen, facing, normal
 from sunspin.telemetry.sensors import AGREE
 from sunspin.vehicle.file import parse_vehicle
 
@@ -102,6 +104,23 @@ def test_a_sun_sensor_reads_angles_from_its_normal(tmp_path):
     assert "power_W" not in data
 
 
+TURNED = "y_turned_above = 45\ny_turned_scale = -0.0174532925199433\ny_turned_sigma = 2\n"
+
+
+def test_near_the_light_at_which_a_sensor_turns_both_readings_stand(tmp_path):
+    vehicle = parse_vehicle(VEHICLE.format(form="elapsed") + SENSOR.format(name="p", normal=[1, 0, 0]) + TURNED, "v")
+    path = sensor_file(tmp_path / "s.csv", [(k, 0, 30, light, 0, 0, 0) for k, light in enumerate((30, 43, 47, 60, 0))])
+    data = ss.read_telemetry(path, vehicle)
+    up, down = [np.cos(np.pi / 6), 0.0, 0.5], [np.cos(np.pi / 6), 0.0, -0.5]
+    np.testing.assert_allclose(data["sun_sensor_B"].values, [up, up, down, down, [np.nan] * 3], atol=1e-9)
+    other = data["sun_sensor_other_B"].values
+    np.testing.assert_allclose(other[1:3], [down, up], atol=1e-9)
+    assert np.isnan(other[[0, 3, 4]]).all() and np.isnan(data["sun_sensor_other_cov_B"].values[0]).all()
+    sun, _ = SunDirection.read(vehicle, data, "sun_sensor")
+    cost = normal(sun, Seen(facing(np.tile(down, (1, 5, 1))), np.zeros((1, 5, 3))))[2][0]
+    assert cost[0] > 5 and cost[1:] == pytest.approx(np.zeros(4), abs=1e-9)  # the better of the two counts
+
+
 def test_sensors_that_contradict_each_other_give_no_direction(tmp_path):
     data = ss.read_telemetry(sensor_file(tmp_path / "s.csv", [(0, 0, 0, 50, 0, 0, 50)]), sensors_vehicle())
     assert AGREE > 0 and np.isnan(data["sun_sensor_B"].values).all()
@@ -111,6 +130,7 @@ def test_sensors_that_contradict_each_other_give_no_direction(tmp_path):
     ("x_axis_B = [0, 1, 0]", "x_axis_B = [1, 0, 0]", "right angles"),
     ("x_sigma_rad = 0.02", "x_sigma_rad = 0", "must be positive"),
     ('y_column = "yp"\n', "", "both y_column and y_scale"),
+    ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\ny_turned_sigma = 3", "no y_turned_above"),
     ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\nlit = 3", "unknown key"),
 ])  # fmt: skip
 def test_a_wrong_sensor_table_is_a_sentence(old, new, text):

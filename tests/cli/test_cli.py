@@ -13,6 +13,8 @@ import xarray as xr
 from validation import border
 from validation.border import Told
 
+pytestmark = pytest.mark.usefixtures("framed")
+
 COMMANDS = ["reproduce", "worth", "init", "check", "sun", "simulate", "scan", "outcomes", "report"]
 
 

@@ -46,6 +46,17 @@ def test_what_a_killed_run_had_begun_is_removed_and_what_lives_is_not(tmp_path):
     assert {path.name for path in rows_folder(tmp_path).iterdir()} == {".sunspin-1.parts", f".sunspin-1-{'a' * 16}.part"}
 
 
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A folder with files that are not what is asked for."""
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "bad.nc").write_bytes(b"\x89HDF\r\n\x1a\nno")
+    tree, _ = philae_draws(3)
+    write_netcdf(folder / "short.nc", tree)
+    write_netcdf(folder / "other.nc", tree["posterior"].to_dataset())
+    return folder
+
+
 @pytest.mark.parametrize(
     ("main", "arguments"),
     [
@@ -56,13 +67,9 @@ def test_what_a_killed_run_had_begun_is_removed_and_what_lives_is_not(tmp_path):
         (twin.main, ["{folder}/bad.nc/x.csv", "--seed", "1"]),
     ],
 )  # fmt: skip
-def test_errors_are_one_sentence(tmp_path, capsys, main, arguments, monkeypatch):
+def test_errors_are_one_sentence(files, capsys, main, arguments, monkeypatch):
     monkeypatch.setattr(sampling, "widths", lambda *_, **__: sampling.Widths(*[sampling.np.ones((9, 13, 1))] * 2, {}, {}))
-    (tmp_path / "bad.nc").write_bytes(b"\x89HDF\r\n\x1a\nno")
-    tree, _ = philae_draws(3)
-    write_netcdf(tmp_path / "short.nc", tree)
-    write_netcdf(tmp_path / "other.nc", tree["posterior"].to_dataset())
-    assert main([text.format(folder=tmp_path) for text in arguments]) == 2
+    assert main([text.format(folder=files) for text in arguments]) == 2
     said = capsys.readouterr().err.strip()
     assert said and "\n" not in said and "Traceback" not in said
 

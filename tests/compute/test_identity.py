@@ -13,8 +13,8 @@ PACKAGE = Path(identity.__file__).parents[1]
 def named() -> set[str]:
     """Files and folders that the package names to `identity.code`, the common ones included."""
     found = set(identity.PHYSICS)
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for text in (path.read_text("utf-8") for path in PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(text)) if "code(" in text else ():
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "code":
                 found |= {word.value for word in node.args if isinstance(word, ast.Constant)}
     return found

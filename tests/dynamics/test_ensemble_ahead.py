@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sunspin.base.errors import OutputError
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.ensemble import ahead, compiled, series_lanes, steps
 from vehicles import FIRST_SUN, random_vehicle
@@ -24,6 +25,28 @@ def short_kernels(monkeypatch, tmp_path):
     compiled.kernel.cache_clear()
     yield tmp_path
     compiled.kernel.cache_clear()
+
+
+def test_the_text_of_a_kernel_is_generated_once(short_kernels, monkeypatch):
+    """SymPy is not even imported for a kernel whose text was kept; a damaged or older text is generated anew."""
+    structure = k.structure_of(random_vehicle(np.random.default_rng(11), 1), None, 0)
+    text = compiled.source(structure)
+    assert compiled.kept_source(structure) == text
+    (path,) = compiled.cache_folder().glob("source_*.txt")
+    with monkeypatch.context() as unable:
+        unable.setattr(compiled, "source", lambda structure: pytest.fail("generated again"))
+        assert compiled.kept_source(structure) == text
+    path.write_text(path.read_text("utf-8").replace("omega", "0mega", 1), "utf-8")
+    assert compiled.kept_source(structure) == text
+    monkeypatch.setattr(series_lanes, "ORDER", 4)
+    assert compiled.kept_source(structure) == compiled.source(structure) != text
+
+
+def test_compiling_says_where_kernels_cannot_be_kept(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("SUNSPIN_CACHE", str(tmp_path / "file"))
+    with pytest.raises(OutputError, match="cannot be kept here.*SUNSPIN_CACHE"):
+        k.compile_all([])
 
 
 @pytest.mark.long

@@ -1,6 +1,6 @@
 """Torques from outside: the reference and the kernel under a torque of the test's own, against SciPy; what is refused."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.torques import acting
+from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.torques import Acting, Steady, acting
 from sunspin.environment import circular, unknown
 from sunspin.vehicle import Friction, Vehicle, Wheel
 
@@ -158,3 +159,32 @@ def test_distributions_under_torques_run_by_series():
     z = run_once(START_S + np.linspace(0.0, 300.0, 40001))["sun_B"].values[:, 2]
     expected = np.histogram(z, 32, (-1, 1))[0] / len(z)
     assert np.abs(np.cumsum(result.hist[0] / 300.0 - expected)).max() < 2e-3
+
+
+def steady_by_scipy(inertia: np.ndarray, torques: np.ndarray, t_end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rate and direction to the Sun under a torque in body axes and one in space (2, 3), from Euler's equations typed here."""
+
+    def slope(t, y):
+        omega, matrix = y[:3], y[3:].reshape(3, 3)  # B from N, N being B at the start
+        torque = torques[0] + matrix @ torques[1]
+        turned = [-np.cross(omega, column) for column in matrix.T]
+        return [*np.linalg.solve(inertia, torque - np.cross(omega, inertia @ omega)), *np.ravel(np.transpose(turned))]
+
+    end = solve_ivp(slope, (0, t_end), [*OMEGA, *np.eye(3).ravel()], rtol=1e-11, atol=1e-12).y[:, -1]
+    return end[:3], end[3:].reshape(3, 3) @ SUN
+
+
+@pytest.mark.evidence("propagate", "verified", "steady torques in body axes and in space against SciPy's integrator")
+def test_steady_torques_in_body_axes_and_in_space_turn_a_body_as_eulers_equations_say():
+    body, t = Vehicle("box", np.diag([0.010, 0.012, 0.008])), [150.0, 300.0]
+    torques = 0.01 * np.array([[1e-4, -2e-4, 1e-4], [2e-4, 1e-4, -1e-4]])
+    cases = np.stack([torques * [[1], [0]], torques * [[0], [1]], torques])
+    rows = k.Rows(np.tile(OMEGA, (3, 1)), np.tile(SUN, (3, 1)), np.zeros((3, 0)), replace(Bodies.of(body, 3), steady_N_m=cases))
+    run = k.run_rows(body, rows, t, direction_error=1e-8, acting=Acting((Steady(),)))
+    for i, case in enumerate(cases):
+        omega, sun = steady_by_scipy(np.array(body.inertia_kg_m2), case, t[-1])
+        reference = ss.propagate(body, OMEGA, SUN, None, [0.0, *t], torques=[Steady(case)])
+        for found in (run.sun_B[i, -1], reference["sun_B"].values[-1]):
+            np.testing.assert_allclose(found, sun, atol=1e-7)
+        np.testing.assert_allclose(run.omega_B[i, -1], omega, atol=1e-9)
+    assert np.linalg.norm(run.sun_B[0, -1] - run.sun_B[1, -1]) > 0.1  # the control: the two kinds are not the same

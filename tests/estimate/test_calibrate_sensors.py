@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,8 +24,9 @@ from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
 
 
+@cache
 def few(off: float = 1.0):
-    """A twin with every second sample."""
+    """A twin with every second sample; nobody changes it."""
     twin = make(1, 0, off, gyro=False)
     return twin._replace(telemetry=twin.telemetry.isel(time=slice(None, None, 2)))
 

@@ -22,7 +22,7 @@ from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
-PRIORS = {"max_rate_rad_s": 0.25}
+PRIORS = {"max_rate_rad_s": 0.25, "steady_torque": 0.0}  # of torques: test_posterior_hypotheses.py
 SMALL = PRIORS | {"inertia": 0.0}
 
 

@@ -18,7 +18,7 @@ from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.08, -0.15, 0.16])
-SMALL = {"max_rate_rad_s": 0.3, "inertia": 0.0}
+SMALL = {"max_rate_rad_s": 0.3, "inertia": 0.0, "steady_torque": 0.0}
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
 TURNS = 1.5 / (2 * np.pi)
-PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0}
+PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0, "steady_torque": 0.0}
 
 
 def craft(panels: int, noise: float = 0.02) -> Vehicle:

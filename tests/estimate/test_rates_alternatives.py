@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.rates.alternatives import Others, _sized, alternatives, counted, weighed
 from sunspin.estimate.rates.common import with_common
@@ -14,14 +15,16 @@ from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import whitening
-from sunspin.estimate.rates.state import Motion, Track
+from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.steady_torque import SteadyTorque
-from sunspin.estimate.terms.term import Seen
+from sunspin.estimate.terms.sun_direction import SunDirection
+from sunspin.estimate.terms.term import Seen, facing
 from sunspin.solve.rotations import turn_between
 from validation.passes import FACES, MOMENTS, seen, spin, unit
 
 INERTIA = np.diag(MOMENTS) / MOMENTS.mean()
 START = np.radians([2.0, -1.0, 1.5])
+BODY = Body(INERTIA, np.zeros(3), False, np.zeros((0, 3, 3)))
 T_S = np.arange(0.0, 300.0, 10.0)
 
 
@@ -91,3 +94,22 @@ def test_what_moved_the_body_is_named_and_its_rates_are_right(push, noise, words
 def test_hypotheses_that_lead_to_one_motion_share_its_weight():
     groups = counted(tried(None, 1e-6)[0])
     assert len(groups) == 1 and groups[0].weights.sum() == pytest.approx(1.0) and len(groups[0].members) > 1
+
+
+def short(off_rad):
+    """What is made of six directions of the Sun, 20 s apart and good to 0.05 rad, the fourth of which is so far off."""
+    rng, t = np.random.default_rng(5), np.arange(0.0, 120.0, 20.0)
+    omega, attitude = spin(START, t)
+    sun = np.einsum("nij,j->ni", attitude, axes := unit(rng)) + 0.05 * rng.normal(size=(6, 3))
+    sun[3] = Rotation.from_rotvec(off_rad * np.cross(sun[3], unit(rng))).apply(sun[3])
+    known = SunDirection.of(sun / np.linalg.norm(sun, axis=1, keepdims=True), np.tile(0.05**2 * np.eye(3), (6, 1, 1)))
+    one = Hypothesis(AS_STATED, Observations(t, np.zeros((6, 3)), (known,)), np.arange(6), Motion(BODY, 1e-6, 0.075))
+    fit = with_common(one.fitted(), Track((attitude @ facing(axes))[None], omega[None]), one.motion, None)
+    found = alternatives(weighed(one, fit), Others(False, "{:.0f} s".format))
+    total = np.logaddexp.reduce(np.concatenate([trial.log_evidence for trial in found]))
+    return {trial.hypothesis.what: float(np.exp(trial.best - total)) for trial in found}
+
+
+def test_of_a_short_pass_a_reading_that_the_others_contradict_is_left_out():
+    assert short(0.7)["without the reading of the Sun at 60 s"] > 0.8
+    assert sum(weight for what, weight in short(0.0).items() if what.startswith("without")) < 0.02

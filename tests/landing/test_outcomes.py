@@ -24,9 +24,9 @@ def case():
 
 @pytest.fixture(scope="module")
 def paper(case):
-    """Section 3.3 with 3000 runs, wheel off and held."""
+    """Section 3.3 with 1500 runs, wheel off and held."""
     scenario, lines = sc.paper_scenario(case), published_candidates(case)
-    return {name: ss.outcomes(case.vehicle, lines, name, 3000, 7, scenario=scenario, workers=2) for name in ("off", "held")}
+    return {name: ss.outcomes(case.vehicle, lines, name, 1500, 7, scenario=scenario, workers=2) for name in ("off", "held")}
 
 
 def rows_of(case, n=24, strategy="off", **changes) -> OutcomeRows:
@@ -184,7 +184,7 @@ def test_what_happened_in_all_runs_or_in_none_is_not_certain():
 def test_the_antenna_sees_a_quarter_of_a_sphere(case):
     """Cone of 120 degrees: (1 - cos 60) / 2 of all directions, in flight, at contact and at rest alike."""
     scenario = replace(sc.case_scenario(case), orbiter="any", vertical="any")
-    found = tally(ss.outcomes(case.vehicle, published_candidates(case), "off", 3000, 1, scenario=scenario))
+    found = tally(ss.outcomes(case.vehicle, published_candidates(case), "off", 1000, 1, scenario=scenario))
     for name in ("antenna_share", "antenna_at_contact", "antenna_at_rest"):
         assert abs(found[name].value - 0.25) < 4 * found[name].error
 

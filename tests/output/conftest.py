@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from matplotlib.figure import Figure
 
 from browser import HOSTILE, Browser, found
+from drawing import frame
 from shared_folder import shared_folder
 from sunspin.output import figures
 from sunspin.output.figures import inline
@@ -22,10 +23,9 @@ from sunspin.philae import study as rp
 from sunspin.telemetry.case import load_case
 
 
-def roughly(figure: Figure) -> Figure:
-    """A figure of which nothing is moved out of the way of anything else, which takes as long as to draw it."""
-    figure.set_layout_engine("none")
-    return figure
+def unsaved(_: Figure, folder: Path, name: str) -> list[Path]:
+    """Says where a figure would be and writes none."""
+    return [folder / f"{name}.png"]
 
 
 @contextmanager
@@ -36,7 +36,7 @@ def small() -> Iterator[None]:
             (motions, "SPREAD_MOTIONS", 4), (motions, "COLLISIONS", 40), (published_lines, "LINE_POINTS", 3),
             (carries, "SHUFFLES", 3), (rp, "LEAST_RUNS", 40), (rp, "LANDING_RUNS", 1),
             (rp, "PARTS", tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity"))),
-            (reproduction, "draw", lambda *_: []), (inline, "lay_out", roughly),
+            (reproduction, "draw", lambda *_: []), (inline, "lay_out", frame), (figures, "save", unsaved),
         ):  # fmt: skip
             patch.setattr(module, name, value)
         yield
@@ -81,7 +81,7 @@ TWINS = 30
 @pytest.fixture(scope="session")
 def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Results of the commands for a user's own vehicle, whose name and panels are hostile, and their pages; of figures `sun` alone
-    writes files, and they and the pages of all others are drawn roughly: figures have tests of their own."""
+    writes files, and on the pages of all others they are empty frames: figures have tests of their own."""
     from sunspin.cli import cli
 
     def make(root: Path) -> None:
@@ -91,8 +91,8 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(sys, "argv", ["sunspin", *arguments])  # kept with the results as the line that repeats them
                 if arguments[0] != "sun" and arguments[1] != str(root / "sun"):
-                    patch.setattr(figures, "save", lambda figure, folder, name: [folder / f"{name}.png"])
-                    patch.setattr(inline, "lay_out", roughly)
+                    patch.setattr(figures, "save", unsaved)
+                    patch.setattr(inline, "lay_out", frame)
                 done = run.invoke(cli, arguments, catch_exceptions=False)
             assert done.exit_code == 0, done.output
 
@@ -106,7 +106,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
         data = str(vehicle), str(telemetry)
         sunspin("sun", *data, "--out", str(root / "sun"))
-        sunspin("rates", *data, "--max-rate", "8", "--out", str(root / "rates"))
+        sunspin("rates", *data, "--max-rate", "5", "--out", str(root / "rates"))
         grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
         known = [f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed")]

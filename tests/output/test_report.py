@@ -86,7 +86,7 @@ def test_no_label_ends_the_script_it_stands_in(text):
     assert "</script" not in _script(f"x = '{text}'") and "<!--" not in _script(text)
 
 
-def test_regions_of_a_posterior_have_their_weights(tmp_path):
+def test_regions_of_a_posterior_have_their_weights(tmp_path, framed):
     rng = np.random.default_rng(3)
     region = np.repeat([0, 4], [2 * 20, 2 * 5]).reshape(2, 25)
     each = ("chain", "draw")

@@ -46,7 +46,7 @@ def test_every_command_gets_its_parts(user_runs, name, expected):
     assert figures and any(tag == "svg" for tag, _ in read.tags)
 
 
-def test_what_it_does_not_know_it_lists_and_what_is_broken_it_names(user_runs, tmp_path):
+def test_what_it_does_not_know_it_lists_and_what_is_broken_it_names(user_runs, tmp_path, framed):
     folder = tmp_path / "odd"
     shutil.copytree(user_runs["simulate"], folder)
     xr.Dataset({"strange": ("thing", [1.0, np.nan, 3.0], {"units": "furlong"})}).to_netcdf(folder / "odd.nc", engine="h5netcdf")

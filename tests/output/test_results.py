@@ -58,6 +58,8 @@ MADE = {
     "telemetry": telemetry,
     "sun_directions": lambda: ss.sun_directions(vehicle(), telemetry()),
     "panel_quality": lambda: ss.panel_quality(vehicle(), telemetry()),
+    "panel_health": lambda: ss.panel_health(vehicle(), telemetry()),
+    "spin_down": lambda: ss.fit_spin_down([0.0, 60.0, 120.0, 180.0], [864.0, 830.0, 800.0, 771.0], 0.0058),
     "calibration": lambda: ss.calibrate_sensors(vehicle(), telemetry()),
     "rates": rates,
     "trajectory": motion,
@@ -117,6 +119,19 @@ def test_strategies_side_by_side(user_runs):
 def test_twins_are_telemetry():
     truth = {"omega_B": [0.1, 0.0, 0.2], "sun_B": [0.0, 0.6, 0.8], "t_s": np.arange(0.0, 300.0, 60.0)}
     assert ss.twin(vehicle(), truth, seed=1).attrs["kind"] == "telemetry"
+
+
+def test_the_health_of_panels_keeps_its_names_beside_its_variables():
+    """Scripts ask a health by these names and iterate over them; a Dataset is what is stored."""
+    health = ss.panel_health(vehicle(), telemetry())
+    assert isinstance(health, xr.Dataset) and health["lost"].values.tolist() == [[True, *5 * [False]]]
+    assert health["explanations"] == [("1",)] and len(health["allowed"]) == 16 and all(n > 0 for n in health["impossible"].values())
+    assert list(health["noise"]) == list(health["impossible"]) and all(v.log10_together < 0 for v in health["noise"].values())
+    directions = ss.panel_health(vehicle(), ss.sun_directions(vehicle(), telemetry()))
+    assert directions["noise"] == {} and np.isnan(directions["largest"]).all()
+    none = ss.panel_health(vehicle(), ss.panel_power(vehicle(), [[0.0, 0.6, 0.8]]))
+    assert none["impossible"] == {} and none["explanations"] == [] and "no set of lit panels" in str(none.sunspin.summary())
+    assert isinstance(none.sunspin.plot(), Figure)
 
 
 @pytest.mark.parametrize("attrs", [{}, {"kind": "house"}, {"kind": 3}])

@@ -152,7 +152,7 @@ def test_without_a_calibration_nothing_is_concluded(quick):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_right_files_are_not_accused(seed):
     """Of 20 seeds none was (docs/validation); three here."""
     from sunspin.philae.twin_philae import philae_twin

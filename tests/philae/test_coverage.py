@@ -176,7 +176,7 @@ def test_the_shipped_study_says_what_its_rows_say(reached):
         wo.from_json("{}", "here")
 
 
-def test_the_command_writes_a_study_that_can_be_read_again(tmp_path):
+def test_the_command_writes_a_study_that_can_be_read_again(tmp_path, framed):
     out = tmp_path / "out"
     arguments = ["worth", "--twins=10", "--confidence=0.5", f"--coarser={COARSE}", f"--out={out}", "--json"]
     done = CliRunner().invoke(cli, arguments, catch_exceptions=False)

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from philae_sun import CASE, SUN
 from sunspin.philae import descent
 from sunspin.philae.figures import descent as figures_descent
 from sunspin.vehicle.response.panels import panel_power
-
-CASE = ss.load_case("philae")
-SUN = ss.sun_directions(CASE.vehicle, CASE.telemetry)
 
 
 @pytest.fixture(scope="module")

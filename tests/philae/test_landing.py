@@ -8,10 +8,12 @@ from chains import chain_on_the_lines
 from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import estimate
+from sunspin.landing.weighted import explained, facts_of, weightings
 from sunspin.output.figures import outcomes as figures
+from sunspin.output.figures.collision import collision_figure
 from sunspin.philae import collision as co
+from sunspin.philae import impulse as im
 from sunspin.philae import landing as la
-from sunspin.philae.figures.collision import collision_figure
 from sunspin.philae.rebound import published_candidates
 from sunspin.philae.row import settled
 
@@ -73,22 +75,25 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
 
 def test_weights_prefer_what_the_kernel_shows(landing):
     found = landing.collision
-    facts, runs = found.facts, found.runs
-    near = np.hypot(runs["velocity_change"] - facts["velocity_change"], runs["speed_after"] - facts["speed_after"]).values
+    facts, weight = facts_of(found), found["weight"].values
+    near = np.hypot(found["velocity_change"] - facts["velocity_change"], found["speed_after"] - facts["speed_after"]).values
     order = np.argsort(near)
-    assert np.all(np.diff(found.weight[order]) <= 1e-15) and found.weight.max() <= 1
+    assert np.all(np.diff(weight[order]) <= 1e-15) and weight.max() <= 1
     for name in ("velocity_change", "speed_after"):
-        mean = estimate(runs[name].values, found.weight).value
+        mean = estimate(found[name].values, weight).value
         assert abs(mean - facts[name]) < co.SIGMA_M_S
-        assert abs(mean - facts[name]) < abs(estimate(runs[name].values).value - facts[name]) or name == "speed_after"
-    worth = {line["name"]: line["effective_runs"] for line in found.table}
-    assert worth["kernel, sigma 0.01 m/s"] < worth["kernel, sigma 0.04 m/s"] < worth["as drawn"] == runs.sizes["run"]
-    assert 0.02 < found.explained.value < 0.25
+        assert abs(mean - facts[name]) < abs(estimate(found[name].values).value - facts[name]) or name == "speed_after"
+    worth = {line["name"]: line["effective_runs"] for line in weightings(found)}
+    assert worth["kernel, sigma 0.01 m/s"] < worth["kernel, sigma 0.04 m/s"] < worth["as drawn"] == found.sizes["run"]
+    assert 0.02 < explained(found).value < 0.25
+    said = found.sunspin.summary()
+    assert said["facts"] == facts and said["explained"] == explained(found) and said["table"] == weightings(found)
+    assert str(said).count("\n") == found.sizes["weighting"] and found["unit"].sel(quantity="rate_after").item() == "rad s-1"
 
 
 def test_after_a_sticking_blow_the_centre_of_mass_turns_about_the_legs_end(landing):
     """Closed form: v' = l x omega', so speed and rate after it are tied, and the kernel's speed bounds the rate from below."""
-    runs = landing.collision.runs
+    runs = landing.collision
     tips = np.array([leg.tip_B_m for leg in landing.case.vehicle.legs])[runs["leg"].values]
     arm = np.linalg.norm(np.cross(runs["omega_after_B"].values, tips), axis=1)
     np.testing.assert_allclose(runs["speed_after"].values, arm, rtol=1e-9)
@@ -96,10 +101,10 @@ def test_after_a_sticking_blow_the_centre_of_mass_turns_about_the_legs_end(landi
 
 def test_wrong_facts_leave_no_runs(landing):
     """Negative control: a jump twice as large as the speed before is no sticking impact of this body."""
-    wrong = landing.collision.facts | {"velocity_change": 0.6}
-    assert co.weights(landing.collision.runs, wrong).max() < 1e-12
+    wrong = facts_of(landing.collision) | {"velocity_change": 0.6}
+    assert co.weights(landing.collision, wrong).max() < 1e-12
     with pytest.raises(ss.InputError, match="sigma_m_s must be positive"):
-        co.weights(landing.collision.runs, wrong, 0.0)
+        co.weights(landing.collision, wrong, 0.0)
 
 
 def test_weighted_median_by_repetition():
@@ -167,7 +172,17 @@ def test_the_facts_that_ship_are_those_of_the_kernel(data_dir):
     for name, value in read.items():
         assert value == pytest.approx(shipped[name], abs=0.5 if name == "path_length" else 6e-5), name
     states = co._KernelStates(data_dir.joinpath(*co.KERNEL))
-    ends = [states(co._tdb(case, name))[:3] for name in ("first_touchdown", "rest")]
+    ends = [states(co.tdb_of(case, name))[:3] for name in ("first_touchdown", "rest")]
     assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(case.published["trajectory_distance"].value, abs=0.5)
     scenario = case_scenario(case)
     assert scenario.collision_speed_m_s == shipped["speed_before"] and scenario.collision_s == pytest.approx(2756.02)
+
+
+def test_the_impulse_of_collisions_at_free_times(landing):
+    """Runs at several instants join; angles are those of the drawn blows, and candidates keep their rates."""
+    seen = im.Seen(0.2246, 0.326, -0.126)
+    found = im.compute(landing.case, landing.chain, seen, n=10, seed=1)
+    runs = found.runs
+    assert runs.sizes["run"] == im.INSTANTS * 10 and np.isfinite(runs["change_to_sun"].values).all()
+    assert np.array_equal(found.speed_touchdown, landing.chain.chosen.speed_touchdown[runs["candidate"].values])
+    assert [one.id for one in im.rows(found)][0] == "impulse_to_sun"

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
+from philae_sun import CASE, SUN
 from sunspin.compute.identity import plain
 from sunspin.estimate.scan import error_growth as gr
 from sunspin.estimate.scan import error_maps as em
@@ -12,8 +13,6 @@ from sunspin.philae import sensitivity
 from sunspin.philae.figures import sensitivity as figures_sensitivity
 from sunspin.vehicle import Friction, Panel, Vehicle, Wheel
 
-CASE = ss.load_case("philae")
-SUN = ss.sun_directions(CASE.vehicle, CASE.telemetry)
 CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 FACES = [Panel(str(k), corner, 1.0) for k, corner in enumerate(CORNERS)]
 ROUND = Vehicle("round, no wheel", np.diag([2.0, 2.0, 3.0]), panels=FACES)

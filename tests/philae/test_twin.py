@@ -177,6 +177,44 @@ def test_the_descent_turns_at_the_published_rate(made):
     np.testing.assert_allclose(np.exp(1j * turned), np.exp(1j * expected), atol=1e-9)
 
 
+@pytest.fixture(scope="module")
+def tilted():
+    return philae_twin(3, tilt_rad=np.radians(1.0), turned_rad=np.radians(5.0), rest_seen=True)
+
+
+@pytest.mark.evidence("twin", "modelled", "turned panels: the published first direction, forbidden patterns, directions at rest")
+def test_a_landing_with_turned_panels_shows_what_flew(tilted):
+    """Of turned panels the first direction is still what is shown; the truth lies behind it; no pattern becomes forbidden."""
+    at, seen = tilted["phase"].values, ss.sun_directions(vehicle, tilted)
+    first, expected = np.flatnonzero(at == "first_rebound")[0], np.array(published["first_sun"])
+    expected /= np.linalg.norm(expected)
+    np.testing.assert_allclose(seen["sun_B"].values[first], expected, atol=1e-9)
+    true = tilted["true_sun_B"].values[first]
+    assert np.radians(0.5) < np.arccos(true @ expected) < np.radians(20)
+    known = is_reconstructed(seen["status"])
+    free = known & np.isin(at, ["descent", "first_rebound", "second_rebound"])
+    off = np.arccos(np.clip(np.sum(seen["sun_B"].values[free] * tilted["true_sun_B"].values[free], axis=1), -1, 1))
+    assert np.radians(2) < np.sqrt(np.mean(off**2)) < np.radians(20)
+    delta = seen["delta"].values
+    assert delta[free].mean() == pytest.approx(published["delta_mean"], abs=0.004)
+    assert np.count_nonzero(known & (at == "rest")) == 5
+    assert delta[known & (at == "rest")].min() > 3 * delta[free].mean()
+    turns = tilted.attrs["truth_tilt_B_rad"].reshape(6, 3)
+    assert turns.std(axis=0).max() < np.radians(4) and np.linalg.norm(turns.mean(axis=0)) > np.radians(1)
+
+
+def test_the_command_says_how_the_panels_were_turned(tmp_path):
+    assert main(["--seed", "3", "--tilt", "1", "--turn", "5", "--rest-seen", str(tmp_path / "twin.csv")]) == 0
+    again = ss.read_telemetry(tmp_path / "twin.csv", vehicle)
+    assert "--seed 3 --tilt 1 --turn 5 --rest-seen twin.csv" in again.attrs["comments"]
+    known = tomllib.loads((tmp_path / "twin_truth.toml").read_text("utf-8"))
+    assert known["turned_sigma_rad"] == pytest.approx(np.radians(5)) and len(known["tilt_B_rad"]) == 18
+    with pytest.raises(ss.InputError, match="no Sun makes panels turned so far"):
+        ss.twin(case, seed=0, turned_rad=2.0)
+    with pytest.raises(ss.InputError, match="no options of the landing .found tilt_rad"):
+        ss.twin(case, {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}, tilt_rad=0.1)
+
+
 # ---- twins of any vehicle --------------------------------------------------------------------------------------------
 
 

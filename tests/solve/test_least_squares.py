@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sunspin.solve.least_squares import Stop, least_squares, shortened
-from sunspin.solve.linear import Bordered, Dense, bordered, dense, spread
+from sunspin.solve.linear import Bordered, Dense, bordered, dense, extreme_eigenvalues, spread
 
 MISRA1A = np.array([
     [10.07, 77.6], [14.73, 114.9], [17.94, 141.1], [23.93, 190.8], [29.61, 239.9], [35.18, 289.0], [40.02, 332.8], [44.82, 378.4],
@@ -232,3 +232,15 @@ def test_nothing_that_is_handed_in_is_changed_and_no_problem_is_none():
     found = solved(rosenbrock, start)
     assert np.array_equal(start, before) and not np.shares_memory(found.state, start)
     assert solved(rosenbrock, np.zeros((0, 2))).stop.shape == (0,)
+
+
+def test_extreme_eigenvalues_are_those_of_lapack():
+    """Random matrices to rounding; spheres, and two moments alike or nearly so, to what the closed form can."""
+    root = np.random.default_rng(5).normal(size=(500, 3, 3))
+    axes = np.linalg.qr(root)[0]
+    moments = ([2.0, 2.0, 2.0], [1.0, 1.0, 3.0], [1.0, 3.0, 3.0], [1.0, 1 + 1e-9, 2.0])
+    alike = [axes * some @ axes.swapaxes(1, 2) for some in moments]
+    for matrix, allowed in ((root @ root.swapaxes(1, 2), 1e-13), *((each, 1e-8) for each in alike), (np.zeros((1, 3, 3)), 0.0)):
+        expected = np.linalg.eigvalsh(matrix)
+        for found, wanted in zip(extreme_eigenvalues(matrix), (expected[:, 0], expected[:, 2]), strict=True):
+            assert np.abs(found - wanted).max() <= allowed * max(np.abs(expected).max(), 1e-300)

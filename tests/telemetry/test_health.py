@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 import sunspin as ss
-from sunspin.telemetry.health import explanations, noise_alone
+from sunspin.telemetry.health import explanations, noise_alone, noise_made
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
@@ -103,11 +103,12 @@ def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
     power = np.maximum(panel_power(PHILAE, grazing / np.linalg.norm(grazing[0])) + SIGMA * rng.normal(size=(200, 6)), 0.0)
     told = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA)
     assert told["impossible"] and all(verdict.largest > 0.3 for verdict in told["noise"].values())
+    assert noise_made(told, len(power))
     lenient = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
     assert lenient["impossible"] == told["impossible"] and lenient["explanations"] == []
     dead = panel_power(PHILAE, random_suns(300)) * [0, 1, 1, 1, 1, 1]
     strict = ss.panel_health(PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
-    assert strict["explanations"] == [("1",)]
+    assert strict["explanations"] == [("1",)] and not noise_made(strict, len(dead))
     assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
 
 

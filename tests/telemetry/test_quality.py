@@ -44,6 +44,15 @@ def test_a_dead_panel_is_named_and_left_out():
     quality = panel_quality(CUBE, telemetry(value))
     assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
     assert np.isinf(quality["sigma"].values[:, 2]).all()
+    assert quality["missed"].values.tolist() == [False, False, True, False, False, False]
+
+
+def test_a_panel_that_was_never_in_the_sun_is_not_accused():
+    sun = clean(60)[1]
+    power = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
+    quality = panel_quality(CUBE, telemetry(power + 0.002 * np.random.default_rng(1).uniform(size=power.shape)))
+    assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
+    assert not quality["missed"].any()
 
 
 def test_few_samples_are_no_ground_to_call_a_panel_dead():

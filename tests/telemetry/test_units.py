@@ -129,6 +129,21 @@ def test_units_of_a_magnetometer(tmp_path, unit, key, at_fault):
     assert [found.key for found in judge(right | {key: right[key] * at_fault})] == [key]
 
 
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("reach_deg", [40.0, 90.0])
+def test_degrees_of_a_sun_sensor(tmp_path, seed, reach_deg):
+    """Also of a sensor that reads something while the Sun stands behind it."""
+    rng = np.random.default_rng(seed)
+    sun = rng.normal(size=(60, 3))
+    angle = np.degrees(np.arctan2(sun[:, 1], np.abs(sun[:, 0]) if reach_deg < 90 else sun[:, 0])) * reach_deg / 90
+    path = tmp_path / "sun.csv"
+    path.write_text("time,sx\n" + "\n".join(f"2026-01-01T00:00:{i:02d}Z,{angle[i]:.3f}" for i in range(60)))
+    right = MAGNETOMETER.replace("x_scale = 1.0", f"x_scale = {np.pi / 180}").format(zero=[0, 0, 0], noise=1, dipole=[0, 0, 0])
+    assert judged(right, path) == []
+    (found,) = judged(right.replace(f"x_scale = {np.pi / 180}", "x_scale = 1.0"), path)
+    assert found.key == "x_scale" and found.value == pytest.approx(np.pi / 180) and "degrees read as radians" in str(found)
+
+
 def test_the_line_of_a_key():
     text = 'name = "v"\n[telemetry]\n# scale = 3\nscale = 2 # x\n[telemetry.columns]\nscale = "b"\n[[wheel]]\nname = "w"\n'
     assert line_of(text, "telemetry", "scale") == (4, "scale = 2 # x")

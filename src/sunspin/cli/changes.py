@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -50,17 +50,30 @@ class Changeable(click.Command):
     def uses(self) -> tuple[str, ...]:
         return getattr(self.callback, "uses", ())
 
+    @property
+    def idle(self) -> tuple[str, ...]:
+        return getattr(self.callback, "idle", ())
+
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if any(word in ("list", "--set=list") for word in args):
             given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
             if "list" in given.get("sets", ()):
-                _print_list(str(given.get("vehicle") or "philae"), self.uses, bool(given.get("as_json")))
+                _print_list(str(given.get("vehicle") or "philae"), self.uses, self.idle, bool(given.get("as_json")))
                 ctx.exit()
         return super().parse_args(ctx, args)
 
 
-def set_options(*uses: str, short: tuple[str, ...] = ()) -> Callable:
-    """--set and some of its short names; `uses`: keys of the assumptions, or tables of them, that the command uses."""
+LANDING = ("body.mass_kg", "leg", "hull", "antenna")
+"""What only collisions and landings use of a vehicle file."""
+
+SEEING = ("panel", "panel_response", "sun_rule", "telemetry", "channel", "sun_sensor", "sun_vector", "gyro", "attitude",
+          "magnetometer", "clock", "disturbance", "orbit")  # fmt: skip
+"""What only those use who read telemetry."""
+
+
+def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] = ()) -> Callable:
+    """--set and some of its short names; `uses`: keys of the assumptions, or tables of them, that the command uses; `idle`: keys or
+    tables of the vehicle file that it does not use, which is said where one of them is changed."""
 
     def decorate(command: Any) -> Callable:
         for name in reversed(short):
@@ -70,7 +83,7 @@ def set_options(*uses: str, short: tuple[str, ...] = ()) -> Callable:
             "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change an assumption for this run, by its key in the "
             "vehicle file: KEY=VALUE, KEY*=FACTOR or KEY+=STEP; `--set list` shows what can be set. Repeatable.",
         )(command)  # fmt: skip
-        vars(command)["uses"] = uses
+        vars(command).update(uses=uses, idle=idle)
         return command
 
     return decorate
@@ -81,12 +94,52 @@ def asked(sets: tuple[str, ...], uses: tuple[str, ...], **short: str | None) -> 
     from sunspin.vehicle.assumptions import TABLES
     from sunspin.vehicle.changes import changes_of
 
-    changes = changes_of([*(f"{SHORT[name][0]}={value}" for name, value in short.items() if value is not None), *sets])
+    given = {SHORT[name][0]: name for name, value in short.items() if value is not None}
+    changes = changes_of([*(f"{key}={short[name]}" for key, name in given.items()), *sets])
+    for change in changes[len(given) :]:
+        if change.key in given:
+            raise _twice(change.key, f"--{given[change.key].replace('_', '-')}")
+    context = click.get_current_context(silent=True)
+    if context is not None and isinstance(context.command, Changeable):
+        say_idle((change.key for change in changes), context.command.idle)
     for change in changes:
         table = change.key.partition(".")[0]
         if table in TABLES and table not in uses and change.key not in uses:
-            raise InputError(sentence("this command does not use that assumption", got=change.key, do="`--set list` shows all"))
+            raise InputError(sentence("this command does not use that assumption", got=change.key, do=_instead(change.key)))
     return changes
+
+
+def _instead(key: str) -> str:
+    """The command's own option for an assumption, if it has one."""
+    context = click.get_current_context(silent=True)
+    options = [] if context is None else [parameter.name for parameter in context.command.params]
+    own = [name for name, (of, *_) in SHORT.items() if of == key and name in options]
+    return f"give --{own[0]}" if own else "`--set list` shows all"
+
+
+def _twice(key: str, option: str) -> InputError:
+    return InputError(sentence(f"{option} and --set {key} say the same thing", do="give one of them"))
+
+
+def once(made: Opened, **options: Any) -> None:
+    """Refuse an option, by its name, that says again what --set has changed: with the key that it stands for, if it was given."""
+    keys = {one.key for one in (*made.craft.changes, *made.assumptions.changes)}
+    for name, (key, given) in options.items():
+        same = [one for one in keys if one == key or (one.startswith("wheel") and one.partition(".")[2] == key)]
+        if given is not None and same:
+            raise _twice(same[0], f"--{name.replace('_', '-')}")
+
+
+def say_idle(keys: Iterable[str], idle: tuple[str, ...]) -> None:
+    """Say, beside the output, which changes have no effect: those of `idle` keys or tables."""
+    for key in keys:
+        if _is_idle(key, idle):
+            command = click.get_current_context().command.name
+            click.echo(f"sunspin: {key} changes nothing here: `sunspin {command}` does not use it", err=True)
+
+
+def _is_idle(key: str, idle: tuple[str, ...]) -> bool:
+    return key in idle or key.partition(".")[0].partition("[")[0] in idle
 
 
 def opened(vehicle: Any, sets: tuple[str, ...], *uses: str) -> Opened:
@@ -101,13 +154,13 @@ def opened(vehicle: Any, sets: tuple[str, ...], *uses: str) -> Opened:
     return Opened(file, craft, assumptions, tuple(map(str, (*craft.changes, *assumptions.changes))))
 
 
-def _print_list(vehicle: str, uses: tuple[str, ...], as_json: bool) -> None:
+def _print_list(vehicle: str, uses: tuple[str, ...], idle: tuple[str, ...], as_json: bool) -> None:
     """Key, value, unit and source of all that the command can change."""
     from sunspin.vehicle.assumptions import LEFT_OUT, AssumptionsFile, assumptions_table
     from sunspin.vehicle.changes import settings, shown
     from sunspin.vehicle.file import VehicleFile, vehicle_table
 
-    found = settings(vehicle_table(vehicle), VehicleFile)
+    found = [one for one in settings(vehicle_table(vehicle), VehicleFile) if not _is_idle(one.key, idle)]
     for one in settings(assumptions_table(), AssumptionsFile):
         if one.key in uses or one.key.partition(".")[0] in uses:
             found.append(one._replace(source=LEFT_OUT.get(one.key, one.source)))

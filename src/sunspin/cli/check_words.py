@@ -50,13 +50,17 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
 
     quality = panel_quality(craft, samples)
     why = reasons(quality)
-    dead = [str(name) for name in quality["panel"].values[quality["dead"].values]]
+    silent, missed = quality["dead"].values, quality["missed"].values
+    dead, unlit = ([str(name) for name in quality["panel"].values[which]] for which in (missed, silent & ~missed))
     faces = np.bincount(_lit(craft, samples, quality))
-    summary = {"worth": why, "dead_panels": dead, "full_sun": quality.attrs["full_sun"], "albedo": quality.attrs["albedo"],
-               "samples_by_lit_faces": {int(k): int(n) for k, n in enumerate(faces) if n}}  # fmt: skip
+    summary = {"worth": why, "dead_panels": dead, "unlit_panels": unlit, "full_sun": quality.attrs["full_sun"],
+               "albedo": quality.attrs["albedo"], "samples_by_lit_faces": {int(k): int(n) for k, n in enumerate(faces) if n},
+               }  # fmt: skip
     lines = [f"  {n:6d}  {text}" for text, n in why.items()]
     if dead:
         lines.append(f"  panel {', '.join(dead)} never reads anything: dead, or never in the Sun; left out")
+    if unlit:
+        lines.append(f"  panel {', '.join(unlit)} reads nothing, as if never in the Sun: the others show full Sun; not used")
     gain, sigma = quality["gain"].values / craft.input_gains, quality["gain_sigma"].values / craft.input_gains
     names = [str(name) for name in quality["panel"].values]
     summary["gains"] = {name: [float(g), float(s)] for name, g, s in zip(names, gain, sigma, strict=True)}

@@ -34,12 +34,13 @@ COMMANDS = {
     "report": "sunspin.cli.report:report_page",
     "export": "sunspin.cli.export:export",
     "compare": "sunspin.cli.compare:compare",
+    "compile": "sunspin.cli.compile:compile_kernels",
 }
 """Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
 
 SECTIONS = {
     "Your satellite": ("init", "check", "sun", "calibrate-sensors", "rates", "posterior", "report", "export", "compare"),
-    "Motions": ("simulate", "scan", "outcomes"),
+    "Motions": ("simulate", "scan", "outcomes", "compile"),
     "Philae": ("reproduce", "coverage", "worth"),
     "Data of others": ("decode",),
 }
@@ -62,6 +63,7 @@ SUMMARIES = {
     "report": "A results folder as one page to look into.",
     "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
     "compare": "What moved between two results; or rates against SPICE kernels.",
+    "compile": "Compile what scans run now, so that the first need not wait.",
 }
 
 WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."

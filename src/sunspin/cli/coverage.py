@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from sunspin.cli.changes import Changeable, asked, set_options
+from sunspin.cli.changes import LANDING, Changeable, asked, set_options
 from sunspin.cli.common import on_terminal, output_options, report, run_options
 
 
@@ -18,7 +18,7 @@ from sunspin.cli.common import on_terminal, output_options, report, run_options
 @click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
 @click.option("--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps finished twins; the same command resumes.")
-@set_options("study.lead_s", "study.mask", short=("friction",))
+@set_options("study.lead_s", "study.mask", short=("friction",), idle=LANDING)
 @output_options()
 @run_options
 def coverage(twins, confidence, factor, coarser, store, sets, friction, out, as_json, quiet, seed, workers) -> None:  # fmt: skip

@@ -167,35 +167,22 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
 
 
 def _about_panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    from sunspin.output.kinds.seen import status_counts, status_lines
-    from sunspin.telemetry.health import panel_health
+    from sunspin.output.kinds.seen import health_lines, health_summary, status_counts, status_lines
+    from sunspin.telemetry.health import noise_made, panel_health
     from sunspin.telemetry.quality import lit_threshold
     from sunspin.telemetry.sun import sun_directions
 
     threshold = lit_threshold(craft, samples)
     sun = sun_directions(craft, samples, lit_threshold=threshold)
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
-    health = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
+    found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
+    health = health_summary(found)
     summary = {
-        "status": status_counts(sun),
-        "noise_from": str(sun.attrs["noise_from"]),
-        "impossible": {"-".join(pattern): n for pattern, n in health["impossible"].items()},
-        "explanations": [list(lost) for lost in health["explanations"]],
-        "noise_probability": {"-".join(pattern): verdict.largest for pattern, verdict in health["noise"].items()},
-        "health_of_every": stride,
-    }
-    return summary, status_lines(sun) + _health_lines(summary)
-
-
-def _health_lines(summary: dict[str, Any]) -> list[str]:
-    if not summary["impossible"]:
-        return []
-    seen = ", ".join(f"{pattern} ({n})" for pattern, n in summary["impossible"].items())
-    lost = " or ".join(" and ".join(panels) for panels in summary["explanations"][:3])
-    why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
-    chance = summary["noise_probability"]
-    noise = f"; noise alone makes the likeliest of them with a probability of at most {max(chance.values()):.2g}" if chance else ""
-    return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}{noise}"]
+        "status": status_counts(sun), "noise_from": str(sun.attrs["noise_from"]),
+        **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
+        "noise_made": noise_made(found, -(-samples.sizes["time"] // stride)), "health_of_every": stride,
+    }  # fmt: skip
+    return summary, status_lines(sun) + health_lines(summary)
 
 
 def _counted(n: int, noun: str) -> str:

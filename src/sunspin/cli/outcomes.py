@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import Changeable, Opened, opened, set_options
+from sunspin.cli.changes import Changeable, Opened, once, opened, set_options
 from sunspin.cli.common import claim, deliver, on_terminal, output_options, run_options
 from sunspin.cli.values import numbers
 from sunspin.cli.values import vertical as read_vertical
@@ -64,6 +64,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     from sunspin.philae.collision_told import against_kernel
 
     made = opened(vehicle, sets, "study.lead_s", "collision")
+    once(made, wheel_speed=("speed_rad_s", wheel_speed), lead=("study.lead_s", lead))
     craft, assumed = made.craft, made.assumptions
     wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
     given = {
@@ -79,9 +80,9 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     options: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": on_terminal(quiet)}
     table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
     best = search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options) if best_delay else None
-    also, lines, drawings = against_kernel(craft.name, next(iter(found.values())), data) if condition else ({}, (), ())
-    tree, also = made.mark(compared(table, found, best)), {**also, "candidates_from": whose}
-    deliver(tree, out, as_json, quiet, made.file, also=also, lines=[f"Candidates: {whose}", *lines], drawings=drawings)
+    weighted = against_kernel(craft.name, next(iter(found.values())), data) if condition else None
+    tree = made.mark(compared(table, found, best, weighted))
+    deliver(tree, out, as_json, quiet, made.file, also={"candidates_from": whose}, lines=[f"Candidates: {whose}"])
 
 
 def _scenario(vehicle: str, craft, given: dict[str, Any], collision_speed: float | None):

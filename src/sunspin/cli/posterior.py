@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import Changeable, opened, set_options
+from sunspin.cli.changes import LANDING, Changeable, opened, set_options
 from sunspin.cli.common import (
     claim,
     data_option,
@@ -18,7 +18,7 @@ from sunspin.cli.common import (
     output_options,
     run_options,
 )
-from sunspin.cli.values import field, observation, period, prior, times
+from sunspin.cli.values import field, observation, period_option, periods_of, prior, times
 
 
 @click.command(cls=Changeable)
@@ -28,7 +28,8 @@ from sunspin.cli.values import field, observation, period, prior, times
 @click.option("--to", "end", type=float, help="Use samples up to this time, s from the epoch.")
 @click.option("--phase", help="Use the samples of this phase of the file.")
 @click.option("--prior", "priors", multiple=True, help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
-              "friction, gain, noise, scale; also time_s, max_rate_rad_s, and in s how long "
+              "friction, gain, noise, scale; tilt, tilt_common (rad); also time_s, max_rate_rad_s, steady_torque (deg by which "
+              "one may turn the body in this stretch, 300 unless given, 0: none), and in s how long "
               "before the first sample the wheels were released, wheel_off_s, with sigma wheel_off. Repeatable.")
 @click.option("--rate", "rates", multiple=True, help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.")
 @click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")
@@ -38,14 +39,12 @@ from sunspin.cli.values import field, observation, period, prior, times
               help="What the wheels do in this stretch.")
 @click.option("--predict", help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
               "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.")
-@click.option("--period", "periods", multiple=True, metavar="S+-SIGMA@TIME", help="A period seen from outside, such as "
-              "13.0+-0.5@15:50 (s; UTC or s from the epoch): of the precession, the spin or their sum. The draws are weighted by "
-              "it beside the posterior, with what it decides. Repeatable.")
+@period_option("The draws are weighted by it beside the posterior, with what it decides.")
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
 @click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @device_option
-@set_options()
+@set_options(idle=LANDING)
 @output_options()
 @run_options
 @data_option
@@ -63,7 +62,6 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
     """
     from sunspin.estimate.posterior.estimate import posterior as run
-    from sunspin.estimate.posterior.period import with_periods
     from sunspin.landing.afterwards import with_predictions
     from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
@@ -73,14 +71,13 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     seen = [observation("rate", text, 1) for text in rates] + [observation("gyro", text, 3) for text in gyros]
     seen += [field(text) for text in fields]
     asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
-    evidence = [period(text, samples.attrs.get("epoch_utc")) for text in periods]
+    evidence = periods_of(periods, samples)
     claim(out, "posterior")
     tree = run(
         craft, samples, dict(prior(text) for text in priors), seed, begin_s=begin, end_s=end, phase=phase, observations=seen,
         wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet), device=device,
+        periods=evidence,
     )  # fmt: skip
-    if evidence:
-        with_periods(craft, tree, evidence)
     if asked is not None:
         with_predictions(craft, tree, asked, seed, timeline_of(vehicle))
     deliver(tree, out, as_json, quiet, file, samples)

@@ -11,7 +11,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
 from sunspin.cli.orbit import orbit_options, orbit_used
 from sunspin.cli.values import effort as effort_given
-from sunspin.cli.values import numbers
+from sunspin.cli.values import numbers, period_option, periods_of
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
@@ -38,9 +38,10 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
               "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
               "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
               "says so and is never decided.")
+@period_option("The motions of its pass are weighted by it, and what it decides is said.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
-          no_wirings, elements, shift_sigma, no_orbit, effort, without) -> None:  # fmt: skip
+          no_wirings, elements, shift_sigma, no_orbit, effort, periods, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
@@ -65,13 +66,13 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     craft = load_vehicle(vehicle)
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     used = _between(samples, begin, end).drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
+    evidence = periods_of(periods, samples)
     claim(out, "rates")
     orbit, calibration, orbit_summary, orbit_lines = orbit_used(craft, samples, elements, shift_sigma, no_orbit)
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings, environment=orbit, calibration=calibration,
-        effort=effort,
-        progress=on_terminal(quiet),
+        periods=evidence, effort=effort, progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)
     doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}

@@ -23,6 +23,6 @@ def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
     """
     from sunspin.output.report import write_report
 
-    target = write_report(folder)
+    target = write_report(folder, figures=True)
     size = target.stat().st_size
     report({"report": str(target), "bytes": size}, [f"Report: {target} ({size / 1e6:.1f} MB)"], as_json, quiet)

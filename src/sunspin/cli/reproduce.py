@@ -25,9 +25,11 @@ from sunspin.cli.common import on_terminal, output_options, report, run_options
 @click.option(
     "--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only: a quick look."
 )
+@click.option("--data", envvar="SUNSPIN_DATA", type=click.Path(path_type=Path), help="Folder with philae_spk/, whose landing "
+              "kernel gives the collision's impulse: evidence beyond the paper (or set SUNSPIN_DATA).")
 @set_options("study", "collision", short=tuple(SHORT))
 def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | None, telemetry: Path | None, vehicle: Path | None,
-              candidates: str, calibrate: int | None, coarser: int, sets: tuple[str, ...],
+              candidates: str, calibrate: int | None, coarser: int, data: Path | None, sets: tuple[str, ...],
               **short: str | None) -> None:  # fmt: skip
     """Run the whole Philae study: every figure and table of the paper, and where the paper contradicts itself.
 
@@ -44,7 +46,7 @@ def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | N
 
     written = run(
         out, telemetry, vehicle=vehicle, candidates=candidates, calibrate=calibrate, seed=seed, workers=workers, coarser=coarser,
-        changes=asked(sets, ("study", "collision"), **short), progress=on_terminal(quiet),
+        changes=asked(sets, ("study", "collision"), **short), data=data, progress=on_terminal(quiet),
     )  # fmt: skip
     told = written.summary
     lines = [
@@ -55,6 +57,7 @@ def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | N
         *told["headline"][:2],
         *told["score"],
         *told["missing"].values(),
+        *([] if "impulse" in told["missing"] else [told["impulse"]]),
         f"Report: {written.report} (in {told['seconds']:.0f} s)",
     ]
     report(told, lines, as_json, quiet)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import Changeable, opened, set_options
+from sunspin.cli.changes import LANDING, Changeable, once, opened, say_idle, set_options
 from sunspin.cli.common import (
     WHEEL_MODE,
     claim,
@@ -46,7 +46,7 @@ from sunspin.cli.values import grid, numbers
               "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
               "on this machine. Needs pip install \"sunspin[cluster]\".")
-@set_options("study.mask", "study.target_weights")
+@set_options("study.mask", "study.target_weights", idle=LANDING)
 @output_options()
 @run_options
 @data_option
@@ -56,7 +56,8 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
     The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
-    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some ten seconds.
+    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some twenty seconds, unless
+    `sunspin compile` has done so.
 
     \b
     Examples:
@@ -69,7 +70,10 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     from sunspin.telemetry.reader import read_telemetry
 
     made = opened(vehicle, sets, "study.mask", "study.target_weights")
+    once(made, wheel_speed=("speed_rad_s", wheel_speed))
     craft, study = made.craft, made.assumptions.study
+    if craft.telemetry.lit_threshold and not craft.channels:  # then directions do not depend on the noise, only their sigmas do
+        say_idle((one.key for one in craft.changes), ("telemetry.noise",))
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     track = directions_within(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]

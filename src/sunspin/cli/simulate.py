@@ -6,7 +6,7 @@ import click
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import Changeable, opened, set_options
+from sunspin.cli.changes import LANDING, SEEING, Changeable, once, opened, set_options
 from sunspin.cli.common import WHEEL_MODE, claim, deliver, output_options
 from sunspin.cli.values import numbers
 
@@ -26,7 +26,7 @@ MAX_ANGLE_RAD, SECONDS_PER_RAD = 1e6, 4e-6
 @click.option("--step", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Output step in s.")
 @click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
 @click.option("--stopped-at", type=float, help="When a wheel at rest had stopped, s (to run backward).")
-@set_options()
+@set_options(idle=(*LANDING, *SEEING))
 @output_options()
 def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, sets, out, as_json, quiet) -> None:
     """One trajectory: body rates, the Sun in body axes, wheel speeds, attitude, wheel events.
@@ -39,7 +39,9 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     """
     from sunspin.dynamics.propagate import propagate
 
-    vehicle, craft, _, _ = opened(vehicle, sets)
+    made = opened(vehicle, sets)
+    once(made, wheel_speed=("speed_rad_s", wheel_speed))
+    vehicle, craft = made.file, made.craft
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     t = _times(duration, step)
     start = numbers(omega, "--omega", 3), numbers(sun_B, "--sun", 3)

@@ -105,13 +105,26 @@ def field(text: str) -> dict[str, Any]:
 
 def period(text: str, epoch_utc: str | None) -> Any:
     """SECONDS+-SIGMA@TIME of a period seen."""
-    from sunspin.estimate.posterior.period import Period
+    from sunspin.estimate.terms.period import Period
 
     value, _, rest = text.partition("+-")
     sigma, _, when = rest.partition("@")
     if not (value and sigma and when):
         raise InputError(sentence("--period takes SECONDS+-SIGMA@TIME", got=text, do="for example --period 13.0+-0.5@15:50"))
     return Period(next(iter(times(when, epoch_utc))), *numbers(f"{value},{sigma}", "--period", 2))
+
+
+def period_option(what: str) -> Any:
+    """--period of a command, with what it does there."""
+    return click.option(
+        "--period", "periods", multiple=True, metavar="S+-SIGMA@TIME", help="A period seen from outside, such as 13.0+-0.5@15:50 "
+        f"(s; UTC or s from the epoch): of the precession, the spin or their sum. {what} Repeatable.",
+    )  # fmt: skip
+
+
+def periods_of(texts: tuple[str, ...], telemetry: Any) -> list[Any]:
+    """All of --period, on the telemetry's clock."""
+    return [period(text, telemetry.attrs.get("epoch_utc")) for text in texts]
 
 
 def times(text: str, epoch_utc: str | None) -> dict[float, str]:

@@ -30,7 +30,7 @@ def plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         beside, unsaid = (getattr(value, name, ()) for name in ("beside", "unsaid"))
         said = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in beside}
-        return {name: plain(item) for name, item in said.items() if name not in unsaid or item}
+        return {name: plain(item) for name, item in said.items() if name not in unsaid or isinstance(item, np.ndarray) or item}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

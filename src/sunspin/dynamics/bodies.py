@@ -15,13 +15,15 @@ class Bodies:
     """Inertia and friction of the same vehicle in n variants (leading shape (n,)), or of the vehicle as it is (leading shape ()).
 
     inertia_kg_m2 (..., 3, 3), locked; wheel_inertia_kg_m2 (..., n_wheel), axial; coulomb_N_m and viscous_N_m_s (..., n_wheel).
-    The directions of the wheels' axes, axes_B (n_wheel, 3), are the same in all variants.
+    The directions of the wheels' axes, axes_B (n_wheel, 3), are the same in all variants. `steady_N_m` (..., 2, 3): steady torques
+    that they bring with them (:class:`sunspin.dynamics.torques.Steady`).
     """
 
     inertia_kg_m2: np.ndarray
     wheel_inertia_kg_m2: np.ndarray
     coulomb_N_m: np.ndarray
     viscous_N_m_s: np.ndarray
+    steady_N_m: np.ndarray
     axes_B: np.ndarray
 
     @classmethod
@@ -35,6 +37,7 @@ class Bodies:
             np.array([wheel.inertia_kg_m2 for wheel in wheels]),
             np.array([wheel.friction.coulomb_N_m for wheel in wheels]),
             np.array([wheel.friction.viscous_N_m_s for wheel in wheels]),
+            np.zeros((2, 3)),
             np.array([wheel.axis_B for wheel in wheels]).reshape(-1, 3),
         )
         return body if n is None else body.take(np.zeros(n, dtype=np.int64))
@@ -43,7 +46,8 @@ class Bodies:
     def rigid(cls, inertia_kg_m2: np.ndarray) -> Bodies:
         """Bodies (...) without wheels."""
         none = np.zeros((*inertia_kg_m2.shape[:-2], 0))
-        return cls(inertia_kg_m2, none, none, none, np.zeros((0, 3)))
+        still = np.zeros((*inertia_kg_m2.shape[:-2], 2, 3))
+        return cls(inertia_kg_m2, none, none, none, still, np.zeros((0, 3)))
 
     @classmethod
     def stack(cls, vehicles: Sequence[Vehicle]) -> Bodies:

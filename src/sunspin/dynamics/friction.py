@@ -2,30 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import curve_fit
+import xarray as xr
 
 from sunspin.base.errors import MotionError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.vehicle import FloatArray, Friction, frozen_array
 
 MIN_SAMPLES = 4
 """Three parameters need a fourth sample before the fit says anything about its error."""
 
 
-@dataclass(frozen=True)
-class SpinDownFit:
-    """``c1 exp(c2 t) + c3`` fitted to a spin-down; `covariance` (3, 3) of (c1, c2, c3), `rms_rad_s` of the residual."""
+class SpinDownFit(xr.Dataset):
+    """``c1 exp(c2 t) + c3`` fitted to a spin-down: a Dataset whose numbers are also plain attributes of these names."""
 
-    c1_rad_s: float
-    c2_per_s: float
-    c3_rad_s: float
-    covariance: FloatArray
-    rms_rad_s: float
-    friction: Friction
+    __slots__ = ()
+
+    @property
+    def c1_rad_s(self) -> float:
+        """Coefficient of the decaying part."""
+        return self["c1_rad_s"].item()
+
+    @property
+    def c2_per_s(self) -> float:
+        """Rate of the decay, negative."""
+        return self["c2_per_s"].item()
+
+    @property
+    def c3_rad_s(self) -> float:
+        """Speed that it decays to, at or below zero."""
+        return self["c3_rad_s"].item()
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of (c1, c2, c3), (3, 3)."""
+        return frozen_array(self["covariance"].values)
+
+    @property
+    def rms_rad_s(self) -> float:
+        """Of the residual."""
+        return self["rms_rad_s"].item()
+
+    @property
+    def friction(self) -> Friction:
+        """The wheel's friction."""
+        return Friction(self["coulomb_N_m"].item(), self["viscous_N_m_s"].item())
 
     def __call__(self, t_s: npt.ArrayLike) -> FloatArray:
         """The fitted wheel speed (rad/s) at `t_s`."""
@@ -44,11 +68,21 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     inertia_kg_m2 : float
         Axial inertia of the wheel.
 
+    Returns
+    -------
+    xarray.Dataset
+        `c1_rad_s`, `c2_per_s`, `c3_rad_s` of ``c1 exp(c2 t) + c3``, their `covariance (coefficient, coefficient2)`; `rms_rad_s` of
+        the residual; the friction, `coulomb_N_m` and `viscous_N_m_s`; the sizes of speeds, `recorded_rad_s` and `fitted_rad_s
+        (time)`. As returned it also has the numbers as attributes (``fit.c1_rad_s``), ``fit.friction``, and called with times
+        gives the fitted speed.
+
     Raises
     ------
     MotionError
         Fewer than four samples, times that do not increase, a speed that is not finite, changes sign or does not decay.
     """
+    from scipy.optimize import curve_fit
+
     t, speed = _record(t_s, wheel_speed_rad_s)
     span = t[-1] - t[0]
     start = _first_guess(t - t[0], speed)
@@ -67,8 +101,26 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     rms = float(np.sqrt(np.mean((spin_down_curve(t - t[0], c1, c2, c3) - speed) ** 2)))
     c1, covariance = _moved_to_time_zero(c1, c2, covariance, t[0])
     c1, c2, c3 = float(c1), float(c2), float(c3)
-    friction = Friction.from_spin_down(c1, c2, c3, inertia_kg_m2)
-    return SpinDownFit(c1, c2, c3, frozen_array(covariance), rms, friction)
+    return _fit(t, speed, (c1, c2, c3), covariance, rms, Friction.from_spin_down(c1, c2, c3, inertia_kg_m2))
+
+
+def _fit(
+    t: FloatArray, speed: FloatArray, found: tuple[float, float, float], covariance: FloatArray, rms: float, friction: Friction
+) -> SpinDownFit:
+    of_rate = {"units": "rad s-1"}
+    return SpinDownFit(
+        {
+            "c1_rad_s": ((), found[0], of_rate), "c2_per_s": ((), found[1], {"units": "s-1"}), "c3_rad_s": ((), found[2], of_rate),
+            "covariance": (("coefficient", "coefficient2"), covariance, {"long_name": "of c1, c2, c3, in products of their units"}),
+            "rms_rad_s": ((), rms, of_rate | {"long_name": "rms of the residual"}),
+            "coulomb_N_m": ((), friction.coulomb_N_m, {"units": "N m"}),
+            "viscous_N_m_s": ((), friction.viscous_N_m_s, {"units": "N m s"}),
+            "recorded_rad_s": ("time", speed, of_rate | {"long_name": "size of the wheel's speed, recorded"}),
+            "fitted_rad_s": ("time", spin_down_curve(t, *found), of_rate | {"long_name": "the same as fitted"}),
+        },
+        coords={"time": ("time", t, {"units": "s"}), "coefficient": ["c1", "c2", "c3"]},
+        attrs=provenance("spin_down", source="paper, section 2.2"),
+    )  # fmt: skip
 
 
 def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float) -> float:

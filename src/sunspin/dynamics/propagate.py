@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.base.provenance import provenance
@@ -22,7 +21,7 @@ from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.taylor import integrator, parameter_values
 from sunspin.dynamics.torques import NOTHING, Acting, Torque, acting
-from sunspin.dynamics.torques.acting import PER_DIRECTION, directions_of, needed, outside
+from sunspin.dynamics.torques.acting import OWN, PER_DIRECTION, directions_of, needed, outside
 from sunspin.environment import Environment
 from sunspin.environment.frames import BODY_AT_START
 from sunspin.vehicle import Vehicle
@@ -201,6 +200,8 @@ def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> n
 
 
 def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N) -> tuple[_Run, tuple]:
+    from scipy.spatial.transform import Rotation
+
     omega, sun = _vector(omega_B, "omega_B"), _vector(sun_B, "sun_B")
     if abs(np.linalg.norm(sun) - 1) > SUN_LENGTH_TOLERANCE:
         raise MotionError(
@@ -215,13 +216,14 @@ def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at
     if len(stopped) != len(vehicle.wheels):
         raise MotionError(sentence("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s))
     attitude = forces.attitude(B_from_N, sun)
-    carried = forces.carried(Rotation.from_quat(attitude).as_matrix()[None])[0]
+    bodies = Bodies.of(vehicle)
+    carried = forces.carried(Rotation.from_quat(attitude).as_matrix()[None], own=forces.own(bodies))[0]
     y = np.concatenate(
         [g.total_momentum(vehicle, omega, speeds), g.axial_momenta(vehicle, omega, speeds), sun, carried, attitude]
     )
     wheels = tuple(m.WheelState(m.Turning.HELD, "hold", float(speed), 0.0, 0.0) for speed in speeds)
     backward = t.size > 1 and t[-1] < t[0]
-    values = forces.values(Bodies.of(vehicle))
+    values = forces.values(bodies)
     return _Run(vehicle, float(t[0]), y, wheels, backward, tuple(stopped), [], acting=forces, outside_values=values), plan
 
 
@@ -405,6 +407,7 @@ def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
             **{
                 f"{name}_B": (body, y[:, at : at + 3], {"units": "1", "long_name": f"direction of the {name}, body axes"})
                 for name, at in zip(needed(run.acting.torques), range(6 + n, y.shape[1], PER_DIRECTION), strict=False)
+                if name != OWN
             },
             "event_time_s": ("event", np.array([e[0] for e in events], dtype=np.float64), {"units": "s"}),
             "event_wheel": ("event", np.array([e[1] for e in events], dtype=np.str_)),

@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import threading
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import heyoka as hk
 import numpy as np
 
+from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_parameters, outside
 from sunspin.dynamics.wheel_modes import Turning, WheelState, parameters
 from sunspin.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    import heyoka as hk
+else:
+    hk = lazy("heyoka")
 
 _COMMON = 9  # parameters of the body: 6 elements of A^-1, 3 of K
 _PER_WHEEL = 11  # axis 3, 1/J, free, coulomb, viscous, J, stop watch, 1/limit^2, direction of time

@@ -84,7 +84,7 @@ def speed_sigma(covariance: np.ndarray, omega: np.ndarray) -> float:
 
 def exact_readings(model: Model, state: State, t_s: np.ndarray, sigma: float) -> Readings:
     """Readings (K, P) without noise that a motion makes at times `t_s` after the first, dark panels at zero."""
-    panels = len(model.vehicle.panels)
+    panels = len(model.vehicle.inputs)
     ones = np.ones((len(t_s), panels), dtype=bool)
     threshold = float(model.vehicle.telemetry.lit_threshold or 0.0)
     empty = Readings(t_s, np.zeros(ones.shape), ones, ~ones, sigma, threshold, 1.0)

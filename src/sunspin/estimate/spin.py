@@ -92,8 +92,9 @@ class SpinFit:
 
 
 def phase(coefficients: npt.ArrayLike, t_s: npt.ArrayLike) -> np.ndarray:
-    """Angle (rad) turned since t = 0 at a rate of these polynomial coefficients, lowest first."""
-    integral = np.polynomial.polynomial.polyint(np.asarray(coefficients, dtype=np.float64))
+    """Angle (..., n) (rad) turned since t = 0 by t_s (n) at rates of these coefficients (..., degree + 1), lowest first."""
+    lowest_first = np.moveaxis(np.asarray(coefficients, dtype=np.float64), -1, 0)
+    integral = np.polynomial.polynomial.polyint(lowest_first)
     return np.polynomial.polynomial.polyval(np.asarray(t_s, dtype=np.float64), integral)
 
 
@@ -104,8 +105,13 @@ def turned(sun_B: npt.ArrayLike, axis_B: npt.ArrayLike, angle: np.ndarray) -> np
 
 def error_of_rate(coefficients: npt.ArrayLike, t_s: np.ndarray, sun_B: np.ndarray, axis_B: npt.ArrayLike = (0, 0, 1)) -> float:
     """E (paper, eq. 12) of a rate polynomial with the direction at the start chosen best; samples t_s (n), sun_B (n, 3)."""
+    return float(errors_of_rates(np.asarray(coefficients)[None], t_s, sun_B, axis_B)[0])
+
+
+def errors_of_rates(coefficients: np.ndarray, t_s: np.ndarray, sun_B: np.ndarray, axis_B: npt.ArrayLike = (0, 0, 1)) -> np.ndarray:
+    """The same (m) for many polynomials (m, degree + 1)."""
     along, across, _ = _split(sun_B, axis_B)
-    return float(_error(along, np.mean(across * np.exp(1j * phase(coefficients, t_s)))))
+    return _error(along, np.mean(across * np.exp(1j * phase(coefficients, t_s)), axis=-1))
 
 
 def fit_spin(

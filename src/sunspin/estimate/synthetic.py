@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,7 +12,8 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.propagate import propagate
-from sunspin.telemetry.synthetic import generator, noisy_power, on_time_grid, telemetry_dataset
+from sunspin.dynamics.torques import Torque
+from sunspin.telemetry.synthetic import drawn_tilts, generator, noisy_power, on_time_grid, telemetry_dataset
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
@@ -30,7 +31,9 @@ class Truth:
     `omega_B` (3) rad/s and `sun_B` (3) in body axes; `t_s` (n) s from the epoch; `wheel_speed_rad_s` as in `propagate`
     (default: the vehicle's nominal speeds); `scale` the signal of a panel of gain one at normal incidence (default: 1,
     or with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma in the unit of the
-    signal (default: the vehicle's, zero where it states none).
+    signal (default: the vehicle's, zero where it states none); `tilt_B_rad` (n_panel, 3) turns of the panels' normals, or one
+    number, the sigma of their angles to each side, by which they are then drawn from the seed; `torques` as in
+    `propagate`.
     """
 
     omega_B: npt.ArrayLike
@@ -40,6 +43,8 @@ class Truth:
     wheel_mode: Any = "coast"
     scale: float | None = None
     noise: float | None = None
+    tilt_B_rad: npt.ArrayLike = 0.0
+    torques: Sequence[str | Torque] = ()
 
 
 def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed: int = 0) -> xr.Dataset:
@@ -51,9 +56,11 @@ def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed
     if speeds is None:
         speeds = [wheel.speed_rad_s for wheel in vehicle.wheels]
     t = on_time_grid(np.atleast_1d(known.t_s))
-    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode)
+    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode, torques=known.torques)
     sun = track["sun_B"].values
-    power = noisy_power(vehicle, scale * panel_power(vehicle, sun), noise, generator(seed, 0))
+    tilt = _tilt(known, vehicle, generator(seed, 1))
+    exact = panel_power(vehicle, sun) if tilt is None else vehicle.response_in().power(sun, tilt=tilt)
+    power = noisy_power(vehicle, scale * exact, noise, generator(seed, 0))
     told = {
         "omega_B": np.array(known.omega_B, dtype=np.float64),
         "sun_B": np.array(known.sun_B, dtype=np.float64),
@@ -62,7 +69,7 @@ def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed
         "scale": scale,
         "noise": noise,
         "seed": seed,
-    }
+    } | ({} if tilt is None else {"tilt_B_rad": tilt.ravel()})  # NetCDF's attributes are lists
     return telemetry_dataset(vehicle, t, power, sun, vehicle.telemetry.epoch_utc or EPOCH_UTC, told)
 
 
@@ -91,6 +98,18 @@ def _scale(truth: Truth, vehicle: Vehicle) -> float:
     if not (np.isfinite(truth.scale) and truth.scale > 0):
         raise InputError(sentence("the scale of a twin must be positive", got=truth.scale))
     return float(truth.scale)
+
+
+def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarray | None:
+    """Turns (n_panel, 3) of the panels; None where they stand as drawn."""
+    given = np.asarray(truth.tilt_B_rad, dtype=np.float64)
+    if not np.any(given):
+        return None
+    many = (len(vehicle.panels), 3)
+    if given.shape not in ((), many) or not np.all(np.isfinite(given)) or (given.ndim == 0 and given < 0):
+        what = f"tilt_B_rad of a twin is one sigma, or turns of shape {many}, in rad"
+        raise InputError(sentence(what, got=given.shape or float(given)))
+    return given if given.ndim else drawn_tilts(vehicle, float(given), rng)
 
 
 def _noise(truth: Truth, vehicle: Vehicle) -> float:

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2, norm
 
+from sunspin.vehicle import Vehicle
+
 NARROWER = 0.5
 """A component is informed where its standard deviation, all modes counted, is below this part of the prior's."""
 
@@ -27,6 +29,9 @@ and so many of them."""
 
 IN_RUNS = 1e-2
 """Chance below which readings beyond three sigma would lie next to each other so often if they were strewn."""
+
+LEAST_DRAWS = 200.0
+"""Effective draws from which a median is known to a tenth of its sigma."""
 
 
 class Misfit(NamedTuple):
@@ -105,3 +110,17 @@ def misfit(sigmas: np.ndarray) -> Misfit:
     variance = (expected - 1) * (expected - 2) / max(n - 1, 1)
     chance = norm.cdf((runs - expected) / np.sqrt(variance)) if variance > 0 else 1.0
     return Misfit(n, bad / n, float(chance))
+
+
+def alike_motions(vehicle: Vehicle) -> str:
+    """Which motions panels on shared inputs cannot tell apart, for the verdict; empty where they tell all."""
+    count = len(vehicle.response_in().images)
+    if count == 1:
+        return ""
+    shared = [one.name for one in vehicle.inputs if len(one.panels) > 1]
+    which = f"{'inputs' if len(shared) > 1 else 'input'} {', '.join(shared)}"
+    copies = "a mirror image" if count == 2 else f"{count - 1} mirror images and turned copies"
+    return (
+        f"which panel of {which} is lit is not told: each motion has {copies}, with other signs of its components, as good as "
+        "itself unless inertia or wheels tell them apart; a gyro, a magnetometer or a Sun sensor does"
+    )

@@ -8,6 +8,7 @@ beside a blow from anywhere.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -86,9 +87,11 @@ def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, bl
     velocity = scenario.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"])
     leg = (draw["leg"] * len(vehicle.legs)).astype(int)
     hit = impact(vehicle, np.nan_to_num(omega), np.nan_to_num(speeds), velocity, leg, unknown.wheel_mode)
+    bodies = rows.bodies_of(vehicle)
     start = k.Rows(
-        hit["omega_B"].values, np.where(fine[:, None], sun, rows.sun_B), hit["wheel_speed_rad_s"].values, bodies=rows.bodies
-    )
+        hit["omega_B"].values, np.where(fine[:, None], sun, rows.sun_B), hit["wheel_speed_rad_s"].values,
+        bodies=replace(bodies, steady_N_m=np.zeros_like(bodies.steady_N_m)),  # of torques after the blow nothing is known
+    )  # fmt: skip
     run = run_to(vehicle, start, times_s - blow_s, unknown.wheel_mode)
     run = {name: np.where(fine[:, None, None], values, np.nan) for name, values in run.items()}
     return predictions(unknown, start, run, times_s)

@@ -101,3 +101,15 @@ def carry(direction_B: np.ndarray, start: tuple[np.ndarray, np.ndarray], end: tu
     frames = triad(*end)
     fixed = fixed.reshape(*fixed.shape[:-1], *(1,) * (frames.ndim - 3), 3)
     return sum((fixed[..., i, None] * frames[..., i, :] for i in range(3)), np.zeros(3))
+
+
+def angle_about(vector: np.ndarray, axis: np.ndarray, zero: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n) rad of vectors (n, 3) to an axis (n, 3), and about it from the side on which `zero` (n, 3) lies.
+
+    NaN where a direction needed is not known.
+    """
+    along = _unit(axis)
+    cosine = np.sum(_unit(vector) * along, axis=-1)
+    side = np.sum(along * np.cross(zero, vector), axis=-1)
+    ahead = np.sum(zero * vector, axis=-1) - np.sum(zero * along, axis=-1) * np.sum(vector * along, axis=-1)
+    return np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan2(side, ahead)

@@ -25,6 +25,8 @@ DESCRIBED = {
     "momentum_before": ("N m s", "size of the total angular momentum before the collision"),
     "momentum_after": ("N m s", "size of the total angular momentum after the collision"),
     "velocity_change": ("m/s", "impulse over mass at the collision"),
+    "change_to_sun": ("rad", "angle between the change of velocity at the collision and the Sun"),
+    "change_about_sun": ("rad", "angle of that change about the Sun, from the side on which the touchdown's vertical lies"),
     "speed_after": ("m/s", "speed of the centre of mass after the collision"),
     "contact_point": ("1", "point that touches the ground first at the landing"),
     "lowest_point": ("1", "lowest point at the time of landing, had the vehicle not turned while it came down"),

@@ -24,7 +24,7 @@ from sunspin.dynamics.propagate import wheel_speeds
 from sunspin.dynamics.wheel_modes import command_at
 from sunspin.landing import scenario as sc
 from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of, support
-from sunspin.landing.flight import carry, fly, sun_height_shares
+from sunspin.landing.flight import angle_about, carry, fly, sun_height_shares
 from sunspin.landing.outcome_data import dataset
 from sunspin.solve.rotations import smallest_turn
 from sunspin.telemetry.case import case_names, load_case
@@ -110,6 +110,7 @@ class OutcomeRows:
         "omega_before_B": ("float64", (3,)), "omega_after_B": ("float64", (3,)),
         "momentum_before": ("float64", ()), "momentum_after": ("float64", ()),
         "velocity_change": ("float64", ()), "speed_after": ("float64", ()),
+        "change_to_sun": ("float64", ()), "change_about_sun": ("float64", ()),
         "contact_point": ("int16", ()), "lowest_point": ("int16", ()), "contact_speed": ("float64", ()),
         "leg_tip_speed": ("float64", ()), "leg_tip_bound": ("float64", ()), "up_z": ("float64", ()),
         "antenna_share": ("float32", ()), "antenna_at_contact": ("int8", ()), "antenna_at_rest": ("int8", ()),
@@ -157,7 +158,7 @@ class OutcomeRows:
             before = _healthy(track.at(0), start, bad)
         else:
             before = touchdown
-        after = self._collide(before, draw, out) if self.collides else before
+        after, impulse_B = self._collide(before, draw, out) if self.collides else (before, None)
         out["omega_before_B"][:], out["omega_after_B"][:] = before.omega_B, after.omega_B
         momenta = [g.total_momentum(self.vehicle, x.omega_B, x.wheel_speed_rad_s) for x in (touchdown, before, after)]
         for name, momentum in zip(("momentum_before", "momentum_after"), momenta[1:], strict=True):
@@ -166,11 +167,15 @@ class OutcomeRows:
         orbiter = self._orbiter(up, draw)
         ends = (momenta[0], touchdown.sun_B), (momenta[1], before.sun_B)
         fixed = carry(np.stack([up, orbiter]), *ends)
+        if impulse_B is not None:
+            out["change_to_sun"][:], out["change_about_sun"][:] = angle_about(impulse_B, before.sun_B, fixed[0])
         bad = self._after(after, momenta[2], fixed, draw, out, bad)
         return _without(out, bad)
 
-    def _collide(self, before: k.Rows, draw: dict[str, np.ndarray], out: dict[str, np.ndarray]) -> k.Rows:
-        """The state after the impact of a leg drawn at random (paper, eqs. 8-11: it sticks)."""
+    def _collide(
+        self, before: k.Rows, draw: dict[str, np.ndarray], out: dict[str, np.ndarray]
+    ) -> tuple[k.Rows, np.ndarray]:
+        """The state after the impact of a leg drawn at random (paper, eqs. 8-11: it sticks), and the impulse (n, 3) N s."""
         s = self.scenario
         leg = (draw["leg"] * len(self.vehicle.legs)).astype(int)
         axis = np.tile(s.collision_axis_B, (len(leg), 1))
@@ -182,7 +187,7 @@ class OutcomeRows:
         out["leg"][:] = leg
         out["velocity_change"][:] = np.linalg.norm(hit["impulse_B"].values, axis=1) / self.vehicle.require_mass()
         out["speed_after"][:] = np.linalg.norm(hit["velocity_B"].values, axis=1)
-        return k.Rows(hit["omega_B"].values, before.sun_B, hit["wheel_speed_rad_s"].values)
+        return k.Rows(hit["omega_B"].values, before.sun_B, hit["wheel_speed_rad_s"].values), hit["impulse_B"].values
 
     def _orbiter(self, up: np.ndarray, draw: dict[str, np.ndarray]) -> np.ndarray:
         wanted = self.scenario.orbiter

@@ -86,13 +86,15 @@ def compare(
     return table, runs
 
 
-def compared(table: xr.Dataset, runs: Mapping[str, xr.Dataset], best: xr.Dataset | None = None) -> xr.DataTree:
+def compared(
+    table: xr.Dataset, runs: Mapping[str, xr.Dataset], best: xr.Dataset | None = None, collision: xr.Dataset | None = None
+) -> xr.DataTree:
     """Both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy.
 
-    With `best`, of :func:`best_delay`, as `best_delay`.
+    With `best`, of :func:`best_delay`, as `best_delay`; and with `collision`, runs weighted by what is known of the blow.
     """
     nodes = {"strategies": table} | {f"runs/{name}": found for name, found in runs.items()}
-    nodes |= {} if best is None else {"best_delay": best}
+    nodes |= {name: part for name, part in (("best_delay", best), ("collision", collision)) if part is not None}
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes})
 
 

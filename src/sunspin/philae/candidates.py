@@ -193,9 +193,9 @@ class Scanned:
         return float(self.emd.min())
 
 
-def scanned(rebound: rb.Rebound, table: Table) -> Scanned:
-    """Compare every motion of a table with the z components of the rebound's directions."""
-    return Scanned(rebound, table, np.where(table.outcome == k.Outcome.FINE, table.distances(rebound.z, rebound.weights), np.inf))
+def scanned(rebound: rb.Rebound, table: Table, emd: np.ndarray) -> Scanned:
+    """Of every motion of a table its EMD, of any shape, to the z components of the rebound's directions."""
+    return Scanned(rebound, table, np.where(table.outcome == k.Outcome.FINE, emd.ravel(), np.inf))
 
 
 def compute(

@@ -7,9 +7,9 @@ impulse over mass in any frame. Each simulated collision is weighted by how well
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import xarray as xr
@@ -34,6 +34,8 @@ LARGEST = 1e9
 """km or km/s: what a damaged kernel may well exceed."""
 
 J2000_UTC = "2000-01-01T12:00:00"
+T = TypeVar("T")
+
 TDB_MINUS_UTC_S = 67.184
 """In November 2014: 35 leap seconds and 32.184 s."""
 
@@ -58,20 +60,30 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
         taken at the second of the event and one second later; `path_length` in m.
     """
     path = Path(folder).joinpath(*KERNEL)
-    try:
-        with np.errstate(all="ignore"):  # a damaged record may hold any numbers; they are judged below
-            facts = _facts(case, _KernelStates(path))
-    except spice_errors() as error:
-        short = " ".join(str(error).split()).strip("= ")[:200]
-        what = f"the trajectory kernel cannot be read ({short})"
-        raise InputError(sentence(what, do="download it again", where=str(path))) from None
+    facts = _read(path, lambda states: _facts(case, states))
     if not all(0 <= value < 1e3 * LARGEST for value in facts.values()):
         raise InputError(sentence("the trajectory kernel holds no speeds of this landing", do="download it again", where=str(path)))
     return facts
 
 
+def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
+    """Positions and velocities (n, 6) of the trajectory kernel, m and m/s over the comet in its axes, at TDB seconds past J2000."""
+    return _read(path, lambda states: np.array([states(t) for t in tdb_s]))
+
+
+def _read(path: Path, asked: Callable[[_KernelStates], T]) -> T:
+    """What is asked of a kernel's states; an `InputError` where it cannot be read."""
+    try:
+        with np.errstate(all="ignore"):  # a damaged record may hold any numbers; they are judged by who asks
+            return asked(_KernelStates(path))
+    except spice_errors() as error:
+        short = " ".join(str(error).split()).strip("= ")[:200]
+        what = f"the trajectory kernel cannot be read ({short})"
+        raise InputError(sentence(what, do="download it again", where=str(path))) from None
+
+
 def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
-    begin, collision, landing = (_tdb(case, name) for name in ("first_touchdown", "collision", "second_touchdown"))
+    begin, collision, landing = (tdb_of(case, name) for name in ("first_touchdown", "collision", "second_touchdown"))
     before, after = states(collision), states(collision + 1.0)
     down, up = states(landing), states(landing + 1.0)
     path = np.array([states(t)[:3] for t in np.arange(np.ceil(begin), collision, 1.0)])
@@ -85,7 +97,7 @@ def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
     }
 
 
-def _tdb(case: Case, event: str) -> float:
+def tdb_of(case: Case, event: str) -> float:
     """TDB seconds past J2000 of an event."""
     moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, J2000_UTC) + TDB_MINUS_UTC_S
@@ -164,21 +176,14 @@ def period_weights(rate_rad_s: np.ndarray, period_s: float, sigma_s: float = SIG
         return np.nan_to_num(np.exp(-0.5 * ((2 * np.pi / rate_rad_s - period_s) / sigma_s) ** 2), nan=0.0)
 
 
-@dataclass(frozen=True)
-class Conditioned:
-    """What conditioning does: for each case of `table` the runs' worth, rates and periods after the collision.
-
-    `weight` (n) is that of the default sigma; `explained` the share of drawn collisions within two sigma of both facts.
-    """
-
-    runs: xr.Dataset
-    facts: dict[str, float]
-    weight: np.ndarray
-    explained: Estimate
-    table: list[dict[str, Any]]
+QUANTITIES = {
+    "effective_runs": "1", "rate_before": "rad s-1", "rate_after": "rad s-1", "spin_after": "rad s-1",
+    "precession_after": "rad s-1", "median_period_after": "s", "period_agrees": "1",
+}  # fmt: skip
+"""What is said of each weighting -> its unit."""
 
 
-def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = None) -> Conditioned:
+def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = None) -> xr.Dataset:
     """Weight simulated collisions by the kernel, and by the magnetometer's period before the collision.
 
     Parameters
@@ -187,6 +192,13 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
         Of :func:`sunspin.landing.outcomes.outcomes` at the kernel's speed before the collision.
     facts : dict, optional
         Of :func:`kernel_facts`; default: those that ship with the case.
+
+    Returns
+    -------
+    xarray.Dataset
+        Of kind "collision". The runs' `velocity_change`, `speed_after`, rates and `leg`, and `weight`, that of the default sigma;
+        `value` and `error` over (weighting, quantity), NaN where there is no error; `explained` with `explained_error`, the share
+        of drawn collisions within two sigma of both facts; `fact_value (fact)`.
     """
     facts = facts or published_facts(case)
     rate = {name: np.linalg.norm(runs[f"omega_{name}_B"].values, axis=1) for name in ("before", "after")}
@@ -195,25 +207,37 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
     cases = {"as drawn": np.isfinite(rate["after"]).astype(float)}
     cases |= {f"kernel, sigma {sigma:g} m/s": weight for sigma, weight in by_sigma.items()}
     cases |= {"13 s before": spin, "kernel and 13 s before": by_sigma[SIGMA_M_S] * spin}
-    table = [_line(name, weight, runs, rate, case) for name, weight in cases.items()]
+    lines = [_line(weight, runs, rate, case) for weight in cases.values()]
     near = np.hypot(runs["velocity_change"].values - facts["velocity_change"], runs["speed_after"].values - facts["speed_after"])
     explained = estimate(np.where(np.isnan(near), np.nan, near < 2 * SIGMA_M_S))
-    return Conditioned(runs, facts, by_sigma[SIGMA_M_S], explained, table)
+    pure, by = {"units": "1"}, ("weighting", "quantity")
+    return runs[["velocity_change", "speed_after", "omega_before_B", "omega_after_B", "leg"]].assign(
+        weight=("run", by_sigma[SIGMA_M_S], pure | {"long_name": "likelihood under the kernel's speeds"}),
+        value=(by, [[line[name].value for name in QUANTITIES] for line in lines]),
+        error=(by, [[line[name].error for name in QUANTITIES] for line in lines]),
+        explained=((), explained.value, pure), explained_error=((), explained.error, pure),
+        fact_value=("fact", list(facts.values())),
+    ).assign_coords(
+        weighting=list(cases), quantity=list(QUANTITIES), unit=("quantity", list(QUANTITIES.values())),
+        fact=list(facts), fact_unit=("fact", ["m" if name == "path_length" else "m s-1" for name in facts]),
+    ).assign_attrs(
+        kind="collision", sigma_m_s=SIGMA_M_S, sigma_period_s=SIGMA_PERIOD_S,
+        period_after_s=float(case.published["romap_period_after"].value),
+    )  # fmt: skip
 
 
-def _line(name: str, weight: np.ndarray, runs: xr.Dataset, rate: dict[str, np.ndarray], case: Case) -> dict[str, Any]:
+def _line(weight: np.ndarray, runs: xr.Dataset, rate: dict[str, np.ndarray], case: Case) -> dict[str, Estimate]:
     inertia = case.vehicle.require_inertia()
     across = (inertia[0, 0] + inertia[1, 1]) / 2
     wanted = case.published["romap_period_after"].value
     period = 2 * np.pi / rate["after"]
     return {
-        "name": name,
-        "effective_runs": effective_runs(weight),
+        "effective_runs": Estimate(effective_runs(weight), np.nan),
         "rate_before": estimate(rate["before"], weight),
         "rate_after": estimate(rate["after"], weight),
         "spin_after": estimate(np.abs(runs["omega_after_B"].values[:, 2]), weight),
         "precession_after": estimate(runs["momentum_after"].values / across, weight),
-        "median_period_after": weighted_median(period, weight),
+        "median_period_after": Estimate(weighted_median(period, weight), np.nan),
         "period_agrees": estimate(np.where(np.isnan(period), np.nan, np.abs(period - wanted) < 2 * SIGMA_PERIOD_S), weight),
     }
 

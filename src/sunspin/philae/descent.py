@@ -14,7 +14,7 @@ import xarray as xr
 from sunspin.base.errors import TelemetryError, sentence
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error
-from sunspin.estimate.spin import SpinFit, error_of_rate, fit_spin
+from sunspin.estimate.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
 from sunspin.philae.rebound import case_seconds
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
@@ -126,11 +126,12 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
     simulated = fit.directions(t)
     published = np.array(case.published["descent_rate_cubic"].value)
     omega_0 = np.unique(np.concatenate([np.linspace(fit.scan_rate[0], fit.scan_rate[-1], 8001), fit.coefficients[:1]]))
+    rates = np.column_stack([omega_0, np.tile(fit.coefficients[1:], (omega_0.size, 1))])
     return Descent(
         case, part, (first + 1, first + int(part.sizes["time"])), delta_limit(before), fit, simulated,
         allows(reconstructible_mask(case.vehicle), simulated), error_of_rate(published, t[known], n[known]),
         float(direction_error(replace(fit, sun_B=n[0]).directions(t), n)), omega_0,
-        np.array([error_of_rate([rate, *fit.coefficients[1:]], t[known], n[known]) for rate in omega_0]),
+        errors_of_rates(rates, t[known], n[known]),
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from sunspin.landing import strategies as st
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
 from sunspin.landing.tally import Estimate, density, lowest_rz, tally
+from sunspin.landing.weighted import explained, facts_of, weightings
 from sunspin.philae import collision as co
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import NARROWER, Row, over_candidates, row, share_of_candidates
@@ -62,7 +63,7 @@ class Landing:
     chosen: Shares
     box: Shares
     recipe: Shares
-    collision: co.Conditioned
+    collision: xr.Dataset
     strategies: xr.Dataset
     strategy_runs: dict[str, xr.Dataset]
     delays: list[xr.Dataset]
@@ -184,9 +185,9 @@ def _sun_rows(landing: Landing) -> list[Row]:
 
 def _collision_rows(landing: Landing) -> list[Row]:
     case, found, chain = landing.case, landing.collision, landing.chain
-    line = {entry["name"]: entry for entry in found.table}
+    line, facts = {entry["name"]: entry for entry in weightings(found)}, facts_of(found)
     drawn, kernel = line["as drawn"], line[f"kernel, sigma {co.SIGMA_M_S:g} m/s"]
-    slowest = found.facts["speed_after"] / max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
+    slowest = facts["speed_after"] / max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     rate = row(
         case, "rate_at_collision", float(chain.recipe.speed_collision.mean()), about=chain.chosen.about,
         mean=chain.chosen.speed_collision.mean(),
@@ -195,11 +196,11 @@ def _collision_rows(landing: Landing) -> list[Row]:
         over_candidates(
             rate, chain.name, chain.chosen.range(chain.chosen.speed_collision), chain.box.range(chain.box.speed_collision)
         ),
-        row(case, "collision_speed", found.facts["speed_before"]),
-        row(case, "path_length", found.facts["path_length"]),
+        row(case, "collision_speed", facts["speed_before"]),
+        row(case, "path_length", facts["path_length"]),
         row(
-            case, "kernel_velocity_change", float(np.nanmedian(found.runs["velocity_change"])), chain=chain.name,
-            explained=found.explained, within=2 * co.SIGMA_M_S, kernel=kernel, drawn=drawn,
+            case, "kernel_velocity_change", float(np.nanmedian(found["velocity_change"])), chain=chain.name,
+            explained=explained(found), within=2 * co.SIGMA_M_S, kernel=kernel, drawn=drawn,
         ),
         row(
             case, "romap_period_after", kernel["median_period_after"], chain=chain.name, kernel=kernel, drawn=drawn,
@@ -218,7 +219,7 @@ def _speed_rows(landing: Landing) -> list[Row]:
             case, "leg_tip_speed", published["landing_speed"].value + longest * rate, fast=fast + longest * rate,
             spun=fast + longest * 2 * np.pi / published["romap_period_before"].value, off=off, held=held,
         ),
-        row(case, "landing_speed", landing.collision.facts["speed_before_landing"]),
+        row(case, "landing_speed", facts_of(landing.collision)["speed_before_landing"]),
     ]  # fmt: skip
 
 

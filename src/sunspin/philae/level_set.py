@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.compute.rows import worker_count
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.philae import rebound as rb
@@ -64,8 +65,9 @@ def compute(
         case.vehicle, rebound.sun_B, rb.grid(case, coarser), rb.nominal_speed(case.vehicle), rebound.window_s, workers=workers,
         progress=progress, mask=None if rb.counted(case) is None else "reconstructible",
     )  # fmt: skip
-    near = rb.families(case, table.volume(rebound.z, rebound.weights), case.assumptions.study.near_minimum_factor, seed)
-    return LevelSet(case, seed, scanned(rebound, table), near, truth_emd(case, rebound.z, rebound.weights))
+    volume = table.volume(rebound.z, rebound.weights, worker_count(workers))
+    near = rb.families(case, volume, case.assumptions.study.near_minimum_factor, seed)
+    return LevelSet(case, seed, scanned(rebound, table, volume.values), near, truth_emd(case, rebound.z, rebound.weights))
 
 
 def truth_emd(case: Case, measured_z: np.ndarray, weights: np.ndarray | None) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from sunspin.philae.carries import whole_panels
 from sunspin.philae.rebound import case_seconds
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
-from sunspin.telemetry.health import explanations, noise_alone, panel_health
+from sunspin.telemetry.health import PanelHealth, explanations, noise_alone, panel_health
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
 from sunspin.vehicle.timeline import utc_seconds
 
@@ -54,7 +54,7 @@ class Phases:
 
     case: Case
     phases: list[PhaseStatistics]
-    health: dict[str, Any]
+    health: PanelHealth
     sun: xr.Dataset
     log10_probability: np.ndarray
 
@@ -161,7 +161,8 @@ def _measure_rows(r: Phases) -> list[Row]:
         return []
     checked = sun["delta"].values[kept & (sun["n_lit"].values > CHECKING_PANELS)]
     low, high = _largest_of(checked) if checked.size else (np.nan, np.nan)
-    chosen = "the telemetry is synthetic: its noise was chosen for this figure; " if sun.attrs.get("synthetic") else ""
+    made = "the telemetry is synthetic: its noise was chosen for this figure, and of the built-in file the seed, one of forty; "
+    chosen = made if sun.attrs.get("synthetic") else ""
     judged: dict[str, Any] = {}
     if checked.size:
         inside = bool(low <= case.published["delta_max"].value <= high)

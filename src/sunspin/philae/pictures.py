@@ -11,13 +11,13 @@ import xarray as xr
 
 from sunspin.output import figures as fig
 from sunspin.output.figures import outcomes as figures_outcomes
+from sunspin.output.figures.collision import collision_figure
 from sunspin.output.folder import Picture
 from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.coverage import CONFIDENCE, Worth
 from sunspin.philae.figures import candidates as figures_candidates
-from sunspin.philae.figures import collision as figures_collision
 from sunspin.philae.figures import coverage as figures_coverage
 from sunspin.philae.figures import descent as figures_descent
 from sunspin.philae.figures import health as figures_health
@@ -201,7 +201,7 @@ def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
         f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}." + _note(result),
     )  # fmt: skip
     yield Drawing(
-        "collision", lambda: figures_collision.collision_figure(part.collision),
+        "collision", lambda: collision_figure(part.collision),
         "Simulated collisions against the trajectory kernel's speeds",
         "The simulated collisions against what the trajectory kernel and the magnetometer say of them." + _note(result),
     )  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.compute.rows import worker_count
 from sunspin.estimate.scan.lines import point_at
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.landing.outcomes import outcomes
@@ -67,7 +68,7 @@ def compute(
             workers=workers, mask=None if rb.counted(case) is None else "reconstructible",
         )  # fmt: skip
     pooled, speed = rb.pooled_z(case), rb.nominal_speed(case.vehicle)[0]
-    clean = rb.families(case, table.volume(np.concatenate(pooled)), rb.LINES_FACTOR, seed)
+    clean = rb.families(case, table.volume(np.concatenate(pooled), workers=worker_count(workers)), rb.LINES_FACTOR, seed)
     omega_z = np.linspace(*rb.LINE_RANGE, LINE_POINTS)
     on_lines = np.concatenate([point_at(point, along, 2, omega_z) for point, along in rb.published_lines(case)])
     fast = paper_scenario(case)

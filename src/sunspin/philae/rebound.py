@@ -62,7 +62,7 @@ def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
 
     def told(craft: Vehicle) -> object:
         wheels = [(wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction) for wheel in craft.wheels]
-        return plain([craft.inertia_kg_m2, wheels, craft.panels, craft.panel_response, craft.sun_rules])
+        return plain([craft.inertia_kg_m2, wheels, craft.panels, craft.panel_response, craft.sun_rules, craft.channels])
 
     return told(vehicle) == told(other)
 

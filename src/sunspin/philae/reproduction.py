@@ -15,7 +15,7 @@ from sunspin.base.provenance import version
 from sunspin.output.folder import CITE, Picture, results_folder, write_run, write_whole
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
-from sunspin.philae import coverage_told, touchdown
+from sunspin.philae import coverage_told, impulse, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import draw
@@ -60,6 +60,7 @@ def reproduce(
     workers: int | None = None,
     coarser: int = 1,
     changes: Changes = None,
+    data: str | Path | None = None,
     progress: bool = False,
 ) -> Written:
     """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
@@ -89,11 +90,13 @@ def reproduce(
         Use every n-th point of the scan's grid, for a quick look.
     changes : dict or list of str, optional
         Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
+    data : path, optional
+        Folder with philae_spk/ (docs/data.md): the landing kernel's impulse then weights the collisions, in rows beyond the paper.
     """
     began = time.perf_counter()
     asked = changes_of(changes)
     case = _case(telemetry, vehicle, asked)
-    options = Options(candidates, calibrate, seed, coarser, workers, progress)
+    options = Options(candidates, calibrate, seed, coarser, workers, progress, None if data is None else Path(data))
     source = _source(case, telemetry)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         raise InputError(
@@ -119,6 +122,7 @@ def reproduce(
         "noise": result.noise.told,
         "calibration": None if result.chain is None or result.chain.calibration is None else result.chain.calibration.told,
         "missing": result.missing,
+        "impulse": _impulse(result),
         "headline": headline(result),
         "conclusions": conclusions(result),
         "score": score(result),
@@ -134,7 +138,7 @@ def reproduce(
     }  # fmt: skip
     made_with = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
     write_run(folder, summary, made_with, case.telemetry, pictures)
-    return Written(folder, write_report(folder, ours=True), summary)
+    return Written(folder, write_report(folder, ours=True, figures=True), summary)
 
 
 def _case(telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]) -> Case:
@@ -156,7 +160,8 @@ def _command(
     telemetry: str | Path | None, vehicle: str | Path | None, options: Options, changes: tuple[Change, ...]
 ) -> str:
     words = ["sunspin", "reproduce", "--seed", str(options.seed)]
-    for name, value in (("telemetry", telemetry), ("vehicle", vehicle), ("calibrate", options.twins)):
+    given = (("telemetry", telemetry), ("vehicle", vehicle), ("calibrate", options.twins), ("data", options.data))
+    for name, value in given:
         words += [] if value is None else [f"--{name}", str(value)]
     words += [] if options.source == "scan" else ["--candidates", options.source]
     words += [word for change in changes for word in ("--set", str(change))]
@@ -195,11 +200,20 @@ def conclusions(result: Reproduction) -> list[str]:
     found += _of_lines(result)
     if "worth" in result.parts:
         found += coverage_told.sentences(result.parts["worth"][1])
+    if "impulse" in result.parts:
+        found.append(_impulse(result))
     apart = [row for row in result.rows if row.agrees is False]
     if apart:
         found.append("Not as published: " + "; ".join(f"{row.what} ({row.source.removeprefix('paper, ')})" for row in apart) + ".")
     found += [f"{line}." for line in score(result)]
     return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
+
+
+def _impulse(result: Reproduction) -> str:
+    """What the collision's impulse changes, or why it does not."""
+    if "impulse" in result.parts:
+        return impulse.told(result.parts["impulse"], result.rows_by_part["impulse"])
+    return result.off.get("impulse") or result.missing["impulse"]
 
 
 def _of_scan(result: Reproduction) -> list[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import xarray as xr
@@ -25,6 +26,7 @@ from sunspin.philae import (
     coverage,
     coverage_told,
     descent,
+    impulse,
     landing,
     level_set,
     mechanics,
@@ -42,6 +44,7 @@ from sunspin.philae.row import Row, counts, settled
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle, load_vehicle
+from sunspin.vehicle.changes import OF_READINGS
 
 LANDING_RUNS = 5_000
 """Simulated collisions: their probabilities err by 0.007 at most, ten times what the paper had; `sunspin outcomes` runs more."""
@@ -78,6 +81,7 @@ class Options:
     coarser: int = 1
     workers: int | None = None
     progress: bool = False
+    data: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,7 @@ class Part:
     compute, rows : how it is computed, and its rows
     needs : parts without which it cannot be computed
     needed : whether the study makes no sense without it
+    off : why it is not asked for, in a sentence; empty where it is
     """
 
     name: str
@@ -115,6 +120,7 @@ class Part:
     rows: Callable[[Any], list[Row]]
     needs: tuple[str, ...] = ()
     needed: bool = False
+    off: Callable[[Inputs], str] = lambda _: ""
 
 
 def _candidates(i: Inputs) -> candidates.Chain:
@@ -122,6 +128,12 @@ def _candidates(i: Inputs) -> candidates.Chain:
     return candidates.compute(
         i.done["level_set"].scan, i.done["carries"], o.source, o.twins, o.seed, workers=o.workers, progress=o.progress
     )
+
+
+def _impulse(i: Inputs) -> impulse.Impulse:
+    assert i.options.data is not None  # else the part is off
+    seen = impulse.seen_in(i.case, i.options.data)
+    return impulse.compute(i.case, i.done["candidates"], seen, n=i.runs, seed=i.options.seed, workers=i.options.workers)
 
 
 def _published_lines(i: Inputs) -> published_lines.PublishedLines:
@@ -135,7 +147,7 @@ def _worth(i: Inputs) -> tuple[Case, coverage.Worth]:
     if found is None:
         raise InputError(sentence("the case comes without a study of twins", do="sunspin worth"))
     alike = rb.moves_and_sees_alike(i.case.vehicle, load_vehicle(i.case.name))
-    if not alike or any(one.key.startswith("study.") for one in i.case.assumptions.changes):
+    if not alike or any(one.key.startswith(("study.", *OF_READINGS)) for one in i.case.changes):
         do = "make one with `sunspin coverage` and the same --set"
         raise InputError(sentence("the study of twins that comes with the case is of another body or other assumptions", do=do))
     return i.case, found
@@ -158,6 +170,8 @@ PARTS = (
     Part("landing", "Sections 3.3 and 4: after the collision", "telemetry",
          lambda i: landing.compute(i.case, i.done["candidates"], n=i.runs, seed=i.options.seed, workers=i.options.workers),
          landing.rows, ("candidates",)),
+    Part("impulse", "Beyond the paper: the collision's impulse", "telemetry", _impulse, impulse.rows, ("candidates",),
+         off=lambda i: impulse.OFF if i.options.data is None else ""),
     Part("components", "Section 2.3: r_x and r_y", "telemetry",
          lambda i: components.compute(i.case, i.done["level_set"].scan.rebound, i.options.seed, i.options.coarser,
                                       i.options.workers), components.rows, ("candidates",)),
@@ -186,7 +200,7 @@ CHAIN_OF = {"telemetry": "telemetry", "no_telemetry": "none", "paper": "none"}
 class Reproduction:
     """All results of the Philae study: `parts` and `rows` by the part's name, `missing` name -> why it could not be computed.
 
-    `noise`: what the file's readings were taken for; `options`: how the study was run.
+    `noise`: what the file's readings were taken for; `options`: how the study was run; `off`: name -> why a part was not asked for.
     """
 
     case: Case
@@ -196,6 +210,7 @@ class Reproduction:
     parts: dict[str, Any]
     rows_by_part: dict[str, list[Row]]
     missing: dict[str, str]
+    off: dict[str, str]
 
     @property
     def seed(self) -> int:
@@ -239,7 +254,8 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
     options : Options, or its fields as keywords
         source : "scan", "posterior", "published" or a file: where candidates come from (:mod:`sunspin.philae.candidates`);
         twins : synthetic rebounds of a calibration (zero: none is made); seed : of all random choices;
-        coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid.
+        coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid;
+        data : folder with philae_spk/, whose kernel gives the collision's impulse; without it that part is off.
     """
     options = options or Options(**chosen)
     require_wheel(case.vehicle)
@@ -248,8 +264,11 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
     rb.rebound_samples(case, sun)  # refused before the work
     inputs = Inputs(case, sun, options)
     k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
-    rows, missing = {}, {}
+    rows, missing, off = {}, {}, {}
     for part in PARTS:
+        if why := part.off(inputs):
+            off[part.name] = why
+            continue
         absent = [name for name in part.needs if name not in inputs.done]
         if absent:
             missing[part.name] = f"{part.title}: nothing is concluded"
@@ -267,7 +286,7 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
     if "candidates" not in inputs.done and "level_set" in rows:  # nothing is concluded from these readings, nor judged by them
         kept = rows["level_set"]
         rows["level_set"] = [replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None) for row in kept]
-    return Reproduction(case, options, noise, sun, inputs.done, rows, missing)
+    return Reproduction(case, options, noise, sun, inputs.done, rows, missing, off)
 
 
 def _settled(row: Row, part: Part, synthetic: bool) -> Row:

@@ -2,9 +2,9 @@
 
 The paper's factor of 1.1 on the smallest EMD was chosen, not derived. Here the method is repeated on synthetic rebounds that are
 like the file's: true rates drawn evenly from the scanned box, the file's sample times, noise, brightness and first direction (with
-its error), and about as many directions. The factor below which the truth lies in nine of ten of them makes the set of the file's
-own scan a 90 % region. It holds for these data only; a shipped result is used only where its key, the hash of all that it
-depends on, is that of the data.
+its error), panels off by the sigmas that the vehicle's file gives them, and about as many directions. The factor below which the
+truth lies in nine of ten of them makes the set of the file's own scan a 90 % region. It holds for these data only; a shipped result
+is used only where its key, the hash of all that it depends on, is that of the data.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
+from sunspin.estimate.posterior.tilt import stated_sigma
 from sunspin.estimate.scan.rows import BINS, distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
 from sunspin.philae.coverage import CONFIDENCE, check_confidence
+from sunspin.philae.twin_philae import behind, panel_turns
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power
 
 SHIPPED = "threshold.json"
 """The calibration of the case's own telemetry, which comes with the case."""
@@ -222,22 +223,41 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
     truth = np.array([rng.uniform(box[:, 0], box[:, 1]) for rng in generators])
     sun = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in generators])
+    sun, tilt, possible = _behind(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True), index, seed)
     states = rebound.states(truth)
-    states = k.Rows(states.omega_B, sun / np.linalg.norm(sun, axis=1, keepdims=True), states.wheel_speed_rad_s)
+    states = k.Rows(states.omega_B, sun, states.wheel_speed_rad_s)
     readable = _readable(rebound)
     later = readable[readable > rebound.first]
     run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=DIRECTION_ERROR)
     sigma, threshold = (float(rebound.samples.attrs[name]) for name in ("noise", "lit_threshold"))
-    exact = _scale(rebound) * panel_power(vehicle, run.sun_B)
+    exact = _scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
     noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in generators])
     power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0)
     seen = sun_directions(vehicle, power.reshape(-1, power.shape[-1]), noise=sigma, lit_threshold=threshold)
     told = is_reconstructed(seen["status"]).reshape(power.shape[:2])
     directions = seen["sun_B"].values.reshape(*power.shape[:2], 3)
     first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
-    for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
+    for i in np.flatnonzero((run.outcome == k.Outcome.FINE) & possible):
         times = rebound.t_s[np.concatenate([[rebound.first], later[told[i]]])]
         yield Alike(truth[i], np.concatenate([first, directions[i, told[i]]]), rb.target_weights(case, times))
+
+
+def _behind(
+    vehicle: Vehicle, shown_B: np.ndarray, index: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+    """Of rebounds `index` whose first direction is shown as `shown_B` (n, 3): the true one, turns (n, 1, n_panel, 3) of the panels
+    drawn with the sigmas of the vehicle's file, None where it has none, and whether there is such a direction (n)."""
+    sigmas = stated_sigma(vehicle)
+    generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i), 1))) for i in index]
+    drawn = [panel_turns(vehicle, *sigmas, rng) for rng in generators]
+    tilt = np.array([one for one in drawn if one is not None])
+    sun, possible = shown_B.copy(), np.ones(len(index), dtype=bool)
+    for i, one in enumerate(tilt):
+        try:
+            sun[i] = behind(vehicle, shown_B[i], one)
+        except InputError:
+            possible[i] = False
+    return sun, tilt[:, None] if len(tilt) else None, possible
 
 
 def to_json(found: Calibration) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
@@ -24,7 +25,9 @@ from sunspin.telemetry.synthetic import csv_text, truth_text, write_new
 from sunspin.vehicle import Vehicle
 
 
-def twin(source: Case | Vehicle | str, truth: Truth | Mapping[str, Any] | None = None, seed: int = 0) -> xr.Dataset:
+def twin(
+    source: Case | Vehicle | str, truth: Truth | Mapping[str, Any] | None = None, seed: int = 0, **landing: Any
+) -> xr.Dataset:
     """Synthetic telemetry of a vehicle that moves as `truth` says.
 
     Parameters
@@ -33,7 +36,10 @@ def twin(source: Case | Vehicle | str, truth: Truth | Mapping[str, Any] | None =
         ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.twin_philae.philae_twin`.
     truth : Truth, or a mapping with its fields
     seed : int
-        Of the noise. The same seed gives the same bits.
+        Of the noise and of what else is drawn. The same seed gives the same bits.
+    landing
+        Of the whole landing: `noise`, `tilt_rad`, `turned_rad`, `rest_seen` of
+        :func:`sunspin.philae.twin_philae.philae_twin`.
 
     Returns
     -------
@@ -45,14 +51,16 @@ def twin(source: Case | Vehicle | str, truth: Truth | Mapping[str, Any] | None =
     Raises
     ------
     InputError
-        A truth with unknown or missing fields, a negative noise.
+        A truth with unknown or missing fields, a negative noise, options of the landing beside a truth.
     """
     if isinstance(source, str):
         source = load_case(source)
     if truth is None:
         if isinstance(source, Case) and source.name == "philae":
-            return philae_twin(seed)
+            return philae_twin(seed, **landing)
         raise InputError(sentence("a twin needs a truth", do="give omega_B, sun_B and t_s"))
+    if landing:
+        raise InputError(sentence("a twin with a truth takes no options of the landing", got=", ".join(landing)))
     return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
 
 
@@ -62,14 +70,22 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
     parser.add_argument("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it")
     parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--tilt", type=float, default=0.0, help="sigma of each panel's normal to each side, degrees")
+    parser.add_argument("--turn", type=float, default=0.0, help="sigma of one turn of all panels about each axis, degrees")
+    parser.add_argument("--rest-seen", action="store_true", help="the first samples at rest give a direction")
     parser.add_argument("--case", default="philae", choices=case_names())
     parser.add_argument("--force", action="store_true", help="replace existing files")
     given = parser.parse_args(arguments)
     case = load_case(given.case)
-    telemetry = twin(case, seed=given.seed)
+    options: dict[str, Any] = {
+        "tilt_rad": float(np.radians(given.tilt)), "turned_rad": float(np.radians(given.turn)), "rest_seen": given.rest_seen,
+    }  # fmt: skip
+    asked = f" --tilt {given.tilt:g}" * bool(given.tilt) + f" --turn {given.turn:g}" * bool(given.turn)
+    asked += " --rest-seen" * given.rest_seen
+    telemetry = twin(case, seed=given.seed, **options)
     comments = [
         f"synthetic: not measured; made by sunspin {version()} from published facts",
-        f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed} {given.out.name}",
+        f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed}{asked} {given.out.name}",
     ]
     more = ["synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"]
     write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)

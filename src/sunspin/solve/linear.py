@@ -153,3 +153,21 @@ def _each(function: Callable[..., Any], *stacks: np.ndarray) -> np.ndarray:
         if stacks[0].ndim == 2:
             return np.full_like(stacks[-1], np.nan)
         return np.stack([_each(function, *one) for one in zip(*stacks, strict=True)])
+
+
+def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest eigenvalue (...) of symmetric matrices (..., 3, 3), in closed form: many times as fast as LAPACK's.
+
+    Good to 1e-8 of the largest where two are nearly alike, else to rounding.
+
+    The roots of the cubic are trigonometric: O. K. Smith, Comm. ACM 4 (1961), 168.
+    """
+    a, b, c = (matrix[..., k, k] for k in range(3))
+    f, e, d = matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2]
+    mean = (a + b + c) / 3
+    a, b, c = a - mean, b - mean, c - mean
+    spread = np.sqrt((a * a + b * b + c * c + 2 * (d * d + e * e + f * f)) / 6)
+    determinant = a * (b * c - d * d) - f * (f * c - d * e) + e * (f * d - b * e)
+    cube = np.where(spread > 0, spread, 1.0) ** 3
+    angle = np.arccos(np.clip(determinant / (2 * cube), -1, 1)) / 3
+    return mean + 2 * spread * np.cos(angle + 2 * np.pi / 3), mean + 2 * spread * np.cos(angle)

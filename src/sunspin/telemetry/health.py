@@ -4,15 +4,16 @@ noise alone might have made them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.stats import chi2, norm
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.sun import SunStatus, sun_directions
@@ -24,11 +25,41 @@ STEPS, ROUNDING = 60, 1e-12
 """Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma
 squared, at which it ends."""
 
+NOISE_ALONE = 0.01
+"""Noise alone does not make forbidden patterns where it would show such readings in so many of a file's samples with a smaller
+probability than this."""
+
 CHUNK = 2000
 """Samples searched at once: each from every cell of the sphere."""
 
 
-def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | None = None, **options: Any) -> dict[str, Any]:
+class PanelHealth(xr.Dataset):
+    """A Dataset that also answers to what :func:`panel_health` is asked for by name: ``allowed``, ``impossible``, ``explanations``
+    and ``noise``, as plain Python objects. Read back from a file it is a Dataset without these; `named_panels` makes them."""
+
+    __slots__ = ()
+
+    def __getitem__(self, key: Any) -> Any:
+        if key == "allowed":
+            return named_panels(self, "allowed_lit")
+        if key == "impossible":
+            return dict(zip(named_panels(self, "impossible_lit"), self["samples"].values.tolist(), strict=True))
+        if key == "explanations":
+            return named_panels(self, "lost")
+        if key == "noise":
+            verdicts = map(NoiseVerdict, *(self[name].values.tolist() for name in NoiseVerdict._fields))
+            known = zip(named_panels(self, "impossible_lit"), verdicts, strict=True)
+            return {pattern: verdict for pattern, verdict in known if not np.isnan(verdict.largest)}
+        return super().__getitem__(key)
+
+
+def named_panels(health: xr.Dataset, name: str) -> list[tuple[str, ...]]:
+    """Sets of panels, a tuple of names each, of a variable (n, panel) of true and false."""
+    panels = health["panel"].values
+    return [tuple(panels[row].tolist()) for row in health[name].values.astype(bool)]
+
+
+def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | None = None, **options: Any) -> PanelHealth:
     """Which observed lit patterns the Sun alone cannot make, and the smallest sets of panels whose loss explains all.
 
     A pattern is explained by a set of panels if adding some of them to the lit ones gives a possible pattern: those were in
@@ -45,11 +76,13 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
 
     Returns
     -------
-    dict
-        ``allowed``: the lit patterns that geometry allows, for directions in no panel's plane (sorted tuples of names);
-        ``impossible``: {pattern: number of samples}; ``explanations``: list of the smallest sets of panels (tuples), empty
-        where nothing needs explaining or nothing explains it; ``noise``: {pattern: `NoiseVerdict`}, empty without powers
-        or without a noise figure.
+    xarray.Dataset
+        `allowed_lit (allowed_pattern, panel)`: the lit patterns that geometry allows, for directions in no panel's plane;
+        `impossible_lit (pattern, panel)` with `samples (pattern)`, their number; `lost (explanation, panel)`: the smallest sets
+        of panels, none where nothing needs explaining or nothing explains it; `largest`, `largest_of_pattern` and
+        `log10_together (pattern)` as in `NoiseVerdict`, NaN without powers or without a noise figure. As returned it also has
+        ``["allowed"]`` (tuples of names), ``["impossible"]`` ({pattern: number of samples}), ``["explanations"]`` (tuples) and
+        ``["noise"]`` ({pattern: `NoiseVerdict`}).
     """
     is_sun = isinstance(telemetry, xr.Dataset) and "lit" in telemetry
     sun = telemetry if is_sun else sun_directions(vehicle, telemetry, **options)
@@ -65,12 +98,55 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
         verdicts = {pattern: _verdict(made, [p == pattern for p in patterns]) for pattern in counts}
     limit = np.inf if could_be_noise is None else could_be_noise
     needed = list(dict.fromkeys(p for p, chance in zip(patterns, probability, strict=True) if chance < limit))
-    return {
-        "allowed": [tuple(name for name in vehicle.input_names if name in p) for p in lit_patterns(vehicle)],
-        "impossible": counts,
-        "explanations": explanations(vehicle, needed),
-        "noise": verdicts,
-    }
+    about = provenance("panel_health", sun, **vehicle.said)
+    about |= {"noise_sigma": sigma, "lit_threshold": float(sun.attrs["lit_threshold"])}
+    return _health(vehicle, counts, explanations(vehicle, needed), verdicts, about)
+
+
+UNKNOWN = float("nan")
+
+
+def _health(
+    vehicle: Vehicle, counts: dict[tuple[str, ...], int], lost: list[tuple[str, ...]],
+    verdicts: dict[tuple[str, ...], NoiseVerdict], about: dict[str, Any],
+) -> PanelHealth:  # fmt: skip
+    names = vehicle.input_names
+
+    def rows(sets: Sequence[Any]) -> np.ndarray:
+        return np.array([[name in one for name in names] for one in sets], dtype=bool).reshape(-1, len(names))
+
+    noise = [verdicts.get(pattern, NoiseVerdict(UNKNOWN, UNKNOWN, UNKNOWN)) for pattern in counts]
+    of_noise = (
+        "bound on the probability that noise alone made the likeliest sample", "probability that noise shows this pattern, at most",
+        "log10 of that bound for all samples together",
+    )  # fmt: skip
+    return PanelHealth(
+        {
+            "allowed_lit": (("allowed_pattern", "panel"), rows(lit_patterns(vehicle)), {"long_name": "lit panels, as possible"}),
+            "impossible_lit": (("pattern", "panel"), rows(list(counts)), {"long_name": "lit panels, as seen and impossible"}),
+            "samples": ("pattern", np.array(list(counts.values()), dtype=np.int64), {"units": "1"}),
+            "lost": (("explanation", "panel"), rows(lost), {"long_name": "panels whose loss explains all impossible patterns"}),
+        }
+        | {
+            name: ("pattern", np.array([verdict[k] for verdict in noise]), {"units": "1", "long_name": of_noise[k]})
+            for k, name in enumerate(NoiseVerdict._fields)
+        },
+        coords={"panel": list(names)},
+        attrs=about,
+    )
+
+
+def noise_made(health: PanelHealth, n: int) -> bool:
+    """Whether noise alone may have made all forbidden patterns that `panel_health` found among `n` samples: by the bound of how
+    probable it is that any so many of them read so."""
+    from scipy.special import gammaln
+
+    count = sum(health["impossible"].values())
+    if not count or set(health["noise"]) != set(health["impossible"]):
+        return False
+    log10 = sum(verdict.log10_together for verdict in health["noise"].values())
+    any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
+    return bool(log10 + any_of_them / np.log(10) > np.log10(NOISE_ALONE))
 
 
 def _values(telemetry: Any) -> np.ndarray:
@@ -146,6 +222,8 @@ def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_thresh
     lit_threshold : float
         Readings above it count as lit.
     """
+    from scipy.stats import chi2, norm
+
     readings = np.atleast_2d(np.asarray(power, dtype=np.float64))
     vehicle.require_panels()
     n_panel = len(vehicle.inputs)

@@ -103,7 +103,8 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
         `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing, and `sigma_beside_earth`, the same
         where the Earth's light is modelled; `scale` (time), the factor
         between gain and reading at full Sun, and its relative uncertainty `scale_sigma` (time); `use` (time): 0 used, 1
-        down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel); `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
+        down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel): it reads nothing and is left out; `missed` (panel): of
+        these, where the others do not show full Sun all the time; `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
         `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of
         full Sun; NaN: not told), `noise` (of a reading, with its quantisation), `full_sun_from`, `gains_from`.
     """
@@ -168,6 +169,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
             "why": ("time", why.astype(np.str_)),
             "dead": ("panel", dead),
+            "missed": ("panel", dead & bool(vehicle.throttled or (idle | limited).any())),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
         attrs=provenance("panel_quality", telemetry, **vehicle.said) | {

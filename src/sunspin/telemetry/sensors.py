@@ -30,6 +30,9 @@ NEIGHBOUR_RAD = 0.73
 
 NEIGHBOUR_SIGMA_RAD = 0.2
 
+BOTH_SIGMAS = 2.0
+"""Within so many sigmas of the light at which a sensor's y turns, it may be read either way."""
+
 STEEPEST_RAD = 1.4
 """No Sun sensor reads an angle from its normal beyond this."""
 
@@ -47,6 +50,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """Variables for a Dataset over `time` from the sensor columns that the table has (missing ones are left out).
 
     `sun_sensor_B` (time, axis) unit, body axes, with `sun_sensor_cov_B` (time, axis, axis2): NaN where no sensor sees the Sun;
+    `sun_sensor_other_B`, `sun_sensor_other_cov_B`: the same read the other way where a sensor's y may be turned or not, else NaN;
     `sun_sensor_angle` (time, sun_sensor, side) rad, the angles of each from its normal, NaN where it sees no Sun or reads none;
     `sun_sensor_y_turned` (time, sun_sensor), where its y runs the other way; `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in
     the column's unit, zero taken off, times the matrix;
@@ -67,6 +71,12 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
             found["sun_sensor_y_turned"] = (("time", "sun_sensor"), turned.astype(np.int8), {"units": "1"})
         found["sun_sensor_B"] = (("time", "axis"), sun, {"units": "1", "long_name": "Sun by the Sun sensors, body axes"})
         found["sun_sensor_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
+        if (unsure := np.any([_unsure(sensor, table) for sensor in present], axis=0)).any():
+            sun, covariance, _ = _sun(present, vector, table, sensors.sun_sensors, other=True)
+            sun[~unsure], covariance[~unsure] = np.nan, np.nan
+            about = {"units": "1", "long_name": "Sun by the Sun sensors, if their y runs the other way"}
+            found["sun_sensor_other_B"] = (("time", "axis"), sun, about)
+            found["sun_sensor_other_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
     gyro, magnetometer = sensors.gyro, sensors.magnetometer
     if gyro is not None and all(name in table.header for name in gyro.columns):
         value = gyro.scale_rad_s * (unwrapped(_numbers(table, gyro.columns), gyro.wraps_at) - gyro.zero)
@@ -118,16 +128,17 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
 
 
 def _sun(
-    sensors: list[SunSensor], vector: SunVector | None, table: Table, every: tuple[SunSensor, ...]
+    sensors: list[SunSensor], vector: SunVector | None, table: Table, every: tuple[SunSensor, ...], other: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The Sun from all sensors that see it, each weighted by its information about each axis, and the angles (n, every, 2)."""
+    """The Sun from all sensors that see it, each weighted by its information about each axis, and the angles (n, every, 2);
+    `other`: where a y may be turned or not, read the less likely way."""
     n = len(table.rows)
     angles = np.full((n, len(every), 2), np.nan)
     light = np.array([_light(sensor, table) for sensor in sensors]).reshape(len(sensors), n).T
     lit = light > [sensor.lit_above for sensor in sensors]
     information, weighted, seen = np.zeros((n, 3, 3)), np.zeros((n, 3)), []
     for k, sensor in enumerate(sensors):
-        x, y = _angles(sensor, table)
+        x, y = _angles(sensor, table, other)
         angles[lit[:, k], every.index(sensor)] = np.column_stack([x, y])[lit[:, k]]
         seen.append((*_one_sensor(sensor, sensors, lit, x, y), lit[:, k]))
     for direction, part, sees in [*seen, *([] if vector is None else [_vector(vector, table)])]:
@@ -162,12 +173,13 @@ def _light(sensor: SunSensor, table: Table) -> np.ndarray:
     return np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
 
 
-def _angles(sensor: SunSensor, table: Table) -> tuple[np.ndarray, np.ndarray]:
-    """The Sun's angles (n) from a sensor's normal towards its x and its y; NaN where it reads none."""
+def _angles(sensor: SunSensor, table: Table, other: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The Sun's angles (n) from a sensor's normal towards its x and its y; NaN where it reads none; `other`: as `_sun` has it."""
     x = np.clip(sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad, -STEEPEST_RAD, STEEPEST_RAD)
     if sensor.y_column is None or sensor.y_scale is None:
         return x, np.full(len(x), np.nan)
-    scale = np.where(_turned(sensor, table), sensor.y_turned_scale or 0.0, sensor.y_scale)
+    turned = _turned(sensor, table) ^ (other & _unsure(sensor, table))
+    scale = np.where(turned, sensor.y_turned_scale or 0.0, sensor.y_scale)
     return x, np.clip(scale * _numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad, -STEEPEST_RAD, STEEPEST_RAD)
 
 
@@ -176,6 +188,13 @@ def _turned(sensor: SunSensor, table: Table) -> np.ndarray:
     if sensor.y_turned_above is None or sensor.light_column not in table.header:
         return np.zeros(len(table.rows), dtype=bool)
     return _light(sensor, table) > sensor.y_turned_above
+
+
+def _unsure(sensor: SunSensor, table: Table) -> np.ndarray:
+    """Whether the y of each row (n) may be turned or not, its light being near that at which it turns."""
+    if sensor.y_turned_above is None or sensor.y_turned_sigma is None or sensor.light_column not in table.header:
+        return np.zeros(len(table.rows), dtype=bool)
+    return np.abs(_light(sensor, table) - sensor.y_turned_above) < BOTH_SIGMAS * sensor.y_turned_sigma
 
 
 def _one_sensor(

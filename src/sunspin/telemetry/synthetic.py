@@ -12,6 +12,7 @@ import xarray as xr
 
 from sunspin.base.errors import OutputError, sentence
 from sunspin.base.provenance import provenance
+from sunspin.solve.rotations import tangents
 from sunspin.vehicle import Vehicle
 
 TIME_STEP_S = 1e-3
@@ -34,6 +35,12 @@ def noisy_power(vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.rando
     noise = sigma * rng.standard_normal(power.shape)
     least = np.minimum(power, LEAST_LIT * (vehicle.telemetry.lit_threshold or 0.0))
     return np.where(power > 0, np.maximum(power + noise, least), 0.0)
+
+
+def drawn_tilts(vehicle: Vehicle, sigma_rad: float | np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Turns (n_panel, 3) of the panels' normals at random: `sigma_rad`, or (n_panel), about each of two axes across a normal."""
+    across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
+    return np.einsum("p,ps,psi->pi", np.broadcast_to(sigma_rad, len(across)), rng.standard_normal(across.shape[:2]), across)
 
 
 def on_time_grid(t_s: Any) -> np.ndarray:

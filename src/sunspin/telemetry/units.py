@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.telemetry.panel_unit import BRIGHT_QUANTILE, WrongUnit, panel_unit
 from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sensors import STEEPEST_RAD
 from sunspin.telemetry.sun import best_directions, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
 
@@ -43,6 +43,10 @@ FINEST, OFFSET = 1e5, 30.0
 ABSURD_ACCELERATION = 0.1
 """rad/s2: no dipole in a planet's field turns a spacecraft so."""
 
+STEEP_SHARE, STEEP_SAMPLES = 0.85, 30
+"""Part of its readings, of so many at least, that a Sun sensor has at the steepest angle: it is 0.55 for one that reads on while
+the Sun turns behind it, and 0.96 for angles spread over 40 degrees to each side that are read as radians."""
+
 RPM = 60 / (2 * np.pi)
 
 RPM_WITHIN = 0.15
@@ -52,7 +56,7 @@ RPM_WITHIN = 0.15
 def wrong_units(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
     """Every unit that the samples of `read_telemetry` contradict; an empty list where none is seen to be wrong."""
     found = [_panels(vehicle, telemetry), _gyro(vehicle, telemetry), *_magnetometer(vehicle, telemetry)]
-    found += [*_wheels(vehicle, telemetry), _temperature(telemetry)]
+    found += [*_sun_sensors(vehicle, telemetry), *_wheels(vehicle, telemetry), _temperature(telemetry)]
     return [wrong for wrong in found if wrong is not None]
 
 
@@ -109,6 +113,8 @@ def _carried(time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: in
 
 def _turned(direction: np.ndarray, turns: np.ndarray, at: np.ndarray, lag: int) -> np.ndarray:
     """Directions that stand still in space, in a body that makes the turns after `at`, one after the other."""
+    from scipy.spatial.transform import Rotation
+
     for k in range(lag):
         direction = Rotation.from_rotvec(-turns[at + k]).apply(direction)
     return direction
@@ -158,6 +164,20 @@ def _magnetometer(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
         turn = np.linalg.norm(dipole) * size
         what = f"dipole times field is {turn:.2g} rad/s2, more than any dipole's: it is per another unit than the columns"
         found.append(WrongUnit(what, "disturbance", "dipole"))
+    return found
+
+
+def _sun_sensors(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
+    if "sun_sensor_angle" not in telemetry:
+        return []
+    found = []
+    for k, sensor in enumerate(vehicle.sensors.sun_sensors):
+        angle = telemetry["sun_sensor_angle"].values[:, k, 0]
+        angle = angle[np.isfinite(angle)]
+        if len(angle) >= STEEP_SAMPLES and np.mean(np.abs(angle) >= STEEPEST_RAD) > STEEP_SHARE:
+            steep, value = np.degrees(STEEPEST_RAD), sensor.x_scale * np.pi / 180
+            what = f"Sun sensor {sensor.name} nearly always reads {steep:.0f} degrees or more from its normal"
+            found.append(WrongUnit(f"{what}: degrees read as radians", "[sun_sensor]", "x_scale", value))
     return found
 
 

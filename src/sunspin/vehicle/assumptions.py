@@ -5,6 +5,7 @@ The values of the paper, each with its source, stand in ``cases/philae/assumptio
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from importlib import resources
 from typing import Annotated, Any, Literal
@@ -84,6 +85,11 @@ def _text_of_file() -> str:
 def assumptions_table() -> dict[str, Any]:
     """The parsed TOML of the assumptions."""
     return read_toml(_text_of_file(), WHERE, InputError)
+
+
+def assumed_keys() -> Iterator[str]:
+    """Keys of all assumptions."""
+    yield from (one.key for one in ch.settings(assumptions_table(), AssumptionsFile))
 
 
 def read_assumptions(changes: ch.Changes = None) -> Assumptions:

@@ -113,9 +113,10 @@ def _checked(key: str) -> str:
 def _value(text: str) -> Any:
     """A value as TOML writes it; what is none is taken for a text without its quotes."""
     try:
-        return read_toml(f"x = {text}", "the value", InputError)["x"]
-    except (InputError, KeyError):
+        read = read_toml(f"x = {text}", "the value", InputError)
+    except InputError:
         return text
+    return read["x"] if set(read) == {"x"} else text  # a second line would be another key, of which nobody asked
 
 
 def changed(
@@ -194,8 +195,8 @@ def _walk(node: Any, places: list[str], change: Change, kind: Any) -> Any:
     if kind is Wheel and place == "friction":
         return node | {"friction": _friction(node, rest, change)}
     place = next((key for key in GAIN_UNITS if place == "gain" and key in node), place)
-    within = _kind_at(kind, place)
-    if place not in node and within is None:
+    within, is_name = _kind_at(kind, place), place in NO_NUMBERS and hasattr(kind, "__pydantic_fields__")
+    if is_name or (place not in node and within is None):  # by its name a part is known to telemetry and results
         raise KeyError(place)
     if place not in node and _is_list_of_parts(kind, place) and rest:
         raise KeyError(place)
@@ -219,7 +220,7 @@ def _in_list(node: list[Any], places: list[str], change: Change, kind: Any) -> l
 
 def _index(node: list[Any], name: str, key: str) -> int:
     names = [str(each.get("name")) if isinstance(each, dict) else "" for each in node]
-    if name in names:
+    if name and name in names:
         return names.index(name)
     if name.isdigit() and int(name) < len(node):
         return int(name)
@@ -254,8 +255,7 @@ def _coefficients(spin_down: dict[str, Any], wheel: dict[str, Any]) -> dict[str,
 def _leaf(old: Any, change: Change) -> Any:
     if change.operator == "=":
         if isinstance(old, dict) and old and not isinstance(change.value, dict):
-            raise InputError(sentence("this is a table of values and not one of them", got=change.key,
-                                      do=f"set one of {', '.join(f'{change.key}.{key}' for key in old)}"))  # fmt: skip
+            raise InputError(_one_of(old, change.key))
         return change.value
     if not _is_number(change.value):
         raise InputError(sentence(f"what stands after {change.operator} must be a number", got=change.value, where=change.key))
@@ -265,7 +265,16 @@ def _leaf(old: Any, change: Change) -> Any:
     return _combined(old, change)
 
 
+def _one_of(table: Mapping[str, Any], key: str) -> str:
+    """What is said of a change of a whole table."""
+    keys = ("coulomb_N_m", "viscous_N_m_s") if "spin_down" in table else table
+    do = f"set one of {', '.join(f'{key}.{each}' for each in keys)}"
+    return sentence("this is a table of values and not one of them", got=key, do=do)
+
+
 def _combined(old: Any, change: Change) -> Any:
+    if isinstance(old, dict):
+        raise InputError(_one_of(old, change.key))
     if isinstance(old, list):
         return [_combined(each, change) for each in old]
     if not _is_number(old):

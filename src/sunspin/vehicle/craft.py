@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, PlainValidator, StrictBool, ValidationInfo
 
 from sunspin.base.errors import VehicleError, sentence
+from sunspin.solve.rotations import seen_turned
 from sunspin.vehicle.notebook import vehicle_html
 from sunspin.vehicle.part import (
     FloatArray,
@@ -206,8 +207,10 @@ class Vehicle(Part):
 
     @property
     def panel_normals_B(self) -> FloatArray:
-        """Unit normals (n_panel, 3)."""
-        return np.array([panel.normal_B for panel in self.panels], dtype=np.float64).reshape(-1, 3)
+        """Unit normals (n_panel, 3), as they stand where all panels are turned together."""
+        drawn = np.array([panel.normal_B for panel in self.panels], dtype=np.float64).reshape(-1, 3)
+        turn = self.panel_response.turned_B_rad
+        return drawn if turn is None or not turn.any() else seen_turned(drawn, -turn)
 
     @property
     def panel_gains(self) -> FloatArray:

@@ -18,6 +18,7 @@ from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import read_bytes
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
+from sunspin.vehicle.assumptions import assumed_keys
 from sunspin.vehicle.part import Name, Part, numbers, part, problem
 from sunspin.vehicle.response.choice import ResponseForm
 
@@ -132,7 +133,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
     if where.lower().endswith(".csv"):
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
     table = read_toml(text, where, VehicleError, do)
-    table, made = ch.changed(table, changes, VehicleFile)
+    table, made = ch.changed(table, changes, VehicleFile, assumed_keys())
     if made:
         where = f"{where} with {', '.join(one.key for one in made)} set"
     try:

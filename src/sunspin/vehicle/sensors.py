@@ -58,7 +58,8 @@ class SunSensor(Part):
     It sees the Sun where its light exceeds `lit_above` (unit of the column). The Sun's angle from the normal towards x is
     the reading times `x_scale` (rad); likewise y, or nothing where `y_scale` is None: then it is known only that the Sun is
     in view. `x_sigma_rad` and `y_sigma_rad` are one-sigma errors of these angles. A sensor whose y wraps has
-    `y_turned_above`: where its light exceeds that, the Sun being near its normal, y is the reading times `y_turned_scale`.
+    `y_turned_above`: where its light exceeds that, the Sun being near its normal, y is the reading times `y_turned_scale`;
+    `y_turned_sigma`: within two of it from there, y may be the one or the other.
     `x_bias_rad` and `y_bias_rad` are then taken off: the angles read where the Sun stands on the normal.
     """
 
@@ -77,6 +78,7 @@ class SunSensor(Part):
     y_sigma_rad: Positive
     y_turned_above: Number | None = None
     y_turned_scale: Number | None = None
+    y_turned_sigma: Positive | None = None
     x_bias_rad: Number = 0.0
     y_bias_rad: Number = 0.0
 
@@ -89,6 +91,8 @@ class SunSensor(Part):
             raise VehicleError(sentence("{path} must give both y_column and y_scale, or neither"))
         if (self.y_turned_above is None) != (self.y_turned_scale is None):
             raise VehicleError(sentence("{path} must give both y_turned_above and y_turned_scale, or neither"))
+        if self.y_turned_sigma is not None and self.y_turned_above is None:
+            raise VehicleError(sentence("{path} has a y_turned_sigma and no y_turned_above, of which it is one sigma"))
 
 
 @part

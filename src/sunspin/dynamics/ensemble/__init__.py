@@ -9,15 +9,16 @@ files and has it compiled, once for each structure. cuda.py puts the same text, 
 
 from sunspin.compute.compiler import vector_bits
 from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.ensemble.ahead import compile_all
 from sunspin.dynamics.ensemble.codegen import RowLayout
 from sunspin.dynamics.ensemble.compiled import OUTCOME_TEXT, Outcome, kernel
 from sunspin.dynamics.ensemble.cuda import check_device, device_identity, require_device
 from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
-from sunspin.dynamics.ensemble.run import BlockResult, Mask, check_commands, prepare, run_rows, structure_of
+from sunspin.dynamics.ensemble.run import BlockResult, Mask, check_commands, prepare, run_rows, structure_of, structures
 from sunspin.dynamics.ensemble.tolerance import EMD_ERROR, accuracy
 
 __all__ = [
     "EMD_ERROR", "OUTCOME_TEXT", "BlockResult", "Bodies", "Mask", "Outcome", "RowLayout", "Rows", "accuracy", "check_commands",
-    "check_device", "device_identity", "kernel", "mode_table", "prepare", "require_device", "run_rows", "structure_of",
-    "vector_bits", "work_array",
+    "check_device", "compile_all", "device_identity", "kernel", "mode_table", "prepare", "require_device", "run_rows",
+    "structure_of", "structures", "vector_bits", "work_array",
 ]  # fmt: skip

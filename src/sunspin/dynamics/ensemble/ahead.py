@@ -22,8 +22,10 @@ from typing import IO
 
 import numpy as np
 
+from sunspin.base.cache import is_writable
+from sunspin.base.errors import OutputError, sentence
 from sunspin.dynamics.ensemble import codegen as c
-from sunspin.dynamics.ensemble.compiled import kernel, loaded
+from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded
 
 _lock = threading.Lock()
 _under_way: dict[Path, subprocess.Popen] = {}
@@ -40,6 +42,21 @@ def compile_ahead(structures: Iterable[c.Structure]) -> None:
     """Begin to compile the kernels of these structures that this machine has not kept, in the order given; returns at once."""
     if (os.cpu_count() or 1) > 1:
         _begin([_path(kernel(structure)) for structure in structures])
+
+
+def compile_all(structures: Iterable[c.Structure]) -> Path:
+    """Compile the kernels of these structures, two at a time, and return the folder that keeps them; `OutputError` if none does."""
+    todo, folder = list(dict.fromkeys(structures)), lasting_folder()
+    if not is_writable(folder):
+        do = "set SUNSPIN_CACHE to a folder that can be written"
+        raise OutputError(sentence("compiled kernels cannot be kept here", do=do, where=str(folder)))
+    for some in (todo[::2], todo[1::2]):
+        compile_ahead(some)
+    missing = [structure for structure in todo if not is_kept(_path(ready_kernel(structure)))]
+    if missing:
+        what = f"{len(missing)} of {len(todo)} kernels could not be compiled or kept"
+        raise OutputError(sentence(what, do="see whether the disk is full", where=str(folder)))
+    return folder
 
 
 def _begin(paths: list[Path]) -> None:

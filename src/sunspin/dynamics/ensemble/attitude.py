@@ -8,15 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import sympy as sp
 
+from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.codegen import assignments
 from sunspin.dynamics.ensemble.compiled import compiler, module_of, template
 from sunspin.dynamics.torques.acting import Torque, directions_of, n_carried, n_parameters, outside
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy("sympy")
 
 NUMBERS = 19
 """Before the torques' own: inverse inertia (6), inertia (3, 3), dipole (3), and the unit of the momentum."""

@@ -10,15 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
-import sympy as sp
-from sympy.printing.pycode import PythonCodePrinter
-
+from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.series import Recurrence
 from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_carried, n_parameters, outside
 from sunspin.vehicle.response.protocol import Literals
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy("sympy")
 
 Component = int | None
 Components = tuple[Component, Component, Component]
@@ -53,7 +57,7 @@ class Structure:
     @property
     def spin(self) -> sp.Expr:
         """The share of H in omega that is taken out: none where torques turn H in space."""
-        return sp.Integer(0) if self.torques else SPIN
+        return sp.Integer(0) if self.torques else sp.Symbol("spin")
 
 
 @dataclass(frozen=True)
@@ -159,21 +163,26 @@ def components(vector: Iterable[float]) -> Components:
     return x, y, z
 
 
-class _Printer(PythonCodePrinter):
-    """Powers as products: exact, and vectorised everywhere."""
+@lru_cache(maxsize=1)
+def _printer() -> Any:
+    """A printer that writes powers as products: exact, and vectorised everywhere."""
+    from sympy.printing.pycode import PythonCodePrinter
 
-    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
-        if isinstance(expr.exp, sp.Integer) and 1 < int(expr.exp) <= 4:
-            base = self._print(expr.base)
-            base = base if expr.base.is_Symbol else f"({base})"
-            return "*".join([base] * int(expr.exp))
-        return super()._print_Pow(expr, rational)
+    class Printer(PythonCodePrinter):
+        def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
+            if isinstance(expr.exp, sp.Integer) and 1 < int(expr.exp) <= 4:
+                base = self._print(expr.base)
+                base = base if expr.base.is_Symbol else f"({base})"
+                return "*".join([base] * int(expr.exp))
+            return super()._print_Pow(expr, rational)
+
+    return Printer()
 
 
 def assignments(names: list[str], expressions: list[Any], prefix: str) -> list[str]:
     """Straight-line assignments of the expressions to the names, common subexpressions first."""
     shared, final = sp.cse(expressions, symbols=sp.numbered_symbols(prefix))
-    printer = _Printer()
+    printer = _printer()
     lines = [f"{symbol} = {printer.doprint(expression)}" for symbol, expression in shared]
     return lines + [f"{name} = {printer.doprint(sp.sympify(e))}" for name, e in zip(names, final, strict=True)]
 
@@ -197,15 +206,12 @@ def torque_symbols(structure: Structure) -> tuple[sp.Symbol, ...]:
     return tuple(sp.Symbol(f"torque_{k}") for k in range(n_parameters(structure.torques)))
 
 
-SPIN = sp.Symbol("spin")
-
-
-TIME = sp.Symbol("clock")
+TIME = "clock"
 """Time (s) on the clock of the torques' environment: part of the state, so that it has a series too."""
 
 
 def state_names(structure: Structure) -> list[str]:
-    more = [*carried_names(structure.torques), str(TIME)] if structure.torques else []
+    more = [*carried_names(structure.torques), TIME] if structure.torques else []
     return ["H0", "H1", "H2", *(f"h{i}" for i in range(len(structure.axes))), "r0", "r1", "r2", *more]
 
 
@@ -235,7 +241,7 @@ def load_parameters(structure: Structure, at: Callable[[str, int], str]) -> Iter
 
 def recurrence(structure: Structure) -> Recurrence:
     """The Taylor coefficients of the motion, r seen from axes that turn about H."""
-    dH, dh, dr = g.rhs(*state_symbols(structure), parameter_symbols(structure), TIME, structure.spin)
+    dH, dh, dr = g.rhs(*state_symbols(structure), parameter_symbols(structure), sp.Symbol(TIME), structure.spin)
     return Recurrence(state_names(structure), [*dH, *dh, *dr, *([sp.Integer(1)] if structure.torques else [])])
 
 
@@ -284,7 +290,7 @@ def observe_one_body(structure: Structure) -> list[str]:
     lines += load_parameters(structure, _in_row(layout))
     lines += [f"J{i} = w[{layout.of(i, 'inertia')}]" for i in range(n)]
     speeds = [g.wheel_speed(h[i], omega, p.wheels[i]) for i in range(n)]
-    torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, TIME) for i in range(n)]
+    torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, sp.Symbol(TIME)) for i in range(n)]
     lines += assignments([*(f"speed{i}" for i in range(n)), *(f"torque{i}" for i in range(n))], speeds + torques, "b")
     tests = []
     for i in range(n):

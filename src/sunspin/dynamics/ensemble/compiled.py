@@ -22,7 +22,9 @@ from types import ModuleType
 from sunspin.base.atomic_write import write_whole
 from sunspin.base.cache import is_writable
 from sunspin.compute.compiler import target
+from sunspin.compute.identity import code
 from sunspin.dynamics.ensemble import codegen as c
+from sunspin.dynamics.ensemble import series_lanes
 from sunspin.dynamics.ensemble.deposit import deposit_body, signed_body
 from sunspin.dynamics.ensemble.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series_lanes import ORDER, SeriesLanes
@@ -142,9 +144,14 @@ def _constants(structure: c.Structure, o: Lanes) -> dict[str, object]:
 
 def cache_folder() -> Path:
     """Where generated modules and their machine code are kept: the user's cache, or a private temporary folder."""
-    base = os.environ.get("SUNSPIN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    folder = Path(base) / "sunspin" / "kernels"
+    folder = lasting_folder()
     return folder if is_writable(folder) else _private_folder()
+
+
+def lasting_folder() -> Path:
+    """Where they are kept from one process to the next, if it can be written."""
+    base = os.environ.get("SUNSPIN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "sunspin" / "kernels"
 
 
 @lru_cache(maxsize=1)
@@ -155,7 +162,29 @@ def _private_folder() -> Path:
 @lru_cache(maxsize=32)
 def kernel(structure: c.Structure) -> ModuleType:
     """The module with the compiled function `run` for this structure."""
-    return module_of(source(structure), compiler())
+    return module_of(kept_source(structure), compiler())
+
+
+def kept_source(structure: c.Structure) -> str:
+    """`source(structure)`, from the cache folder where the same code has generated it before: with SymPy it takes a second.
+
+    Not for torques: what a user's own function says is not known by its name.
+    """
+    if structure.torques:
+        return source(structure)
+    made_from = (structure, series_lanes.ORDER, code()["physics_sha256"], metadata.version("sympy"))
+    path = cache_folder() / f"source_{_digest(repr(made_from))}.txt"
+    if path.exists():
+        digest, _, text = path.read_text(encoding="utf-8").partition("\n")
+        if digest == _digest(text):
+            return text
+    text = source(structure)
+    write_whole(path, lambda part: part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8"))
+    return text
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def compiler() -> str:
@@ -165,8 +194,7 @@ def compiler() -> str:
 
 def module_of(text: str, made_by: str) -> ModuleType:
     """The module with this text, from the cache folder if it is there; `made_by` says what its machine code is made by and for."""
-    key = f"{made_by}\n{text}"
-    name = f"sunspin_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
+    name = "sunspin_kernel_" + _digest(f"{made_by}\n{text}")
     with _lock:
         if name in sys.modules:
             return sys.modules[name]

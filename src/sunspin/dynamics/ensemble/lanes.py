@@ -7,12 +7,16 @@ the array w in the kernel's precision, nodes of the Sun's path are in v in float
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import sympy as sp
-
+from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.codegen import TIME, Component, Structure, assignments, momentum_names, state_names, state_symbols
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy("sympy")
 
 NODE_ROWS = 7
 """Of a node: the Sun's direction and its slope in body axes, and the squared rate of turning."""
@@ -157,7 +161,7 @@ class Lanes:
         self.add(*(f"{name} = {self.row('S_STATE', k)}" for k, name in enumerate(momentum_names(self.structure))))
         self.add(*(f"J{i} = {self.wheel(i, 'inertia')}" for i in range(self.n)))
         p = self.parameters()
-        torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, TIME) for i in range(self.n)]
+        torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, sp.Symbol(TIME)) for i in range(self.n)]
         self.put([f"torque{i}" for i in range(self.n)], torques)
         self.add(f"margin = {self.row('S_MARGIN')}")
         near = self.number(NEARLY_AWAY, self.structure.precision)

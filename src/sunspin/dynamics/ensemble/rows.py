@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import gyrostat as g
@@ -15,7 +14,7 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import principal
 from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.dynamics.torques.acting import needed
+from sunspin.dynamics.torques.acting import needed, needed_around
 from sunspin.vehicle import Vehicle
 
 
@@ -41,13 +40,17 @@ class Rows:
         attitude = None if self.B_from_N is None else self.B_from_N[index]
         return Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index], bodies, attitude)
 
-    def carried(self, acting: Acting) -> np.ndarray:
-        """What torques need of directions (n, n_carried); `InputError` for rows without attitudes where some is needed."""
+    def carried(self, acting: Acting, own: np.ndarray) -> np.ndarray:
+        """What torques need of directions (n, n_carried), `own` as `Acting.own` gives it; `InputError` for rows without attitudes
+        where some is needed."""
         if not needed(acting.torques):
             return np.zeros((len(self), 0))
-        if self.B_from_N is None:
+        if self.B_from_N is None and needed_around(acting.torques):
             raise InputError(sentence("torques that depend on directions need the attitude of each row", do="give B_from_N"))
-        return acting.carried(Rotation.from_quat(self.B_from_N).as_matrix())
+        from scipy.spatial.transform import Rotation
+
+        attitude = np.tile([0.0, 0.0, 0.0, 1.0], (len(self), 1)) if self.B_from_N is None else self.B_from_N
+        return acting.carried(Rotation.from_quat(attitude).as_matrix(), own=own)
 
     def bodies_of(self, vehicle: Vehicle) -> Bodies:
         """The numbers of these rows, leading shape (n,) or, where all have the same, (1,)."""
@@ -63,19 +66,29 @@ def common_spin(free: np.ndarray) -> np.ndarray:
     return 0.5 * (1.0 / moments[..., 0] + 1.0 / moments[..., -1])
 
 
-def mode_table(vehicle: Vehicle, bodies: Bodies) -> np.ndarray:
-    """For every body and set of free wheels, (n, 2^n_wheel, 19): spin, inverse inertia, principal inverse moments and axes."""
+def mode_table(vehicle: Vehicle, bodies: Bodies, with_frames: bool = True) -> np.ndarray:
+    """For every body and set of free wheels, (n, 2^n_wheel, 19): spin, inverse inertia, principal inverse moments and axes.
+
+    The latter take more than half of the time, and zeros stand in their place unless they are asked for: only the split method,
+    which is for histograms, reads them.
+    """
     numbers = np.concatenate([bodies.inertia_kg_m2.reshape(-1, 9), bodies.wheel_inertia_kg_m2], axis=-1)
     same = np.ascontiguousarray(numbers).view([("", np.float64)] * numbers.shape[1]).ravel()
     _, first, which = np.unique(same, return_index=True, return_inverse=True)
-    return _mode_table(vehicle, bodies.take(first))[which.ravel()] if len(first) < len(numbers) else _mode_table(vehicle, bodies)
+    if len(first) < len(numbers):
+        return _mode_table(vehicle, bodies.take(first), with_frames)[which.ravel()]
+    return _mode_table(vehicle, bodies, with_frames)
 
 
-def _mode_table(vehicle: Vehicle, bodies: Bodies) -> np.ndarray:
+def _mode_table(vehicle: Vehicle, bodies: Bodies, with_frames: bool) -> np.ndarray:
     free = principal.free_inertias(bodies)
-    frame = principal.frames(vehicle, bodies)
-    axes = frame.axes.reshape(*frame.axes.shape[:-2], 9)
-    table = np.concatenate([common_spin(free)[..., None], g.inverse_elements(free), frame.inverse, axes], axis=-1)
+    parts = [common_spin(free)[..., None], g.inverse_elements(free)]
+    if with_frames:
+        frame = principal.frames(vehicle, bodies)
+        parts += [frame.inverse, frame.axes.reshape(*frame.axes.shape[:-2], 9)]
+    else:
+        parts += [np.zeros((*free.shape[:-2], 12))]
+    table = np.concatenate(parts, axis=-1)
     return np.ascontiguousarray(np.moveaxis(table, 0, 1))
 
 
@@ -105,7 +118,7 @@ def work_array(
     work[:, 3 : layout.r] = g.axial_momenta(bodies, rows.omega_B, speeds)
     work[:, layout.r : layout.r + 3] = rows.sun_B
     if acting.torques:
-        work[:, layout.r + 3 : layout.n_state - 1] = rows.carried(acting)
+        work[:, layout.r + 3 : layout.n_state - 1] = rows.carried(acting, acting.own(bodies))
         work[:, layout.n_state - 1] = acting.start_s
         work[:, layout.torques : layout.count] = acting.values(bodies)
     own = np.arange(len(rows)) if len(modes) > 1 else np.zeros(len(rows), dtype=np.int64)

@@ -7,7 +7,7 @@ chunks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,11 +53,16 @@ def structure_of(
 
 def prepare(vehicle: Vehicle, runs: Iterable[tuple[Mask | None, int]], torques: tuple[Torque, ...] = ()) -> None:
     """Have the kernels for runs with these masks and numbers of bins compiled, in another process, while this one goes on."""
-    compile_ahead(
-        structure_of(vehicle, mask, bins, method, torques=torques)
-        for mask, bins in runs
-        for method in (("split", "series") if bins and not torques else ("series",))
-    )
+    compile_ahead(structures(vehicle, runs, torques))
+
+
+def structures(
+    vehicle: Vehicle, runs: Iterable[tuple[Mask | None, int]], torques: tuple[Torque, ...] = ()
+) -> Iterator[c.Structure]:
+    """Of the kernels for runs with these masks and numbers of bins."""
+    for mask, bins in runs:
+        for method in ("split", "series") if bins and not torques else ("series",):
+            yield structure_of(vehicle, mask, bins, method, torques=torques)
 
 
 def check_commands(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> tuple[str, ...]:
@@ -178,7 +183,7 @@ def run_rows(
     wanted = accuracy(direction_error, emd_error)
     commands = check_commands(vehicle, wheel_mode)
     n, layout = len(rows), c.RowLayout.under(acting.torques, len(vehicle.wheels))
-    modes = mode_table(vehicle, rows.bodies_of(vehicle))
+    modes = mode_table(vehicle, rows.bodies_of(vehicle), with_frames=bool(bins))
     if acting.torques:
         modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
     work = work_array(vehicle, rows, commands, modes, acting)

@@ -8,12 +8,16 @@ by the step, so that the value at the fraction x of it is ``sum c_k x^k``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
-import sympy as sp
-from sympy.printing.pycode import PythonCodePrinter
+from sunspin.base.lazy import lazy
 
-Sums = dict[tuple[sp.Expr, sp.Expr], str]
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy("sympy")
+
+Sums: TypeAlias = "dict[tuple[sp.Expr, sp.Expr], str]"
 """Products of two series and the names of their sums."""
 
 
@@ -26,6 +30,8 @@ class Recurrence:
     """Code for the Taylor coefficients of dy/dt = f(y), f polynomial in the states and in parameters."""
 
     def __init__(self, states: Sequence[str], derivatives: Sequence[sp.Expr]):
+        from sympy.printing.pycode import PythonCodePrinter
+
         self.states: list[str] = list(states)
         self._series = {sp.Symbol(name) for name in states}
         self._print = PythonCodePrinter({"fully_qualified_modules": False}).doprint

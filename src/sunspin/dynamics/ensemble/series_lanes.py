@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import sympy as sp
+from typing import TYPE_CHECKING
 
+from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.codegen import parameter_symbols, recurrence, state_names, torque_symbols
 from sunspin.dynamics.ensemble.lanes import NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series import value_at
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy("sympy")
 
 ORDER = 14
 """Multiplications per radian turned are fewest between 12 and 20; beyond 14 compilation takes longer for nothing."""

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-import sympy as sp
-
+from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.codegen import Component, wheel_symbols
 from sunspin.dynamics.ensemble.lanes import NODE_ROWS, Lanes
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy("sympy")
 
 MAIN = (0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072)
 SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260)

@@ -23,6 +23,7 @@ from sunspin.dynamics.ensemble.split_lanes import MAX_MAIN_ANGLE, MAX_SIDE_ANGLE
 from sunspin.dynamics.ensemble.tolerance import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.solve.linear import extreme_eigenvalues
 from sunspin.vehicle import Vehicle
 
 MAX_STEPS = 2_000_000
@@ -86,9 +87,8 @@ class Scales:
 
     def uneven(self) -> np.ndarray:
         """A bound (n), rad/s, of how fast H turns in body axes because the moments of inertia differ."""
-        moments = np.linalg.eigvalsh(self.inertias)
-        spread = (1.0 / moments[..., 0] - 1.0 / moments[..., -1]).max(axis=0)
-        return 0.5 * spread * self.momentum_size
+        smallest, largest = extreme_eigenvalues(self.inertias)
+        return 0.5 * (1.0 / smallest - 1.0 / largest).max(axis=0) * self.momentum_size
 
     def outside_rate(self, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
         """What torques from outside add to :meth:`uneven` and, as then no share of H is taken out, to the rest of the rates.
@@ -99,15 +99,23 @@ class Scales:
         still = np.zeros(len(self.rows))
         if not self.acting.torques:
             return still, still
-        torque = self.acting.largest(self.acting.values(self.rows.bodies_of(self.vehicle)))
+        bodies = self.rows.bodies_of(self.vehicle)
+        own = self.acting.own(bodies)
+        torque = self.acting.largest(self.acting.values(bodies)) + np.linalg.norm(own, axis=-1)
         moments = np.linalg.eigvalsh(self.inertias)
         slow, fast = 1.0 / moments[..., -1], 1.0 / moments[..., 0]
         gained = torque * abs(duration_s)
-        carried = self.rows.carried(self.acting).reshape(len(self.rows), -1, 2, 3)[:, :, 1]
+        carried = self.rows.carried(self.acting, own).reshape(len(self.rows), -1, 2, 3)[:, :, 1]
         turning = np.linalg.norm(carried, axis=-1).max(axis=1, initial=0.0)
         swing = np.sqrt(torque * fast.max(axis=0))
         common = 0.5 * (slow + fast).max(axis=0) * (self.momentum_size + gained)
         return 0.5 * (fast - slow).max(axis=0) * gained + swing, common + turning + still
+
+    @cached_property
+    def responses(self) -> list[np.ndarray]:
+        """What a unit of each wheel's momentum makes of omega at most (n_wheel; n or 1), 1/(kg m2)."""
+        axes = [np.broadcast_to(axis[:, None], (*self.inertias.shape[:-1], 1)) for axis in self.rows.bodies_of(self.vehicle).axes_B]
+        return [np.linalg.norm(np.linalg.solve(self.inertias, axis)[..., 0], axis=-1).max(axis=0) for axis in axes]
 
     def wheel_rate(self, t: float) -> np.ndarray:
         """A bound (n), rad/s, of what the wheels' momenta make of omega at the time t (s)."""
@@ -117,9 +125,7 @@ class Scales:
             if command != "hold":
                 dry = m.friction_limit(wheel, command, bodies.coulomb_N_m[:, i])
                 speed = spin_down_speed(dry, bodies.viscous_N_m_s[:, i], inertia, speed, t)
-            axis = np.broadcast_to(bodies.axes_B[i][:, None], (*self.inertias.shape[:-1], 1))
-            response = np.linalg.norm(np.linalg.solve(self.inertias, axis)[..., 0], axis=-1).max(axis=0)
-            rate += response * inertia * (speed + self.rate)
+            rate += self.responses[i] * inertia * (speed + self.rate)
         return rate
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sunspin.base.errors import MotionError, sentence
-from sunspin.dynamics.torques.acting import NOTHING, Acting, Torque
+from sunspin.dynamics.torques.acting import NOTHING, Acting, Torque, needed_around
 from sunspin.dynamics.torques.gravity_gradient import GravityGradient
+from sunspin.dynamics.torques.steady import Steady
 from sunspin.environment import Environment
 
-__all__ = ["NOTHING", "TORQUES", "Acting", "Torque", "acting"]
+__all__ = ["NOTHING", "TORQUES", "Acting", "Steady", "Torque", "acting"]
 
 _ALL: tuple[Torque, ...] = (
     GravityGradient(),
@@ -29,10 +30,10 @@ def acting(torques: Sequence[str | Torque], environment: Environment | None, t_s
     found = tuple(_named(torque) if isinstance(torque, str) else torque for torque in torques)
     here = None if environment is None else environment.at(t_s)
     for torque in found:
-        if torque.needs and here is None:
+        if needed_around([torque]) and here is None:
             do = "give one, such as sunspin.environment.circular(...)"
             raise MotionError(sentence(f"the torque {torque.name!r} needs an environment", do=do))
-        for name in torque.needs:
+        for name in needed_around([torque]):
             if getattr(here, f"{name}_N") is None:
                 raise MotionError(sentence(f"the torque {torque.name!r} needs the {name}, which the environment does not know"))
     return Acting(found, environment, float(t_s))

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.dynamics import gyrostat as g
@@ -25,6 +24,9 @@ SUN_TOLERANCE = 2e-3
 
 PER_DIRECTION = 6
 """Numbers carried for a direction: its components and its turning rate's."""
+
+OWN = "own torque"
+"""A vector that stands in space and that no environment gives: each body's own steady torque (N m)."""
 
 
 class Torque(Protocol):
@@ -60,9 +62,23 @@ class Torque(Protocol):
         ...
 
 
+@runtime_checkable
+class Owned(Protocol):
+    """A torque with a part that stands in space and that each body brings itself."""
+
+    def own(self, bodies: Bodies) -> np.ndarray:
+        """That part (..., 3) in N m, in body axes at the start."""
+        ...
+
+
 def needed(torques: Sequence[Torque]) -> tuple[str, ...]:
-    """The directions that torques need, each once."""
+    """The vectors that are carried for torques, each once."""
     return tuple(dict.fromkeys(name for torque in torques for name in torque.needs))
+
+
+def needed_around(torques: Sequence[Torque]) -> tuple[str, ...]:
+    """The directions that torques need of the environment, each once."""
+    return tuple(name for name in needed(torques) if name != OWN)
 
 
 def n_carried(torques: Sequence[Torque]) -> int:
@@ -133,15 +149,26 @@ class Acting:
         if attitude.shape != (4,) or not abs(np.linalg.norm(attitude) - 1) < SUN_TOLERANCE:
             raise MotionError(sentence("B_from_N must be a unit quaternion, scalar last", got=B_from_N))
         attitude = attitude / np.linalg.norm(attitude)
+        from scipy.spatial.transform import Rotation
+
         away = np.linalg.norm(Rotation.from_quat(attitude).apply(here.sun_N[0]) - sun_B)
         if not away < SUN_TOLERANCE:
             raise MotionError(sentence("sun_B is not where B_from_N shows the environment's Sun", got=f"{away:.2g} rad away"))
         return attitude
 
-    def carried(self, B_from_N: np.ndarray, t_s: Any = None) -> np.ndarray:
-        """What is carried of the directions (..., n_carried), from attitudes (..., 3, 3) at the start or at times (n)."""
+    def own(self, bodies: Bodies) -> np.ndarray:
+        """The vector `OWN` (..., 3) of bodies (...) at the start, in N m; zero where no torque needs it."""
+        found = [torque.own(bodies) for torque in self.torques if isinstance(torque, Owned)]
+        return np.sum(found, axis=0) if found else np.zeros((*bodies.shape, 3))
+
+    def carried(self, B_from_N: np.ndarray, t_s: Any = None, own: npt.ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+        """What is carried of the directions (..., n_carried), from attitudes (..., 3, 3) at the start or at times (n), and of `own`
+        (..., 3) as :meth:`own` gives it."""
         here, parts = self.here(t_s), [np.zeros((*B_from_N.shape[:-2], 0))]
         for name in needed(self.torques):
+            if name == OWN:
+                parts += [np.broadcast_to(x, (*B_from_N.shape[:-2], 3)) for x in (own, np.zeros(3))]
+                continue
             vector = getattr(here, f"{name}_N")
             turn = getattr(here, f"{name}_turn_N", None)
             parts += [np.einsum("...ij,...j->...i", B_from_N, x) for x in (vector, np.zeros((1, 3)) if turn is None else turn)]

@@ -47,7 +47,7 @@ def _smallest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
 
     Too bright a Sun is not contradicted where no panel looks along it; too dark a one is, by the sample that sees most of it.
     """
-    light = value / vehicle.panel_gains
+    light = value / vehicle.input_gains
     brightest = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:MOST_SAMPLES]
     brightest = brightest[light[brightest].max(axis=1) > 0]  # the dark samples of an eclipse bound nothing
     largest = light[brightest].max(axis=1)
@@ -55,7 +55,7 @@ def _smallest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
     seen = panel_power(vehicle, sphere(CANDIDATE_GRID))
     misfit = np.zeros(len(scales))
     for i, scale in enumerate(scales):
-        sigma = np.hypot(data.sigma, BETWEEN_RAD * scale * vehicle.panel_gains)
+        sigma = np.hypot(data.sigma, BETWEEN_RAD * scale * vehicle.input_gains)
         for k in brightest:
             off = np.minimum(((scale * seen - value[k]) / sigma) ** 2, CAP)
             misfit[i] += float((off @ data.used[k]).min())

@@ -79,7 +79,7 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
     """Directions (n, 3), about `CANDIDATE_RAD` apart, that a sample allows; best first."""
     grid = sphere(CANDIDATE_GRID)
     gap = panel_power(model.vehicle, grid) * scale - data.value[sample]
-    tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.panel_gains)
+    tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.input_gains)
     misfit = np.where(data.used[sample], np.minimum((gap / tolerance) ** 2, CAP), 0.0).sum(axis=1)
     allowed = grid[order := np.argsort(misfit, kind="stable")][misfit[order] < misfit.min() + 1.0]
     kept = allowed[:1]

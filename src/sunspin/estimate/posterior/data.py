@@ -42,7 +42,7 @@ def group(tree: xr.DataTree, name: str) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of K samples of P panels.
+    """Readings of K samples of P panels, or of the inputs that panels share.
 
     `t_s` (K): s after the reference, increasing; `value` (K, P); `used` (K, P): it counts; `lit` (K, P): above the threshold;
     `sigma`: one sigma stated; `threshold`; `largest`: reading; `others`: further observations, their times after the reference too.
@@ -103,11 +103,11 @@ def readings(
         Fewer than three samples with a lit panel, an unknown phase or observation, powers of other panels than the vehicle's.
     """
     vehicle.require_panels()
-    if vehicle.channels:
-        what, do = "the posterior does not know panels that share an input", "use `sunspin rates`, which does"
-        raise InputError(sentence(what, got=f"channel {vehicle.channels[0].name!r}", do=do))
+    if vehicle.throttled:
+        what = "the posterior takes the Sun to be as bright in all samples, and throttled inputs read any part of its light"
+        raise InputError(sentence(what, do="use `sunspin rates`, which needs only their ratios"))
     value = np.asarray(signals(telemetry), dtype=np.float64)
-    if value.ndim != 2 or value.shape[1] != len(vehicle.panels):
+    if value.ndim != 2 or value.shape[1] != len(vehicle.inputs):
         raise InputError(sentence("the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"))
     times = np.asarray(telemetry["time"], dtype=np.float64)
     keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
@@ -141,7 +141,7 @@ def readings(
 
 def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
     """Readings (n, n_panel) that no light explains."""
-    relative = np.nan_to_num(value / vehicle.panel_gains)
+    relative = np.nan_to_num(value / vehicle.input_gains)
     brightest = relative.max(axis=1, initial=0.0)
     lit = brightest[brightest > 0]
     return relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -22,12 +21,28 @@ from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.check import Check, check
 from sunspin.estimate.posterior.data import Readings, group, readings
 from sunspin.estimate.posterior.fit import chunk_rows
+from sunspin.estimate.posterior.hypotheses import (
+    ASKED_NOISE,
+    ASKED_P,
+    ASKED_WEIGHT,
+    STATED,
+    Hypothesis,
+    Mixed,
+    Sampled,
+    likely,
+    mixed,
+    others,
+    searched,
+)
 from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.model import Model, State, model, under
-from sunspin.estimate.posterior.modes import Modes, Search, at_reference, plan, require_few, within
+from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
+from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
+from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
-from sunspin.estimate.posterior.widths import Sample, resampled, sample
+from sunspin.estimate.posterior.widths import resampled, sample
+from sunspin.estimate.terms.period import Period
+from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-6
@@ -38,6 +53,15 @@ EDGE = 0.97
 
 TAG_CHANCE = 0.05
 """Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
+
+OTHERS_DRAWS = 0.5
+"""Part of the draws under the model as stated that each other hypothesis gets, as long as the former holds its own."""
+
+CHECKED = 400
+"""Draws by which the model as stated is judged before others are searched for."""
+
+OF_REGION = 4000
+"""Draws of equal weight by which mean and covariance of a region are told."""
 
 LEAST_WEIGHT = 1e-4
 """Regions with less weight are not listed."""
@@ -61,6 +85,7 @@ def posterior(
     device: str = "cpu",
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
+    periods: Sequence[Period] = (),
 ) -> xr.DataTree:
     """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
 
@@ -70,9 +95,12 @@ def posterior(
     telemetry : Dataset of `read_telemetry`
         One stretch of motion without blows; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
     priors : mapping, optional
-        Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain`
-        (each panel's), `scale` and `noise` (of the logarithm); `time_s`, sigma of the samples' times in s (unless given they are
-        taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
+        `steady_torque`, the most that a steady torque of which nobody told may turn the body over the samples (deg; 300 unless
+        given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`,
+        `friction`, `gain`
+        (each panel's), `scale` and `noise` (of the logarithm); `tilt`, of the angles in rad by which each panel's normal is off to
+        each side, and `tilt_common`, of one turn of all panels about each axis; `time_s`, sigma of the samples' times in s (unless
+        given they are taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
         instant; `max_rate_rad_s`, the
         ball in which rates are uniform. Default: what the vehicle's file states, else the values in
@@ -95,6 +123,9 @@ def posterior(
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about the Sun at the reference sample is an unknown, `turn_about_sun_rad`.
+    periods : list of Period, optional
+        Periods seen from outside: group `period` says what they decide
+        (:func:`sunspin.estimate.posterior.period.with_periods`); the draws stay as they are.
 
     Returns
     -------
@@ -126,15 +157,20 @@ def posterior(
     here = data.since(chosen.anchor)
     search = Search(workers, None if store is None else Path(store), progress)
     modes = within(search.modes(there, here, chosen, scale), there.max_rate)
-    likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
+    stated = Hypothesis(STATED, 0.0, Likelihood(there, here, DIRECTION_ERROR), modes)
+    tried = _tried(stated, seed, search, chosen, scale, float((priors or {}).get("steady_torque", MOST_TURNED)))
+    drawn, picked, checked = _together(tried, seed, draws)
     noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
     off = checked.tag_s if noticed else 0.0
     if off:
         there = replace(there, time_sigma_s=off)
-        likelihood, drawn, picked, checked = _drawn(Likelihood(there, here, DIRECTION_ERROR), modes, seed, search, draws)
+        tried = [_sampled(one.hypothesis.tagged(off), seed, search, OTHERS_DRAWS if i else 1.0) for i, one in enumerate(tried)]
+        drawn, picked, checked = _together(tried, seed, draws)
         told["time_s"] = f"{off:.2g} s (from the residuals)"
+    modes = _notes(modes, drawn)
+    if off:
         modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
-    tree = _tree(likelihood, modes, drawn, picked)
+    tree = _tree(there, modes, drawn, picked)
     tree.attrs.update(_about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data))
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
     if edge > 0.01:
@@ -146,17 +182,45 @@ def posterior(
     row = believed(found, tree, prior_sigma, bool(off), AS_STATED if observations else UNCHECKED)
     tree["passes"] = xr.Dataset(table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]})
     tree.attrs["verdict"] += "; decided" if row.answers.decided else f"; not decided: {row.answers.why_not}"
+    if periods:
+        with_periods(vehicle, tree, periods)
     return tree
 
 
-def _drawn(
-    likelihood: Likelihood, modes: Modes, seed: int, search: Search, draws: int
-) -> tuple[Likelihood, Sample, np.ndarray, Check]:
-    """The posterior about the modes: draws, those told, and whether readings like these come from them."""
-    drawn = sample(likelihood, modes, seed, search.run, chunk_rows(likelihood))
+def _sampled(one: Hypothesis, seed: int, search: Search, part: float = 1.0) -> Sampled:
+    """The posterior under a hypothesis, about its modes."""
+    return Sampled(one, sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part))
+
+
+def _tried(stated: Hypothesis, seed: int, search: Search, chosen: Plan, scale: float, most_deg: float) -> list[Sampled]:
+    """The model as stated and the others, sampled; those with a torque from a search of their own where there is cause."""
+    first, every = _sampled(stated, seed, search), list(others(stated, search, most_deg))
+    tried = [first, *(_sampled(one, seed, search, OTHERS_DRAWS) for one in likely(stated, every))]
+    checked = _together(tried[:1], seed, CHECKED)[2]
+    fits = checked.p > ASKED_P and abs(checked.noise_sigmas) < ASKED_NOISE and mixed(tried).weight[0] > ASKED_WEIGHT
+    if fits or not most_deg:
+        return tried
+    every = [searched(one, search, chosen, scale) if one.likelihood.model.frame else one for one in every]
+    return [first, *(_sampled(one, seed, search) for one in likely(stated, every))]
+
+
+def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.ndarray, Check]:
+    """All hypotheses weighed: draws, those told, and whether readings like these come from them."""
+    drawn = mixed(tried)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     picked = resampled(drawn.log_weight, draws, rng)
-    return likelihood, drawn, picked, check(likelihood, drawn.state.take(picked), rng)
+    found, share = [], []
+    for one, places, own in drawn.each(picked):
+        found.append(check(one.hypothesis.likelihood, one.drawn.state.take(own), rng))
+        share.append(len(places) / len(picked))
+    means = [sum(part * value for part, value in zip(share, each, strict=True)) for each in zip(*map(astuple, found), strict=True)]
+    return drawn, picked, Check(*means)
+
+
+def _notes(modes: Modes, drawn: Mixed) -> Modes:
+    """The modes with the remarks on the search under the likeliest hypothesis, which may be another than the first."""
+    best = drawn.tried[int(np.argmax(drawn.weight))].hypothesis
+    return modes if best.what == STATED else replace(modes, notes=best.modes.notes)
 
 
 def _whole(seed: Any, draws: Any) -> None:
@@ -165,21 +229,9 @@ def _whole(seed: Any, draws: Any) -> None:
             raise InputError(sentence(f"{name} must be a whole number of at least {least}", got=value))
 
 
-def at_first_sample(likelihood: Likelihood, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rates, directions and wheel speeds (n, ...) at the first sample of states at the reference."""
-    model_, data = likelihood.model, likelihood.data
-    back = float(data.t_s[0])
-    rows = model_.rows(state)
-    if back == 0.0:
-        return state.omega, state.sun, rows.wheel_speed_rad_s
-    run = model_.run(rows, [back], DIRECTION_ERROR)
-    return run.omega_B[:, 0], run.sun_B[:, 0], run.wheel_speed_rad_s[:, 0]
-
-
-def _tree(likelihood: Likelihood, modes: Modes, drawn: Sample, picked: np.ndarray) -> xr.DataTree:
-    state = drawn.state.take(picked)
-    omega, sun, wheels = at_first_sample(likelihood, state)
-    values = likelihood.model.values(state.u)
+def _tree(model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray) -> xr.DataTree:
+    omega, sun, wheels, steady = drawn.first(picked)
+    values = drawn.values(picked)
     each = ("chain", "draw")
     variables: dict[str, Any] = {
         "omega_B": ((*each, "axis"), omega[None], {"units": "rad s-1", "long_name": "body rate at the first sample"}),
@@ -189,16 +241,18 @@ def _tree(likelihood: Likelihood, modes: Modes, drawn: Sample, picked: np.ndarra
         "log_weight": (each, np.full((1, len(picked)), -np.log(len(picked))), {"units": "1"}),
         "log_likelihood_sum": (each, drawn.log_likelihood[picked][None], {"units": "1"}),
     }
-    for i, x in enumerate(likelihood.model.unknowns):
+    about = {"units": "rad s-2", "long_name": "steady torques over the mean moment of inertia, in body axes at the first sample"}
+    variables["steady_torque"] = ((*each, "stays_in", "axis"), steady[None], about)
+    for i, x in enumerate(model_.unknowns):
         if x.kind != "wheel_speed":
             about = {"units": x.unit, "prior_centre": x.centre, "prior_sigma": x.sigma}
             variables[x.name] = (each, values[:, i][None], about)
     coords = {
-        "axis": ["x", "y", "z"], "wheel": [wheel.name for wheel in likelihood.model.vehicle.wheels],
+        "axis": ["x", "y", "z"], "stays_in": ["body", "space"], "wheel": [wheel.name for wheel in model_.vehicle.wheels],
         "chain": [0], "draw": np.arange(len(picked)),
     }  # fmt: skip
     groups = {
-        "posterior": xr.Dataset(variables, coords), "modes": _modes(likelihood, modes, drawn),
+        "posterior": xr.Dataset(variables, coords), "modes": _modes(drawn),
         "search": xr.Dataset(
             {name: ("stage", np.array(modes.trace)[:, i]) for i, name in enumerate(("samples", "hypotheses", "kept"))}
         ),
@@ -209,24 +263,22 @@ def _tree(likelihood: Likelihood, modes: Modes, drawn: Sample, picked: np.ndarra
     return xr.DataTree.from_dict(groups)
 
 
-def _modes(likelihood: Likelihood, modes: Modes, drawn: Sample) -> xr.Dataset:
+def _modes(drawn: Mixed) -> xr.Dataset:
     """The regions, by falling weight, from their draws."""
     count = max(1, int(np.count_nonzero(drawn.share > LEAST_WEIGHT)))
-    weight = np.exp(drawn.log_weight - logsumexp(drawn.log_weight))
-    rows = []
+    rows, rng = [], np.random.default_rng(0)
     for region in range(count):
-        inside = np.flatnonzero((drawn.region == region) & (weight > 0))
-        inside = inside[np.argsort(-weight[inside], kind="stable")[:2000]]
-        share = weight[inside] / weight[inside].sum()
-        state = drawn.state.take(inside)
-        omega, sun, _ = at_first_sample(likelihood, state)
+        every = np.flatnonzero(drawn.region == region)
+        inside, times = np.unique(every[resampled(drawn.log_weight[every], OF_REGION, rng)], return_counts=True)
+        share = times / OF_REGION
+        omega, sun, *_ = drawn.first(inside)
         mean = share @ omega
         middle = share @ sun
         best = int(np.argmax(drawn.log_likelihood[inside]))
         rows.append((
             mean, np.einsum("n,ni,nj->ij", share, omega - mean, omega - mean), middle / np.linalg.norm(middle),
             drawn.share[region], drawn.evidence + np.log(drawn.share[region]), omega[best],
-            *chi_square(likelihood, state.take([best])), int(modes.hits[drawn.of_mode == region].sum()),
+            *_chi_square(drawn, int(inside[best])), int(drawn.starts[region]),
         ))  # fmt: skip
     names = (
         ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
@@ -241,8 +293,10 @@ def _modes(likelihood: Likelihood, modes: Modes, drawn: Sample) -> xr.Dataset:
     )
 
 
-def chi_square(likelihood: Likelihood, state: State) -> tuple[float, int]:
-    """Sum of squared differences of lit readings, in stated sigmas, and their number."""
+def _chi_square(drawn: Mixed, i: int) -> tuple[float, int]:
+    """Of a draw, sum of squared differences of lit readings, in stated sigmas, and their number."""
+    one = drawn.tried[int(drawn.of[i])]
+    likelihood, state = one.hypothesis.likelihood, one.drawn.state.take([int(drawn.row[i])])
     raw, _ = likelihood.misfit(likelihood.predict(state), state.u)
     used, lit, _ = likelihood.kinds
     return float(np.sum((raw[0] / likelihood.data.sigma)[used & lit] ** 2)), int(np.count_nonzero(used & lit))
@@ -261,14 +315,14 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
 
 
 def _judge(
-    tree: xr.DataTree, modes: Modes, drawn: Sample, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
+    tree: xr.DataTree, modes: Modes, drawn: Mixed, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
 ) -> Found:
     regions = group(tree, "modes")
     doubts = list(modes.notes)
     told = regions["weight"].values >= 0.01
     if np.any(regions["starts"].values[told] == 1):
         doubts.append("a region of weight was reached from one start only, so others may have been missed")
-    spoilt = spoilt_panels(vehicle.panel_names, checked.outliers, data.lit)
+    spoilt = spoilt_panels(vehicle.input_names, checked.outliers, data.lit)
     found = Found(
         regions["weight"].values, regions["omega_B"].values,
         np.sqrt(np.linalg.eigvalsh(regions["omega_cov_B"].values)[:, -1].clip(0)), regions["starts"].values,
@@ -276,11 +330,17 @@ def _judge(
         drawn.effective, doubts,
     )  # fmt: skip
     word, text = verdict(found)
+    if word != "not explained" and (alike := alike_motions(vehicle)):
+        text += f"; {alike}"
+    likeliest, weight = max(drawn.said.items(), key=lambda one: one[1])
+    if likeliest != STATED:
+        text += f"; the readings ask for {likeliest} (weight {weight:.2f})"
     if word == "not explained":
         text += f"; rates up to {tree.attrs['searched_rate_rad_s']:.3g} rad/s were searched"
     tree.attrs |= {
         "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
         "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,
         "remarks": "; ".join(remarks), "spoilt_readings": float(checked.outliers.sum()),
+        "hypotheses": json.dumps({what: round(share, 4) for what, share in drawn.said.items()}),
     }  # fmt: skip
     return found

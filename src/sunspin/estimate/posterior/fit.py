@@ -19,9 +19,10 @@ from sunspin.solve.rotations import moved
 FILES = (
     "estimate/posterior/data.py", "estimate/posterior/model.py", "estimate/posterior/likelihood.py", "estimate/posterior/fit.py",
     "estimate/posterior/cells.py", "estimate/posterior/widths.py", "estimate/posterior/tags.py", "estimate/inertia.py",
+    "estimate/terms/steady_torque.py",
     "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
     "estimate/terms/sun_direction.py",
-    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py",
+    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "estimate/posterior/tilt.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
@@ -127,7 +128,7 @@ class _Search:
 
     def __init__(self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None) -> None:
         self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
-        self._prior = np.concatenate([np.zeros(5), np.ones(state.u.shape[1])])
+        self._prior = np.concatenate([np.zeros(5), likelihood.model.precision])
         self._factor = 1.0
         self._system = self._linearised((state.omega, state.sun, state.u))
 
@@ -139,7 +140,10 @@ class _Search:
     @property
     def readings(self) -> np.ndarray:
         """The same (n) without the priors."""
-        return self.objective - 0.5 * np.sum(self.state.u**2, axis=1)
+        return self.objective - self._of_prior(self.state.u)
+
+    def _of_prior(self, u: np.ndarray) -> np.ndarray:
+        return 0.5 * np.sum(self._prior[5:] * u**2, axis=1)
 
     def go(self, factor: float, steps: int) -> None:
         """Steps under `factor` times the noise."""
@@ -176,14 +180,14 @@ class _Search:
         cost, residual, scaled = self._scaled(u, raw, extra, jacobian)
         normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
         gradient = np.einsum("nri,nr->ni", scaled, residual)
-        gradient[:, 5:] += u
+        gradient[:, 5:] += self._prior[5:] * u
         if self.free is not None:
             normal = np.einsum("ai,nij,jb->nab", self.free.T, normal, self.free)
             gradient = gradient @ self.free
         scale = np.einsum("nii->ni", normal).copy()
         floor = FLOOR * scale.max(axis=1) + 1e-12
         normal = normal + floor[:, None, None] * np.eye(normal.shape[1])
-        cost = np.where(fine, cost + 0.5 * np.sum(u**2, axis=1), np.inf)
+        cost = np.where(fine, cost + self._of_prior(u), np.inf)
         return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine))
 
     def _whole(self, step: np.ndarray) -> np.ndarray:
@@ -192,7 +196,8 @@ class _Search:
     def _longest(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> np.ndarray:
         move, window = self._whole(step), self.likelihood.data.reach_s
         turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
-        return np.maximum(turn / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
+        pushed = np.linalg.norm(self.likelihood.model.relative(move[:, 5:], "steady_torque", 3), axis=1) * window**2 / 2
+        return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
 
     def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         move = self._whole(step)

@@ -7,6 +7,7 @@ may, with probability `OUTLIERS`, have nothing to do with the Sun: a shadow, a s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -102,7 +103,12 @@ class Likelihood:
 
     def power(self, sun: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Expected readings (n, K, P) of directions (n, K, 3)."""
-        return self.response.power(sun, gain=self.gain(u))
+        return self.response.power(sun, gain=self.gain(u), tilt=self.tilt(u))
+
+    def tilt(self, u: np.ndarray) -> np.ndarray | None:
+        """Turns (n, 1, P, 3) of the panels, rad; None where they stand as drawn."""
+        turns = self.model.turns
+        return None if turns is None else np.tensordot(u, turns, axes=1)[:, None]
 
     def gain(self, u: np.ndarray) -> np.ndarray:
         """Factors (n, 1, P) on the vehicle's gains: brightness, and each panel's own."""
@@ -110,7 +116,7 @@ class Likelihood:
         scale = np.zeros(len(u))
         for i in model.where("scale"):
             scale = model.unknowns[i].centre + model.unknowns[i].sigma * u[:, i]
-        gains = model.relative(u, "gain", len(model.vehicle.panels))
+        gains = model.relative(u, "gain", len(model.vehicle.inputs))
         return np.exp(scale[:, None] + gains)[:, None]
 
     def noise(self, u: np.ndarray) -> np.ndarray:
@@ -209,7 +215,7 @@ class Likelihood:
         n, model = len(state), self.model
         window = self.data.reach_s
         step = RATE_STEP / window
-        own = min(UNIT_STEP * max(UNIT_STEP_S / window, 1.0), LARGEST_UNIT_STEP)
+        own = self._steps(window)
         moving = [] if still else model.moving
         e1, _ = tangents(state.sun)
         runs = [state] + [State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)]
@@ -218,7 +224,7 @@ class Likelihood:
         else:
             runs.append(State(state.omega, e1, state.u))
         first = len(runs) - 1
-        runs += [State(state.omega, state.sun, state.u + own * np.eye(state.u.shape[1])[i]) for i in moving]
+        runs += [State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i]) for i in moving]
         every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         raw, extra = self.misfit(base, state.u)
@@ -229,19 +235,27 @@ class Likelihood:
             turned, rest = parts[3], np.zeros_like(base.rate)
             moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
             moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
-        moves += [p.slope(base, own) for p in parts[first:]]
+        moves += [p.slope(base, own[i]) for p, i in zip(parts[first:], moving, strict=True)]
         power = self.power(base.sun, state.u)
         counts = self.data.used & (self.data.lit | (power > self.data.threshold))  # not a dark panel that should be dark
         columns = self._along(base, state.u, moves, counts)
         own_run = iter(columns[5:])
         each = range(state.u.shape[1])
-        columns = columns[:5] + [next(own_run) if i in moving else self._standing(power, counts, i) for i in each]
+        changes = self._standing(base, state.u, power)
+        columns = columns[:5] + [next(own_run) if i in moving else self._column(changes(i), counts) for i in each]
         jacobian = np.stack(columns, axis=-1)
         return base, raw, extra, np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
 
+    def _steps(self, window_s: float) -> np.ndarray:
+        """Steps (k) of the differences in the further unknowns."""
+        own = min(UNIT_STEP * max(UNIT_STEP_S / window_s, 1.0), LARGEST_UNIT_STEP)
+        turned = [max(x.sigma * window_s**2 / 2, RATE_STEP) if x.kind == "steady_torque" else 0.0 for x in self.model.unknowns]
+        return np.array([RATE_STEP / turn if turn else own for turn in turned])
+
     def _along(self, base: Prediction, u: np.ndarray, moves: list[Prediction], counts: np.ndarray) -> list[np.ndarray]:
         """Derivatives (n, R) of the differences along derivatives of the motion; `counts` (n, K, P): readings that change."""
-        slopes, found = self.response.along(base.sun, [move.sun for move in moves], gain=self.gain(u)), []
+        found, gain, tilt = [], self.gain(u), self.tilt(u)
+        slopes = self.response.along(base.sun, [move.sun for move in moves], gain=gain, tilt=tilt)
         for move, slope in zip(moves, slopes, strict=True):
             columns = [np.where(counts, -slope, 0.0).reshape(len(u), -1)]
             for i, o in enumerate(self.data.others):
@@ -249,10 +263,20 @@ class Likelihood:
             found.append(np.concatenate(columns, axis=1))
         return found
 
-    def _standing(self, power: np.ndarray, counts: np.ndarray, i: int) -> np.ndarray:
-        """The same along an unknown that does not change the motion: scale, gains."""
-        unknown, panels = self.model.unknowns[i], np.arange(power.shape[-1])
-        share = {"scale": 1.0, "gain": (panels == unknown.index) * 1.0}.get(unknown.kind, 0.0)
-        more = np.zeros((len(power), sum(o.value.size for o in self.data.others)))
-        slope = power * share * unknown.sigma
-        return np.concatenate([np.where(counts, -slope, 0.0).reshape(len(power), -1), more], axis=1)
+    def _standing(self, base: Prediction, u: np.ndarray, power: np.ndarray) -> Callable[[int], np.ndarray]:
+        """How powers (n, K, P) change with an unknown that does not change the motion, by its place: scale, gains, tilts."""
+        turns, panels = self.model.turns, np.arange(power.shape[-1])
+        to_tilt = None if turns is None else self.response.slopes(base.sun, gain=self.gain(u), tilt=self.tilt(u)).to_tilt
+
+        def change(i: int) -> np.ndarray:
+            unknown = self.model.unknowns[i]
+            if turns is not None and to_tilt is not None and turns[i].any():
+                return np.einsum("nkpi,pi->nkp", to_tilt, turns[i])
+            return power * {"scale": 1.0, "gain": (panels == unknown.index) * 1.0}.get(unknown.kind, 0.0) * unknown.sigma
+
+        return change
+
+    def _column(self, slope: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Derivatives (n, R) of the differences where powers change by `slope` (n, K, P) and the other observations do not."""
+        more = np.zeros((len(slope), sum(o.value.size for o in self.data.others)))
+        return np.concatenate([np.where(counts, -slope, 0.0).reshape(len(slope), -1), more], axis=1)

@@ -8,19 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.friction import spin_down_speed
-from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.dynamics.torques.acting import needed
+from sunspin.dynamics.torques import NOTHING, Acting, Steady
+from sunspin.dynamics.torques.acting import needed_around
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
+from sunspin.estimate.posterior import tilt
+from sunspin.estimate.terms.steady_torque import TURNED, SteadyTorque, sizes
 from sunspin.estimate.terms.term import Unknown
 from sunspin.vehicle import Vehicle
 
@@ -39,10 +43,16 @@ NOISE_UNKNOWN = 1.0
 SCALE_SIGMA = {True: 0.06, False: 1.0}
 """Of the logarithm of the brightness where gains have a unit (cell temperature, distance) and where they are relative."""
 
-KEYS = {"max_rate_rad_s", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale", "time_s",
-        "wheel_off_s", "wheel_off"}
+MOST_TURNED = 300.0
+"""deg by which a steady torque may turn the body over the window, unless the caller says otherwise."""
+
+KEYS = {"max_rate_rad_s", "steady_torque", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale",
+        "time_s", "wheel_off_s", "wheel_off", "tilt", "tilt_common"}
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
+
+STANDING = ("scale", "noise", "gain", tilt.KIND, tilt.COMMON)
+"""Kinds of unknowns on which readings depend and the motion does not."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +82,9 @@ class Model:
     `time_sigma_s` is that of each sample's time tag. `wheel_off_s`: how long before the first sample the wheels were released; the
     vehicle's speeds are those of that instant, and the unknown "wheel_off" is added to it (never less than zero together).
     `device`: where motions run. `acting`: the torques, their motion beginning at the first sample.
+
+    A steady torque in the axes of `frame` ("": none) is in body axes at the reference, over the mean moment of inertia. Its sigma
+    is the widest of those that it may have, all alike beforehand: its `shares` of that. Fits are under one of them, `share`.
     """
 
     vehicle: Vehicle
@@ -83,6 +96,14 @@ class Model:
     wheel_off_s: float = 0.0
     device: str = "cpu"
     acting: Acting = NOTHING
+    frame: Literal["", "B", "N"] = ""
+    shares: tuple[float, ...] = ()
+    share: float = 1.0
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Of the unknowns' priors (k) in fits, in units of their sigmas."""
+        return np.array([self.share**-2 if x.kind == "steady_torque" else 1.0 for x in self.unknowns])
 
     @property
     def turned(self) -> bool:
@@ -96,7 +117,12 @@ class Model:
     @property
     def moving(self) -> list[int]:
         """Places of the unknowns on which the motion depends, so that a derivative needs another run."""
-        return [i for i, x in enumerate(self.unknowns) if x.kind not in ("scale", "noise", "gain")]
+        return [i for i, x in enumerate(self.unknowns) if x.kind not in STANDING]
+
+    @cached_property
+    def turns(self) -> np.ndarray | None:
+        """Turns (k, n_panel, 3) of the panels by one sigma of each unknown; None where they stand as drawn."""
+        return tilt.turns(self.vehicle, self.unknowns) if self.where(tilt.KIND) or self.where(tilt.COMMON) else None
 
     @property
     def dimension(self) -> int:
@@ -133,7 +159,7 @@ class Model:
     def rows(self, state: State) -> k.Rows:
         """Initial states for the kernel."""
         rows = k.Rows(state.omega, state.sun, self.wheel_speeds(state.u), B_from_N=self._attitudes(state) if self.turned else None)
-        if not any(self.where(kind) for kind in ("inertia", "coulomb", "viscous", "wheel_inertia")):
+        if not any(self.where(kind) for kind in ("inertia", "coulomb", "viscous", "wheel_inertia", "steady_torque")):
             return rows
         return replace(rows, bodies=self.bodies(state.u))
 
@@ -155,7 +181,7 @@ class Model:
         )  # fmt: skip
 
     def bodies(self, u: np.ndarray) -> k.Bodies:
-        """Inertia, wheel inertia and friction of each hypothesis."""
+        """Inertia, wheel inertia, friction and steady torques of each hypothesis."""
         wheels = len(self.vehicle.wheels)
         body = k.Bodies.of(self.vehicle, len(u))
         tensor = np.array(body.inertia_kg_m2)
@@ -168,12 +194,21 @@ class Model:
             key: np.array(getattr(body, key)) * np.exp(self.relative(u, kind, wheels))
             for key, kind in (("wheel_inertia_kg_m2", "wheel_inertia"), ("coulomb_N_m", "coulomb"), ("viscous_N_m_s", "viscous"))
         }
-        return replace(body, inertia_kg_m2=tensor, **factors)
+        steady = np.zeros((len(u), 2, 3))
+        mean = np.trace(self.vehicle.require_inertia()) / 3
+        steady[:, "BN".index(self.frame or "B")] = mean * self.relative(u, "steady_torque", 3)
+        return replace(body, inertia_kg_m2=tensor, steady_N_m=steady, **factors)
 
     def log_prior(self, state: State) -> np.ndarray:
         """Log density (n) over rad/s cubed, the sphere, and u; minus infinity where there is no such body."""
         ball = np.log(4 / 3 * np.pi * self.max_rate**3)
-        out = -ball - np.log(4 * np.pi) - 0.5 * np.sum(state.u**2 + np.log(2 * np.pi), axis=1)
+        steady = self.where("steady_torque")
+        plain = np.delete(state.u, steady, axis=1)
+        out = -ball - np.log(4 * np.pi) - 0.5 * np.sum(plain**2 + np.log(2 * np.pi), axis=1)
+        if steady:
+            share = np.array(self.shares)[:, None]
+            each = -0.5 * np.sum(state.u[:, steady] ** 2, axis=1) / share**2 - 3 * np.log(share) - 1.5 * np.log(2 * np.pi)
+            out += logsumexp(each, axis=0) - np.log(len(share))
         allowed = np.linalg.norm(state.omega, axis=1) <= self.max_rate
         if self.where("inertia"):
             moments = np.linalg.eigvalsh(self.bodies(state.u).inertia_kg_m2)
@@ -210,19 +245,31 @@ def model(
     made += [] if off is None else [off]
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
-    made += [Unknown(f"log_gain_{panel.name}", "gain", "1", 0.0, gain, j) for j, panel in enumerate(vehicle.panels) if gain]
+    made += [Unknown(f"log_gain_{name}", "gain", "1", 0.0, gain, j) for j, name in enumerate(vehicle.input_names) if gain]
+    made += _tilts(vehicle, priors, told)
     limit = priors.get("max_rate_rad_s") or vehicle.sensors.disturbance.max_rate_rad_s or DEFAULT_MAX_RATE
     if not (np.isfinite(limit) and limit > 0):
         raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
     told["rate"] = f"uniform in a ball of {limit:g} rad/s"
+    told["steady_torque"] = _most_turned(priors)
     return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, _tags(priors, told),
                  wheel_off_s=0.0 if off is None else off.centre), told  # fmt: skip
 
 
 def under(model_: Model, acting: Acting) -> Model:
     """The model under torques; where they depend on directions beside the Sun's, the turn about the Sun becomes an unknown."""
-    turn = (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),) if needed(acting.torques) else ()
+    turn = (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),) if needed_around(acting.torques) else ()
     return replace(model_, acting=acting, unknowns=model_.unknowns + turn)
+
+
+def pushed(model_: Model, frame: Literal["B", "N"], duration_s: float, most_deg: float) -> Model:
+    """The model under a steady torque that nobody told of, which turns the body by `most_deg` over the readings' time at most."""
+    turned = TURNED[TURNED <= np.radians(most_deg) * (1 + 1e-9)]
+    tried = sizes(duration_s, turned if len(turned) else np.radians([most_deg]))
+    more = SteadyTorque(float(tried[-1]), frame, np.array(model_.vehicle.require_inertia())).unknowns()
+    acting_ = replace(model_.acting, torques=(*model_.acting.torques, Steady()))
+    shares = tuple((tried / tried[-1]).tolist())
+    return replace(model_, acting=acting_, frame=frame, shares=shares, unknowns=model_.unknowns + more)
 
 
 def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: float, told: dict[str, str]) -> float:
@@ -241,6 +288,25 @@ def _not_negative(value: Any, said: str) -> None:
     """Refuse, as it is `said`, what is no finite number or a negative one."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
         raise InputError(sentence(said, got=value))
+
+
+def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:
+    """Turns of the panels, where the file or the caller says that they may stand off."""
+    for key in ("tilt", "tilt_common"):
+        _not_negative(priors.get(key, 0.0), f"the prior sigma of {key} must be zero (known) or positive, in rad")
+    own, common, words = tilt.told(priors, vehicle)
+    told.update(words)
+    if vehicle.channels and (own.any() or common):
+        what, do = "the posterior does not know turns of panels that share an input", "leave them out: tilt and tilt_common 0"
+        raise InputError(sentence(what, got=f"channel {vehicle.channels[0].name!r}", do=do))
+    return tilt.unknowns(vehicle, own, common)
+
+
+def _most_turned(priors: Mapping[str, Any]) -> str:
+    most = priors.get("steady_torque", MOST_TURNED)
+    _not_negative(most, "steady_torque, the most that one may turn the body over the samples, must be zero or positive, in degrees")
+    source = "given" if "steady_torque" in priors else "assumed"
+    return f"turns by up to {most:g} deg ({source})" if most else f"none ({source})"
 
 
 def _tags(priors: Mapping[str, Any], told: dict[str, str]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,11 +13,13 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.compute.rows import ensemble, worker_count
 from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.posterior import cells as c
+from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, Unknown
+from sunspin.estimate.posterior.tilt import spread
 from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
@@ -56,8 +58,15 @@ KEPT_ANYWAY = 100
 SPEED_LEFT = 0.3
 """Part of its speed that a wheel has left at a reference."""
 
+TURNS_OF_PANELS = (tilt.KIND, tilt.COMMON)
+"""Kinds of the unknowns that are left alone until the last fit."""
+
 TURNS = 4
 """Turns about the Sun that are tried where torques depend on them."""
+
+SHARED_EDGE = 0.5
+"""Step of the grid over the largest rate, at most, where panels share inputs: three samples then fit motions all along a line of
+rates, and with one cell for the whole ball 1 of 8 true motions was lost."""
 
 MOST_CHOICES = 40
 """Samples looked at for the reference, evenly over those that may be it."""
@@ -66,6 +75,12 @@ DROP, MOST_MODES = 30.0, 300
 """Modes less probable than the best by exp(-30) are left out, and more than this."""
 
 
+BEYOND = 40
+"""Fits kept beside the modes, the best."""
+
+SIZES_FITTED = (1, 3, 5)
+"""Which of the sigmas of a steady torque fits are under, one after the other; what lies between is near enough."""
+
 INSIDE = 0.95
 """Part of the largest rate at which modes begin that lie beyond it: draws about them stay inside."""
 
@@ -73,7 +88,10 @@ INSIDE = 0.95
 @dataclass(frozen=True)
 class Modes:
     """What was found, best first: centres, minus the log posterior (n) but for a constant, curvature (n, D, D), how many
-    starts came together in each (n); `trace`: samples, hypotheses before and after, at each stage; `notes` for the verdict."""
+    starts came together in each (n); `trace`: samples, hypotheses before and after, at each stage; `notes` for the verdict.
+
+    `share` (n): under which sigma of a steady torque each was fitted, as a part of the widest. `beyond`: what fits worse than modes
+    do, the best first, and the starts of each: under another model they may fit."""
 
     state: State
     objective: np.ndarray
@@ -81,6 +99,8 @@ class Modes:
     hits: np.ndarray
     trace: tuple[tuple[int, int, int], ...]
     notes: tuple[str, ...]
+    share: np.ndarray = field(default_factory=lambda: np.ones(1))
+    beyond: tuple[State, np.ndarray] | None = None
 
 
 def within(modes: Modes, max_rate: float) -> Modes:
@@ -112,6 +132,7 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     for a in choices:
         around = _neighbours(data, a)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
+        edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
         work = len(suns[a]) * (ball(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
         tried.append((work, int(a), around, edge, suns[a]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
@@ -208,7 +229,7 @@ class Search:
         turn = self.run(grid, "grid of rates", 8192)["turn"]
         cells = c.Starts(grid, turn, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
         state, hits = cells.found(worker_count(self.workers))
-        return replace(state, u=np.zeros((len(state), len(model.unknowns)))) if model.turned else state, hits
+        return replace(state, u=np.zeros((len(state), len(model.unknowns)))), hits
 
     def fit(
         self, likelihood: Likelihood, state: State, levels: Levels, label: str, every: bool = False, **options: Any
@@ -223,7 +244,13 @@ class Search:
         return {name: values[best] for name, values in found.items()}
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
-        """All modes; `model` and `data` have the plan's sample as the reference."""
+        """All modes; `model` and `data` have the plan's sample as the reference.
+
+        While the window grows turns of the panels are left alone and counted as noise: there would be as many of them as readings.
+        Starts and looks ahead have room enough for them.
+        """
+        whole, wide = Likelihood(model, data), replace(data, sigma=spread(data.sigma, model.vehicle, model.unknowns, scale))
+        model, kept = standing(model)
         state, hits = self.starts(model, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
@@ -236,7 +263,7 @@ class Search:
         trace, first, beside = [], True, np.zeros(len(state))
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
-            part = data.take(used)
+            part = wide.take(used)
             likelihood = Likelihood(model, part)
             still = len(used) < FEW
             levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
@@ -255,7 +282,7 @@ class Search:
                 state, normal, beside = state.take(only), normal[only], beside[only]
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
-                return self._last(likelihood, state, hits, trace, notes)
+                return self._with_images(whole, self._last(whole, _widened(state, whole.model, kept), hits, trace, notes))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
@@ -269,26 +296,69 @@ class Search:
         look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale)
         return self.run(look, "looking ahead", 8192)["allowed"]
 
+    def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:
+        """The modes and their images under what changes no reading of panels on shared inputs: the search may miss some."""
+        images = likelihood.response.images
+        if len(images) == 1:
+            return found
+        every = State.joined([_imaged(found.state, image) for image in images])
+        return self._last(likelihood, every, np.tile(found.hits, len(images)), list(found.trace), list(found.notes))
+
     def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
+        if likelihood.model.frame:
+            return self.refined(likelihood, state, hits, trace, notes)
+        return distinct(*self._curved(likelihood, state, hits), trace, notes)
+
+    def _curved(self, likelihood: Likelihood, state: State, hits: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Fits to all samples with their curvatures, and how many starts came together in each."""
         found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", every=True, curved=True)
-        hits = np.tile(hits, len(found["cost"]) // len(hits))
-        order = np.argsort(found["cost"], kind="stable")
-        order = order[found["cost"][order] < found["cost"][order[0]] + DROP]
-        state, cost, hessian = State(found["omega"], found["sun"], found["u"]), found["cost"], found["hessian"]
-        kept: list[int] = []
-        count: list[int] = []
-        for i in order:
-            near = same_mode(state, hessian, int(i), kept)
-            if near is not None:
-                count[near] += int(hits[i])
-            elif len(kept) < MOST_MODES:
-                kept.append(int(i))
-                count.append(int(hits[i]))
-            elif not any("modes" in note for note in notes):
-                notes.append(f"more than {MOST_MODES} modes")
-        trace.append((len(likelihood.data), len(state), len(kept)))
-        index = np.array(kept)
-        return Modes(state.take(index), cost[index], hessian[index], np.array(count), tuple(trace), tuple(notes))
+        found["share"] = np.full(len(found["cost"]), likelihood.model.share)
+        return found, np.tile(hits, len(found["cost"]) // len(hits))
+
+    def refined(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
+        """The modes under another model than the one under which states were found: with a steady torque, for each of its sizes."""
+        if not likelihood.model.frame:
+            return distinct(*self._curved(likelihood, state, hits), trace, notes)
+        parts, shares = [], likelihood.model.shares
+        for share in dict.fromkeys(shares[min(i, len(shares) - 1)] for i in SIZES_FITTED):
+            sized = replace(likelihood, model=replace(likelihood.model, share=share))
+            found, starts = self._curved(sized, state, hits)
+            state = State(found["omega"], found["sun"], found["u"]).take(slice(len(state)))
+            found["cost"] += 3 * np.log(share)  # the prior's height: a small torque is no wonder where small ones are expected
+            parts.append((found, starts))
+        every = {name: np.concatenate([found[name] for found, _ in parts]) for name in parts[0][0]}
+        return distinct(every, np.concatenate([starts for _, starts in parts]), trace, notes, len(parts))
+
+
+def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes: list[str], times: int = 1) -> Modes:
+    """The modes among fits to all samples, copies joined; `times`: how often each start is among these."""
+    order = np.argsort(found["cost"], kind="stable")
+    order = order[np.isfinite(found["cost"][order])] if np.isfinite(found["cost"]).any() else order
+    good = found["cost"][order] < found["cost"][order[0]] + DROP
+    state, cost, hessian = State(found["omega"], found["sun"], found["u"]), found["cost"], found["hessian"]
+    kept: list[int] = []
+    count: list[int] = []
+    for i in order[good]:
+        near = same_mode(state, hessian, int(i), kept)
+        if near is not None:
+            count[near] += int(hits[i])
+        elif len(kept) < MOST_MODES:
+            kept.append(int(i))
+            count.append(int(hits[i]))
+        elif not any("modes" in note for note in notes):
+            notes.append(f"more than {MOST_MODES} modes")
+    far = order[~good][:BEYOND]
+    index, trace = np.array(kept), [*trace, (int(trace[-1][0]) if trace else 0, len(cost), len(kept))]
+    starts = -(-np.array(count) // times)
+    return Modes(
+        state.take(index), cost[index], hessian[index], starts, tuple(trace), tuple(notes), found["share"][index],
+        (state.take(far), hits[far]),
+    )  # fmt: skip
+
+
+def _imaged(state: State, image: np.ndarray) -> State:
+    """Motions as a mirror or a turn of the body (3, 3) shows them: rates are axial vectors."""
+    return replace(state, omega=np.linalg.det(image) * (state.omega @ image.T), sun=state.sun @ image.T)
 
 
 def _turned(model: Model, state: State) -> list[State]:
@@ -300,8 +370,24 @@ def _turned(model: Model, state: State) -> list[State]:
     return [replace(state, u=state.u + i * step) for i in range(TURNS)]
 
 
+def standing(model: Model) -> tuple[Model, np.ndarray]:
+    """The model with its panels as drawn, and the places (k) in u of the unknowns that are left."""
+    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in TURNS_OF_PANELS], dtype=np.int64)
+    return (model if len(kept) == len(model.unknowns) else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))), kept
+
+
+def _widened(state: State, model: Model, kept: np.ndarray) -> State:
+    """States of `standing` as those of the model: panels as drawn, under the noise that is stated."""
+    if len(kept) == len(model.unknowns):
+        return state
+    u = np.zeros((len(state), len(model.unknowns)))
+    u[:, kept] = state.u
+    u[:, model.where("noise")] = 0.0
+    return replace(state, u=u)
+
+
 def _untorqued(model: Model) -> tuple[Unknown, ...]:
-    return tuple(x for x in model.unknowns if x.kind != "turn")
+    return tuple(x for x in model.unknowns if x.kind not in ("turn", "steady_torque"))
 
 
 def _anything(model: Model, chosen: Plan) -> State:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
+from sunspin.dynamics.torques import NOTHING, Acting, Steady
 from sunspin.estimate.posterior.data import group
 from sunspin.estimate.posterior.model import Model, model
 from sunspin.vehicle import Vehicle
@@ -34,7 +36,7 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     posterior, mode = group(tree, "posterior"), json.loads(tree.attrs.get("wheel_mode", '"coast"'))
     unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), 1.0, mode)
     omega, sun, speeds = (
-        np.asarray(posterior[name].values).reshape(-1, size)
+        np.asarray(posterior[name].values).reshape(posterior.sizes["chain"] * posterior.sizes["draw"], size)
         for name, size in (("omega_B", 3), ("sun_B", 3), ("wheel_speed_rad_s", len(vehicle.wheels)))
     )
     u = np.zeros((len(omega), len(unknown.unknowns)))
@@ -44,16 +46,22 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
         if x.name not in posterior or not np.isclose(posterior[x.name].attrs["prior_centre"], x.centre, rtol=1e-9, atol=1e-12):
             raise InputError(sentence("the posterior is not of this vehicle", got=vehicle.name, do="give the file it came from"))
         u[:, i] = (posterior[x.name].values.ravel() - x.centre) / x.sigma
-    return unknown, k.Rows(omega, sun, speeds, bodies=unknown.bodies(u))
+    bodies = unknown.bodies(u)
+    if "steady_torque" in posterior:
+        mean = np.trace(vehicle.require_inertia()) / 3
+        bodies = replace(bodies, steady_N_m=mean * posterior["steady_torque"].values.reshape(-1, 2, 3))
+    return unknown, k.Rows(omega, sun, speeds, bodies=bodies)
 
 
 def run_to(vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: Any = "coast") -> dict[str, np.ndarray]:
     """Rows run to times (n_t), s after theirs, earlier ones backward: `omega_B`, `sun_B` (n, n_t, 3), `wheel_speed_rad_s`.
 
-    Wheels run down, stop and stay through all of it. NaN where a run could not be computed.
+    Wheels run down, stop and stay through all of it, and steady torques go on. NaN where a run could not be computed.
     """
     times = np.asarray(after_s, dtype=np.float64)
     n, wheels = len(rows), len(vehicle.wheels)
+    pushed = rows.bodies is not None and rows.bodies.steady_N_m.any()
+    acting = Acting((Steady(),)) if pushed else NOTHING
     out = {"omega_B": np.empty((n, times.size, 3)), "sun_B": np.empty((n, times.size, 3)),
            "wheel_speed_rad_s": np.empty((n, times.size, wheels))}  # fmt: skip
     for name, values in out.items():
@@ -64,7 +72,7 @@ def run_to(vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: A
         ends, place = np.unique(times[side], return_inverse=True)
         ends = ends[::-1] if ends[0] < 0 else ends
         place = len(ends) - 1 - place if ends[0] < 0 else place
-        run = k.run_rows(vehicle, rows, ends, wheel_mode=wheel_mode, direction_error=DIRECTION_ERROR)
+        run = k.run_rows(vehicle, rows, ends, wheel_mode=wheel_mode, direction_error=DIRECTION_ERROR, acting=acting)
         fine = (run.outcome == k.Outcome.FINE)[:, None, None]
         for name, values in out.items():
             values[:, side] = np.where(fine, getattr(run, name)[:, place], np.nan)

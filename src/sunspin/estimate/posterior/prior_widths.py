@@ -12,25 +12,28 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
+from sunspin.estimate.posterior.hypotheses import Mixed
 from sunspin.estimate.posterior.model import Model
 from sunspin.estimate.posterior.verdict import Found, word_of
-from sunspin.estimate.posterior.widths import Sample, pareto_tail
+from sunspin.estimate.posterior.widths import pareto_tail
+from sunspin.estimate.verdict import LEAST_DRAWS
 
 FACTORS = (0.5, 2.0)
 
 KEYS = {
     "inertia": ("inertia",), "wheel_speed": ("wheel_speed",), "wheel_inertia": ("wheel_inertia",),
-    "friction": ("coulomb", "viscous"), "gain": ("gain",), "noise": ("noise",), "scale": ("scale",), "wheel_off": ("wheel_off",),
+    "friction": ("coulomb", "viscous"), "gain": ("gain",), "tilt": ("tilt",), "tilt_common": ("tilt_common",),
+    "noise": ("noise",), "scale": ("scale",), "wheel_off": ("wheel_off",),
 }  # fmt: skip
 """Key of `priors` -> kinds of its unknowns."""
 
 RATE = "max_rate_rad_s"
 
-LEAST_DRAWS, LARGEST_TAIL = 200.0, 0.7
-"""Effective draws from which a median is known to a tenth of its sigma, and Pareto's k up to which their number can be believed."""
+LARGEST_TAIL = 0.7
+"""Pareto's k up to which the number of effective draws can be believed."""
 
 
-def prior_widths(model: Model, drawn: Sample, found: Found) -> list[dict[str, Any]]:
+def prior_widths(model: Model, drawn: Mixed, found: Found) -> list[dict[str, Any]]:
     """For each prior and factor on its width what becomes of the verdict.
 
     Each entry: `prior`, `factor`; `told`, whether these draws tell; and if so `word`, the verdict's; `weight` of the first region;
@@ -41,7 +44,7 @@ def prior_widths(model: Model, drawn: Sample, found: Found) -> list[dict[str, An
     return [_one(model, drawn, found, key, factor) for key in (*asked, RATE) for factor in FACTORS]
 
 
-def _one(model: Model, drawn: Sample, found: Found, key: str, factor: float) -> dict[str, Any]:
+def _one(model: Model, drawn: Mixed, found: Found, key: str, factor: float) -> dict[str, Any]:
     said: dict[str, Any] = {"prior": key, "factor": factor, "told": False}
     if key == RATE and factor > 1:
         return said | {"effective": 0.0}  # nothing was drawn beyond the ball
@@ -66,7 +69,7 @@ def _one(model: Model, drawn: Sample, found: Found, key: str, factor: float) -> 
     }  # fmt: skip
 
 
-def _log_ratio(model: Model, drawn: Sample, key: str, factor: float) -> np.ndarray:
+def _log_ratio(model: Model, drawn: Mixed, key: str, factor: float) -> np.ndarray:
     """Log of the other prior over the one that was used (n); unknowns are in their prior's sigmas."""
     if key == RATE:
         inside = np.linalg.norm(drawn.state.omega, axis=1) <= factor * model.max_rate

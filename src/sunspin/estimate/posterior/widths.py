@@ -19,7 +19,7 @@ from scipy.stats import genpareto
 from sunspin.estimate.posterior.fit import Fit, asked
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
-from sunspin.estimate.posterior.model import State
+from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.modes import Modes
 
 ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
@@ -49,6 +49,9 @@ MOST_BENT = 12
 
 RIDGE_POINTS, RIDGE_WIDTHS = 4, (0.3, 0.7, 1.3)
 """Fits for each coefficient of a bend, and how far about the centre they are, in sigmas, one after the other."""
+
+NO_MASS = 7.0
+"""Log mass by which a size of a steady torque may be less likely than the likeliest of its mode to be given a component."""
 
 ON_RIDGE = 9.0
 """Squared distance for each dimension, in sigmas, up to which a mode lies on the ridge of another."""
@@ -103,19 +106,19 @@ class Sample:
     trace: np.ndarray
 
 
-def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int) -> Sample:
-    """The posterior around the modes; `run(function, label, chunk)` computes rows.
+def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int, part: float = 1.0) -> Sample:
+    """The posterior around the modes; `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
     Where sheets with one soft direction do not become good, others with two are learnt too, and both propose.
     """
     tracks: list[_Track] = []
     for softs in SOFTS:
-        tracks.append(_taught(likelihood, modes, softs, seed, run, chunk))
+        tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part))
         if tracks[-1].share > GOOD_SHARE:
             break
     worth = np.array([track.share for track in tracks])
     blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
-    count = int(np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
+    count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
     last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
     trace = [*(row for track in tracks for row in track.trace), [last.evidence, last.effective / count, last.tail]]
     label, of_component = regions(last.log_weight, last.parts, last.density)
@@ -136,16 +139,16 @@ class _Track:
     trace: list[list[float]]
 
 
-def _taught(likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int) -> _Track:
+def _taught(likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int, part: float) -> _Track:
     """Rounds of draws from which a mixture learns; its first components stand first in it."""
     first, of_mode = _first(likelihood, modes, softs, seed, run, chunk)
     mixture, tried, trace = first, [], []
-    begin = SOFTS.index(softs) * ROUNDS
+    begin, count = SOFTS.index(softs) * ROUNDS, int(part * DRAWS)
     for turn in range(ROUNDS):
-        made = _round(likelihood, mixture, DRAWS, seed, begin + turn, run, chunk)
-        trace.append([made.evidence, made.effective / DRAWS, made.tail])
-        tried.append((made.effective / DRAWS, mixture))
-        if made.effective > GOOD_SHARE * DRAWS:
+        made = _round(likelihood, mixture, count, seed, begin + turn, run, chunk)
+        trace.append([made.evidence, made.effective / count, made.tail])
+        tried.append((made.effective / count, mixture))
+        if made.effective > GOOD_SHARE * count:
             break
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
         mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
@@ -235,11 +238,36 @@ def _first(
             _follow_ridge(likelihood, mixture, m, rng, run, chunk)
     kept = np.flatnonzero(owner == np.arange(len(owner)))
     mass = (-modes.objective + 0.5 * np.linalg.slogdet(laplace)[1])[kept]
+    first, of_kept = mixture.take(kept), np.arange(len(kept))
+    if model.frame:
+        first, mass, of_kept = _over_sizes(model, first, mass, modes.share[kept])
     weight = np.exp(np.maximum(0.7 * (mass - mass.max()), -8.0))
-    first = Mixture(
-        modes.state.take(kept), basis[kept], bend[kept], mixture.mean[kept], WIDER * covariance[kept], weight / weight.sum(), sheet
-    )
-    return first, np.searchsorted(kept, owner)
+    first = replace(first, covariance=WIDER * first.covariance, weight=weight / weight.sum())
+    return first, np.searchsorted(of_kept, np.searchsorted(kept, owner))
+
+
+def _over_sizes(model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.ndarray) -> tuple[Mixture, np.ndarray, np.ndarray]:
+    """Components under each sigma that a steady torque may have instead of the one (m) of their fit, by linear theory, those of
+    no mass left out; their log masses, and which component each was made of, in order."""
+    places = 5 + np.array(model.where("steady_torque"))
+    made: list[tuple[int, float, np.ndarray, np.ndarray]] = []
+    for m, share in enumerate(fitted):
+        torque, inverse = mixture.centre.u[m, places - 5], np.linalg.inv(mixture.covariance[m])
+        for other in model.shares:
+            more = other**-2 - share**-2
+            precision, pull = np.array(inverse), np.zeros(len(inverse))
+            precision[places, places] += more
+            pull[places] = -more * torque
+            covariance = np.linalg.inv(precision)
+            gain = 0.5 * (pull @ covariance @ pull - more * torque @ torque)
+            size = 0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mixture.covariance[m])[1])
+            made.append((m, mass[m] + gain + size - 3 * np.log(other / share), covariance @ pull, covariance))
+    every = np.array([one[1] for one in made])
+    best = np.array([max(one[1] for one in made if one[0] == m) for m in range(len(fitted))])
+    kept = [one for one, value in zip(made, every, strict=True) if value > best[one[0]] - NO_MASS]
+    index = np.array([one[0] for one in kept])
+    found = replace(mixture.take(index), mean=np.array([one[2] for one in kept]), covariance=np.array([one[3] for one in kept]))
+    return found, np.array([one[1] for one in kept]), index
 
 
 def _straight(laplace: np.ndarray, reach_s: float, sheet: Sheet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,11 +1,11 @@
 """What may be wrong with the model of a pass of :mod:`sunspin.estimate.rates`: tried, weighed by evidence, and counted in.
 
 Beside the model as stated each pass is fitted with a constant torque in body axes or in axes fixed in space, with steps of the
-rate, with stronger unknown torques, with a swinging too quick for the samples, and with sensors worse than stated. Each is the list
-of terms with one entry changed (:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found. All are as likely
-before the data, and so is each size of a swinging, since satellites under control do swing. How strong a torque is nobody knows
-even to a power of ten, nor when a step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs
-evidence.
+rate, with stronger unknown torques, with a swinging too quick for the samples, with sensors worse than stated, and where samples
+are few without one reading or two. Each is the list of terms with one entry changed
+(:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found. All are as likely before the data, and so is each
+size of a swinging, since satellites under control do swing. How strong a torque is nobody knows even to a power of ten, nor when a
+step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs evidence; so does a reading left out.
 """
 
 from __future__ import annotations
@@ -17,28 +17,31 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.estimate.rates.common import Common, again, places_of
-from sunspin.estimate.rates.hypotheses import Hypothesis
+from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.noise import falling
 from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
 from sunspin.estimate.rates.smooth import Intervals, log_noise
 from sunspin.estimate.rates.state import Track
-from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque
-from sunspin.estimate.terms.term import StateTerm, SunTerm, normal
+from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque, sizes
+from sunspin.estimate.terms.term import MotionTerm, PairTerm, StateTerm, SunTerm, normal
 from sunspin.estimate.terms.unsteady import RateStep, Swinging
 from sunspin.solve.rotations import smallest_turn, turn_between
 
-TURNED = np.radians(np.geomspace(1.0, 300.0, 6))
-"""rad by which a constant torque may turn the body over a pass: each as likely as any other."""
-
-MODES, LIGHTEST, SWINGING_MODES = 2, 0.02, 5
-"""Modes from which alternatives begin, at most, and the least weight of one; and modes from which a swinging does."""
+MODES, LIGHTEST, MORE_MODES = 2, 0.02, 5
+"""Modes from which alternatives begin, at most, and the least weight of one; and modes from which those begin that may lead far."""
 
 STRONGER = (3.0, 10.0, 30.0)
 """How much stronger unknown torques may be than elsewhere in the file."""
 
 COARSER = (1.5, 2.5, 5.0)
 """How much worse a sensor may be than stated."""
+
+FEW, MOST_BAD = 6, 2
+"""Samples of a pass up to which readings are left out, since a bad one is not outvoted; and how many are, at most."""
+
+BAD = float(np.log(0.1 / 0.9))
+"""Log odds that a reading is bad, whatever its sensor states: it may then be anything."""
 
 MOST_STEPS = 4
 """Steps of the rate in a pass, at most."""
@@ -64,7 +67,8 @@ COUNTED = 0.01
 """A mode of an alternative that holds less than this part of the weight is left out."""
 
 BENT_RAD = 1.0
-"""Two hypotheses may bend one motion apart by so much between two samples; other motions differ by more, mostly by whole turns."""
+"""Two hypotheses, or two meanings of a reading, may bend one motion apart by so much between two samples; other motions differ by
+more, mostly by whole turns."""
 
 TORQUES_STRONGER, SWINGS_QUICKLY = "unknown torques stronger than in the rest of the file", "a swinging quicker than the samples"
 """What such hypotheses change, in words."""
@@ -108,6 +112,7 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     rungs = falling(loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise)[1:]
     shared = [one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises]
     found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start)]
+    found += _without_readings(stated, how.clock_time)
     found += _swinging(stated) if how.free else []  # else the vehicle's file says what torques there are
     return [one for one in found if np.isfinite(one.best)]
 
@@ -133,15 +138,15 @@ def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
 def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
     """One that hardly turns the body over the pass is no other hypothesis."""
     stated = start.hypothesis
-    sizes = 2 * TURNED / float(np.ptp(stated.o.t_s)) ** 2
+    tried = sizes(float(np.ptp(stated.o.t_s)))
     for frame in ("B", "N"):
-        term = SteadyTorque(sizes[-1], frame, stated.motion.body.inertia)
-        trials = [(trial, *_over_sizes(trial, sizes)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
+        term = SteadyTorque(tried[-1], frame, stated.motion.body.inertia)
+        trials = [(trial, *_over_sizes(trial, tried)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
         trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
         k = int(np.argmax(evidence))
         size = int(np.argmax(gains[:, k]))
         if size and evidence[k] > start.best - HOPELESS:
-            sized = term.sized(float(sizes[size] / sizes[-1]))
+            sized = term.sized(float(tried[size] / tried[-1]))
             trial = _tried(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), trial)
             pulled = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
             what = f"a steady torque of {pulled:.1g} rad/s2 in {WORDS[frame]}"
@@ -155,11 +160,11 @@ def _place(trial: Trial) -> slice:
     return next(place for term, place in places_of(one.fitted(), one.motion, one.clock).motion if isinstance(term, SteadyTorque))
 
 
-def _over_sizes(trial: Trial, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of a torque fitted under the widest of the prior sigmas `sizes` (m): gains of each (m, K), and the evidence over all (K)."""
+def _over_sizes(trial: Trial, tried: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of a torque fitted under the widest of the prior sigmas `tried` (m): gains of each (m, K), and the evidence over all (K)."""
     place = _place(trial)
-    gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], sizes / sizes[-1])
-    return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(sizes))
+    gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], tried / tried[-1])
+    return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(tried))
 
 
 def _sized(error: np.ndarray, covariance: np.ndarray, shares: np.ndarray) -> np.ndarray:
@@ -277,10 +282,40 @@ def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
     return (1.0, *COARSER)[int(np.argmin(costs))]
 
 
+def _without_readings(stated: Trial, clock_time: Callable[[float], str]) -> Iterator[Trial]:
+    """Of a short pass: without each reading, and without each other beside the one that is missed least."""
+    if len(stated.hypothesis.kept) > FEW:
+        return
+    begin = stated.take(np.argsort(-stated.log_evidence, kind="stable")[:MORE_MODES])
+    for _ in range(MOST_BAD):
+        found = [_tried(one, begin) for one in _one_fewer(begin.hypothesis, clock_time)]
+        yield from found
+        begin = max(found, key=lambda trial: trial.best, default=begin)
+        if not found or begin.best < stated.best - HOPELESS:
+            return
+
+
+def _one_fewer(one: Hypothesis, clock_time: Callable[[float], str]) -> Iterator[Hypothesis]:
+    """Without each reading of a sensor that has more: as if it had seen anything."""
+    t_s = one.o.t_s[one.kept]
+    for term in one.o.terms:
+        if isinstance(term, MotionTerm):
+            continue
+        whole = term.take(one.kept).freed(t_s)
+        for k in np.flatnonzero(term.present()[one.kept]):
+            left = term.blind(int(one.kept[k])).take(one.kept).freed(t_s)
+            if not (left.pairs() if isinstance(left, PairTerm) else left.present()).any():
+                continue
+            what = "without the reading" if one.what == AS_STATED else f"{one.what} and without that"
+            debt = one.debt + BAD + whole.unrelated(t_s) - left.unrelated(t_s)
+            swapped = one.swapped(term, term.blind(int(one.kept[k])))
+            yield replace(swapped, what=f"{what} of the {term.called} at {clock_time(t_s[k])}", debt=debt)
+
+
 def _swinging(stated: Trial) -> Iterator[Trial]:
     """From all modes, however improbable without it, and from the least turns that take the Sun where the best sees it."""
     one, order = stated.hypothesis, np.argsort(-stated.log_evidence, kind="stable")
-    begin = stated.take(order[:SWINGING_MODES])
+    begin = stated.take(order[:MORE_MODES])
     t_s = one.o.t_s[one.kept]
     usual = float(np.median(np.diff(t_s)))
     if np.any(np.linalg.norm(begin.fit.track.omega[0, :-1], axis=1) * np.diff(t_s) > ALIASED):
@@ -333,7 +368,7 @@ def counted(trials: list[Trial]) -> list[Counted]:
         one = trials[i].hypothesis
         place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
         for head, members in found:
-            others = all(every[n][1] != i for n in members)
+            others = all(every[n][1] != i for n in members) or any(term.several() for term in one.o.terms)
             if ((head - place) ** 2).sum(axis=-1).max() <= (BENT_RAD if others else ALIKE_RAD) ** 2:
                 members.append(m)
                 break

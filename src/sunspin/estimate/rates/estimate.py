@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -23,10 +24,10 @@ from sunspin.estimate.rates.common import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading, link
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
-from sunspin.estimate.rates.images import not_told
 from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
+from sunspin.estimate.rates.period import weighted, without_periods
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
@@ -34,9 +35,10 @@ from sunspin.estimate.rates.told import SUSPECTED, believed, dataset_of, in_spac
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
+from sunspin.estimate.terms.period import Period
 from sunspin.estimate.terms.sensors import FIELD
 from sunspin.estimate.terms.term import SUN_N
-from sunspin.estimate.verdict import misfit
+from sunspin.estimate.verdict import alike_motions, misfit
 from sunspin.estimate.wiring import Better, better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
@@ -70,6 +72,7 @@ def rates(
     environment: Environment | None = None,
     calibration: FieldCalibration | None = None,
     torques: Sequence[str | Torque] = (),
+    periods: Sequence[Period] = (),
     wirings: bool = False,
     effort: float = 1.0,
     progress: bool = False,
@@ -107,6 +110,10 @@ def rates(
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
+    periods : list of Period, optional
+        Periods seen from outside, of the precession, the spin or their sum: the modes found are weighted by them
+        (:mod:`sunspin.estimate.rates.period`). `weight_without_periods (pass_id, mode)` has the weights without, and
+        attrs["periods"], in JSON, what each decided.
     wirings : bool
         Where a pass does not fit, try on the one with the most samples other wirings of panels and sensors
         (:mod:`sunspin.estimate.wiring`), and if none fits to leave out each sensor, the Sun's too
@@ -137,7 +144,7 @@ def rates(
     Raises
     ------
     InputError
-        Too few samples, or no rate below the largest fits.
+        Too few samples, no rate below the largest fits, or a period was seen at a time of no pass.
     MotionError
         A torque without the environment that it needs.
     """
@@ -174,18 +181,18 @@ def rates(
         clock, late = _clock(sensors.clock, ready, motion)
         others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
         each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others)
-    found, walk = link(o, each, motion)
+    found, walk, period_attrs = _linked(o, each, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
-    result = result.assign_attrs(
-        late, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
+    result = result.assign(without_periods(found)).assign_attrs(
+        late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(body.spherical and noise >= HIGHER_NOISES[0]),
     )  # fmt: skip
-    if source == "panels" and (alike := not_told(vehicle)):
+    if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
     if wirings and not result["fits"].values.all():
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
@@ -223,6 +230,16 @@ def _all_finished(
         found.append(finished(o, whole, part, track, motion, clock, rate_max, begin, None if fewer[-1] else others))
     spent.close()
     return found, fewer
+
+
+def _linked(
+    o: Observations, each: list[Pass], motion: Motion, periods: Sequence[Period], ids: Sequence[int]
+) -> tuple[list[Pass], float | None, dict[str, str]]:
+    """The passes with weights that count periods and neighbours in, the walk between them, and in JSON what periods decided."""
+    if not periods:
+        return *link(o, each, motion), {}
+    each, said = weighted(o, each, motion, periods)
+    return *link(o, each, motion), {"periods": json.dumps([{**one, "pass": int(ids[one["pass"]])} for one in said])}
 
 
 def _odd_sensor(

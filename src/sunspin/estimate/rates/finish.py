@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.dynamics.torques.acting import needed
+from sunspin.dynamics.torques.acting import needed_around
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
 from sunspin.estimate.rates.common import LOOSER, Clock, Common, with_common
@@ -43,7 +43,7 @@ class Pass(NamedTuple):
     """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
     smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3);
     `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`; `model`: the hypothesis that holds most
-    of the weight, and how much of it."""
+    of the weight, and how much of it; `before`: the weights without periods seen from outside, where there are any."""
 
     index: np.ndarray
     kept: np.ndarray
@@ -53,12 +53,13 @@ class Pass(NamedTuple):
     mean_sigma: np.ndarray
     residual: dict[str, np.ndarray]
     model: tuple[str, float] = (AS_READ, 1.0)
+    before: np.ndarray | None = None
 
     def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
         """The modes `order` with these weights."""
         left = {name: part[order] for name, part in self.residual.items()}
-        mean, sigma = self.mean[order], self.mean_sigma[order]
-        return Pass(self.index, self.kept, self.track.take(order), weight, mean, sigma, left, self.model)
+        mean, sigma, before = self.mean[order], self.mean_sigma[order], None if self.before is None else self.before[order]
+        return Pass(self.index, self.kept, self.track.take(order), weight, mean, sigma, left, self.model, before)
 
 
 def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
@@ -82,7 +83,7 @@ def most_modes(o: Observations) -> int:
 
 def _turned_about_sun(o: Observations, track: Track, motion: Motion) -> Track:
     """The modes, tried with several turns about the Sun where torques tell one from the other: the search knows only the Sun."""
-    if not needed(motion.body.acting.torques) or not len(track.omega):
+    if not needed_around(motion.body.acting.torques) or not len(track.omega):
         return track
     angles = 2 * np.pi / TURNS * np.arange(TURNS)[:, None] * SUN_N
     tried = [Track(track.attitude @ about, track.omega) for about in Rotation.from_rotvec(angles).as_matrix()]
@@ -180,6 +181,10 @@ def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass]
     middle = [float(o.t_s[p.index].mean()) for p in found]
     means, sigmas = [p.mean for p in found], [p.mean_sigma for p in found]
     weights, walk = linked(middle, means, sigmas, [p.weight for p in found], motion.rate_prior)
+    if any(p.before is not None for p in found):
+        before = [p.weight if p.before is None else p.before for p in found]
+        without, _ = linked(middle, means, sigmas, before, motion.rate_prior)
+        found = [p._replace(before=one) for p, one in zip(found, without, strict=True)]
     result = []
     for p, weight in zip(found, weights, strict=True):
         order = np.argsort(-weight, kind="stable")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.estimate.rates.state import Observations, Track
-from sunspin.vehicle import Vehicle
 
 FAMILIES = 6
 """Motions of which images are made, at most."""
@@ -58,17 +57,3 @@ def either_side(track: Track) -> np.ndarray:
     sigma = np.sqrt(np.einsum("nii->n", track.covariance[0, :, 3:, 3:]))
     same = (np.linalg.norm(track.omega - track.omega[0], axis=-1) < SAME_SIGMAS * sigma).all(axis=1)
     return (opposite & same) | (np.arange(len(same)) == 0)
-
-
-def not_told(vehicle: Vehicle) -> str:
-    """What panels on shared inputs do not tell, for the verdict; empty where they tell all."""
-    count = len(vehicle.response_in().images)
-    if count == 1:
-        return ""
-    shared = [one.name for one in vehicle.inputs if len(one.panels) > 1]
-    which = f"{'inputs' if len(shared) > 1 else 'input'} {', '.join(shared)}"
-    copies = "a mirror image" if count == 2 else f"{count - 1} mirror images and turned copies"
-    return (
-        f"which panel of {which} is lit is not told: each motion has {copies}, with other signs of its components, as good as "
-        "itself unless inertia or wheels tell them apart; a gyro, a magnetometer or a Sun sensor does"
-    )

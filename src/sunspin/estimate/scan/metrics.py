@@ -7,7 +7,6 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.stats import wasserstein_distance
 
 from sunspin.base.errors import InputError, sentence
 
@@ -66,6 +65,8 @@ def emd(
     weights_a, weights_b : (n,), (m,), optional
         Not negative, not all zero; default equal.
     """
+    from scipy.stats import wasserstein_distance
+
     a, b = _sample(z_a, "z_a"), _sample(z_b, "z_b")
     return 0.5 * float(
         wasserstein_distance(a, b, _weights(weights_a, a, "weights_a"), _weights(weights_b, b, "weights_b"))

@@ -5,6 +5,7 @@ Frozen plain data, so that they can be sent to other processes; compiled kernels
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -154,11 +155,23 @@ def histograms(
     return result.hist, result.outcome
 
 
-def distances_to(hist: np.ndarray, segments: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """EMD (n) of histograms (n, BINS) to the target of `target_segments`, NaN where nothing was seen; time seen (n)."""
+def distances_to(hist: np.ndarray, segments: tuple[np.ndarray, ...], workers: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """EMD (n) of histograms (n, BINS) to the target of `target_segments`, NaN where nothing was seen; time seen (n).
+
+    `workers`: threads, each of which takes its share of the rows.
+    """
     emd, seen = np.empty(len(hist)), np.empty(len(hist))
     bin_of, low, high, level = segments
-    emd_rows(hist, bin_of, low, high, level, emd, seen)
+
+    def some(part: slice) -> None:
+        emd_rows(hist[part], bin_of, low, high, level, emd[part], seen[part])
+
+    if workers == 1:
+        some(slice(None))
+    else:
+        share = -(-len(hist) // workers) or 1
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(some, [slice(at, at + share) for at in range(0, len(hist), share)]))
     return emd, seen
 
 

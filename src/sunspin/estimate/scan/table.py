@@ -63,14 +63,14 @@ class Table:
     hist: np.ndarray
     outcome: np.ndarray
 
-    def distances(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> np.ndarray:
+    def distances(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1) -> np.ndarray:
         """EMD (n) of every motion to measured z components (m), by the same arithmetic as `scan`: 1 where never seen."""
-        emd, seen = distances_to(self.hist, target_segments(target_z, weights))
+        emd, seen = distances_to(self.hist, target_segments(target_z, weights), workers)
         return np.where(seen == 0, 1.0, emd)
 
-    def volume(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> xr.DataArray:
+    def volume(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1) -> xr.DataArray:
         """The same as a DataArray over (omega_x, omega_y, omega_z), as `scan` returns it."""
-        emd = self.distances(target_z, weights)
+        emd = self.distances(target_z, weights, workers)
         start, count = self.rows.start, np.size(target_z)
         return volume(self.rows.vehicle, start, "emd", emd, self.outcome, self.rows.mask, "coast", directions=count)
 

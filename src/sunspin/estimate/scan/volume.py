@@ -7,7 +7,7 @@ storing a track; and E, the mean misfit of directions at the times of the sample
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ from sunspin.compute.rows import CHUNK, ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
-from sunspin.estimate.scan.rows import BINS, TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows
+from sunspin.estimate.scan.mask import reconstructible_mask
+from sunspin.estimate.scan.rows import BINS, TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows, distances_to, target_segments
 from sunspin.vehicle import Vehicle
 
 MAX_ROWS = 50_000_000
@@ -129,6 +130,14 @@ def scan(
     out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
     count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
     return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count)
+
+
+def compile_kernels(vehicles: Iterable[Vehicle]) -> Path:
+    """Compile what scans of these vehicles run and is not kept yet, and return the folder that keeps it."""
+    runs = [(vehicle, [(reconstructible_mask(vehicle), BINS), (None, 0)]) for vehicle in vehicles]
+    folder = k.compile_all(structure for vehicle, some in runs for structure in k.structures(vehicle, some))
+    distances_to(np.zeros((1, BINS), np.float32), target_segments([0.0]))
+    return folder
 
 
 def volume(

@@ -21,6 +21,7 @@ class Attitude(PairTerm):
     name: ClassVar[str] = "attitude"
     called: ClassVar[str] = "attitude"
     per_sample: ClassVar[tuple[str, ...]] = ("B_from_N",)
+    measured: ClassVar[tuple[str, ...]] = per_sample
 
     B_from_N: np.ndarray
     sigma_rad: float

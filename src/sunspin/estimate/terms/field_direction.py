@@ -41,7 +41,7 @@ class FieldDirection(SunDirection):
         size = np.linalg.norm(read, axis=1, keepdims=True)
         zero = part.matrix * part.zero_sigma
         covariance = (part.noise or np.inf) ** 2 * np.eye(3) + zero @ zero.T
-        made = cls(read / size, covariance / (size**2)[..., None])
+        made = cls.of(read / size, covariance / (size**2)[..., None])
         return made, np.where(made.informs(), "used", UNREAD_FIELD).astype(object)
 
 

@@ -24,6 +24,7 @@ class Gyro(StateTerm):
     name: ClassVar[str] = "gyro"
     called: ClassVar[str] = "gyro"
     per_sample: ClassVar[tuple[str, ...]] = ("rate_B", "common")
+    measured: ClassVar[tuple[str, ...]] = ("rate_B",)
 
     rate_B: np.ndarray
     sigma: float

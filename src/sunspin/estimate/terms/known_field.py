@@ -29,6 +29,7 @@ class KnownField(StateTerm):
     name: ClassVar[str] = "field"
     called: ClassVar[str] = "magnetometer"
     per_sample: ClassVar[tuple[str, ...]] = ("field_B", "read_B", "sigma_T", "field_N", "own_B", "along_N")
+    measured: ClassVar[tuple[str, ...]] = ("read_B",)
 
     field_B: np.ndarray
     read_B: np.ndarray
@@ -49,7 +50,7 @@ class KnownField(StateTerm):
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
         sigma = np.hypot(self.sigma_T, np.minimum(own, MOST_OFF * size)) / size
         unit = self.read_B / np.linalg.norm(self.read_B, axis=1, keepdims=True)
-        return SunDirection(unit, np.where(self.present(), sigma**2, np.nan)[:, None, None] * np.eye(3))
+        return SunDirection.of(unit, np.where(self.present(), sigma**2, np.nan)[:, None, None] * np.eye(3))
 
     def frames(self) -> np.ndarray:
         """Matrices (n, 3, 3) from N to axes whose z is the field, turned as little as it turns."""

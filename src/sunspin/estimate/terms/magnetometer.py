@@ -42,6 +42,7 @@ class Magnetometer(PairTerm):
     name: ClassVar[str] = "field"
     called: ClassVar[str] = "magnetometer"
     per_sample: ClassVar[tuple[str, ...]] = ("field_B", "drift_N")
+    measured: ClassVar[tuple[str, ...]] = ("field_B",)
 
     field_B: np.ndarray
     sigma: float
@@ -64,6 +65,9 @@ class Magnetometer(PairTerm):
 
     def take(self, index: np.ndarray | slice) -> Self:
         return replace(super().take(index), known=None if self.known is None else self.known.take(index))
+
+    def blind(self, index: int) -> Self:
+        return replace(super().blind(index), known=None if self.known is None else self.known.blind(index))
 
     def placed(self, here: Surroundings) -> Self:
         """With the field known; noise and the zero's error are the calibration's, and the vehicle file need not state them."""

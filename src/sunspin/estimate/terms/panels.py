@@ -140,6 +140,11 @@ class Panels(SunTerm):
         known = None if self.earth_N is None else self.earth_N[index]
         return replace(super().take(index), whole=(power, sigma, scale_sigma), earth=earth, earth_N=known)
 
+    def blind(self, index: int) -> Self:
+        sigma, beside = self.sigma.copy(), self.whole[1].copy()
+        sigma[index], beside[index] = np.inf, np.inf
+        return replace(self, sigma=sigma, whole=(self.whole[0], beside, self.whole[2]))
+
     def present(self) -> np.ndarray:
         return np.any(np.isfinite(self.sigma), axis=1)
 

@@ -17,6 +17,14 @@ from sunspin.solve.rotations import cross_matrix
 
 WORDS = {"B": "body axes", "N": "axes fixed in space"}
 
+TURNED = np.radians(np.geomspace(1.0, 300.0, 6))
+"""rad by which a constant torque may turn the body over a pass: each as likely as any other."""
+
+
+def sizes(duration_s: float, turned: np.ndarray = TURNED) -> np.ndarray:
+    """Accelerations (rad/s2) that turn a body by so much over a time."""
+    return 2 * turned / duration_s**2
+
 
 @dataclass(frozen=True)
 class SteadyTorque(MotionTerm):

@@ -23,25 +23,40 @@ SHARP_RAD = 0.15
 COLUMNS = {"sun_sensor": ("sun_sensor_B", "sun_sensor_cov_B"), "directions": ("sun_B", "sun_cov_B")}
 """Where telemetry has the directions of each source, and their covariances."""
 
+OTHER = {"sun_sensor": ("sun_sensor_other_B", "sun_sensor_other_cov_B")}
+"""Where it has what a reading may mean as well, and the covariances."""
+
 UNREAD = "no direction of the Sun: only the motion and other sensors bridge it"
 
 
 @dataclass(frozen=True)
 class SunDirection(SunTerm):
-    """Directions (n, 3) with covariance (n, 3, 3) of full rank; NaN: none."""
+    """Directions (n, 3) with covariance (n, 3, 3) of full rank; NaN: none. `other_B`, `other_covariance`: what a reading may mean
+    as well, as likely before the motion is known; of the two the one counts that the motion fits better."""
 
     name: ClassVar[str] = "sun"
     called: ClassVar[str] = "Sun"
-    per_sample: ClassVar[tuple[str, ...]] = ("direction_B", "covariance")
+    per_sample: ClassVar[tuple[str, ...]] = ("direction_B", "covariance", "other_B", "other_covariance")
+    measured: ClassVar[tuple[str, ...]] = per_sample
 
     direction_B: np.ndarray
     covariance: np.ndarray
+    other_B: np.ndarray
+    other_covariance: np.ndarray
+
+    @classmethod
+    def of(cls, direction_B: np.ndarray, covariance: np.ndarray) -> Self:
+        """Directions that mean one thing each."""
+        return cls(direction_B, covariance, np.full_like(direction_B, np.nan), np.full_like(covariance, np.nan))
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset, source: str) -> tuple[Self, np.ndarray]:
         """Those of telemetry, and a sentence for each sample (n)."""
         direction, covariance = (telemetry[name].values for name in COLUMNS[source])
-        made = cls(direction, _full_rank(direction, covariance))
+        made = cls.of(direction, _full_rank(direction, covariance))
+        if source in OTHER and OTHER[source][0] in telemetry:
+            other, spread = (telemetry[name].values for name in OTHER[source])
+            made = replace(made, other_B=other, other_covariance=_full_rank(other, spread))
         return made, np.where(made.informs(), "used", UNREAD).astype(object)
 
     def present(self) -> np.ndarray:
@@ -52,6 +67,9 @@ class SunDirection(SunTerm):
 
     def points(self) -> np.ndarray:
         return self.present()
+
+    def several(self) -> bool:
+        return bool(np.isfinite(self.other_B).any())
 
     def freedom(self) -> np.ndarray:
         return 2 * self.present()
@@ -64,21 +82,35 @@ class SunDirection(SunTerm):
 
     def directions(self, index: int) -> np.ndarray | None:
         sharp = self.present()[index] and np.trace(self.covariance[index]) < 3 * SHARP_RAD**2
-        return self.direction_B[index : index + 1] if sharp else None
+        both = np.stack([self.direction_B[index], self.other_B[index]])
+        return both[np.isfinite(both[:, 0])] if sharp else None
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        return type(self)(self.direction_B, self.covariance + (drift_rad**2)[:, None, None] * np.eye(3))
+        more = (drift_rad**2)[:, None, None] * np.eye(3)
+        return replace(self, covariance=self.covariance + more, other_covariance=self.other_covariance + more)
 
     def coarser(self, factor: float) -> Self:
-        return replace(self, covariance=factor**2 * self.covariance)
+        return replace(self, covariance=factor**2 * self.covariance, other_covariance=factor**2 * self.other_covariance)
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
-        sun, read = seen.sun_B, self.present()
-        if read.any():
-            white = np.zeros((len(read), 3, 3))
-            white[read] = np.swapaxes(np.linalg.cholesky(np.linalg.inv(self.covariance[read])), -1, -2)
-            off = sun - np.where(read[:, None], self.direction_B, 0.0)
-            yield np.einsum("nij,knj->kni", white, off), white @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
+        if not self.present().any():
+            return
+        value, slope = _off(self.direction_B, self.covariance, seen.sun_B)
+        if (unsure := np.isfinite(self.other_covariance[:, 0, 0])).any():
+            other = _off(self.other_B[unsure], self.other_covariance[unsure], seen.sun_B[:, unsure])
+            better = ((other[0] ** 2).sum(axis=-1) < (value[:, unsure] ** 2).sum(axis=-1))[..., None]
+            value[:, unsure] = np.where(better, other[0], value[:, unsure])
+            slope[:, unsure] = np.where(better[..., None], other[1], slope[:, unsure])
+        yield value, slope
+
+
+def _off(direction: np.ndarray, covariance: np.ndarray, sun: np.ndarray) -> Residual:
+    """Of the Sun (K, n, 3) from directions (n, 3) with covariances (n, 3, 3); zero where there is none."""
+    read = np.isfinite(covariance[:, 0, 0])
+    white = np.zeros((len(read), 3, 3))
+    white[read] = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance[read])), -1, -2)
+    off = sun - np.where(read[:, None], direction, 0.0)
+    return np.einsum("nij,knj->kni", white, off), white @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ A fit is a list of terms. Each is asked by the same methods, so that what a sens
 - `placed`: the same where the surroundings are known, by an orbit.
 - `freed`, `unknowns`, `begin`: what is estimated beside the motion, in units of its prior sigma.
 - `residuals` (of samples), `between` and `gained` (of neighbours), `pushes` (of the motion): in sigmas, with derivatives.
-- `considered`: what is not estimated and counts in the result's error; `unrelated`: what a fit without it owes.
+- `considered`: what is not estimated and counts in the result's error; `unrelated`: what a fit without it owes; `blind`: it
+  without a reading.
 
 Four kinds differ in what a residual depends on: the attitude at the Sun's instant (`SunTerm`), attitude and rate at a sample
 (`StateTerm`), the turn between neighbours (`PairTerm`), or the motion itself (`MotionTerm`). Readings are those of a row's time.
@@ -77,6 +78,8 @@ class Term:
     """What a person calls it; what reads the same thing has one such name."""
     per_sample: ClassVar[tuple[str, ...]] = ()
     """Its arrays whose first axis are the samples."""
+    measured: ClassVar[tuple[str, ...]] = ()
+    """Those of its arrays in which NaN says that nothing was read."""
 
     def take(self, index: np.ndarray | slice) -> Self:
         """The samples `index`."""
@@ -85,6 +88,17 @@ class Term:
     def present(self) -> np.ndarray:
         """At which samples (n) it has a reading."""
         return np.zeros(0, dtype=bool)
+
+    def several(self) -> bool:
+        """Whether one of its readings may mean several things."""
+        return False
+
+    def blind(self, index: int) -> Self:
+        """The same without what it read at a sample."""
+        arrays = {name: getattr(self, name).copy() for name in self.measured}
+        for array in arrays.values():
+            array[index] = np.nan
+        return replace(self, **arrays)
 
     def readings(self) -> int:
         """How many readings of three numbers it adds to those of the Sun."""

@@ -41,9 +41,9 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
-        lay_out(figure)
+        draw = lay_out(figure).savefig
         return [
-            write_whole(folder / f"{name}.{suffix}", partial(figure.savefig, format=suffix, dpi=130, metadata=metadata))
+            write_whole(folder / f"{name}.{suffix}", partial(draw, format=suffix, dpi=130, metadata=metadata))
             for suffix, metadata in (("png", {}), ("svg", {"Date": None}))
         ]
 
@@ -53,7 +53,7 @@ def named(name: Any) -> str:
     return str(name).replace("$", r"\$")
 
 
-def _title(text: str, synthetic: Any) -> str:
+def titled(text: str, synthetic: Any) -> str:
     return f"{text} (synthetic telemetry)" if synthetic else text
 
 
@@ -64,7 +64,7 @@ def signals_figure(telemetry: xr.Dataset) -> Figure:
     place = _passes_together(telemetry["time"].values)
     _signals(axes, telemetry, place)
     _time_axis(axes, telemetry, place)
-    axes.set_title(_title("Panel signals", telemetry.attrs.get("synthetic")), loc="left")
+    axes.set_title(titled("Panel signals", telemetry.attrs.get("synthetic")), loc="left")
     return figure
 
 
@@ -149,7 +149,29 @@ def gains_figure(quality: xr.Dataset) -> Figure:
     axes.set_xticks(place, [named(name) for name in quality["panel"].values])
     axes.set_xlabel("panel")
     axes.set_ylabel("gain (unit of the vehicle's gains)")
-    axes.set_title(_title("Gains of the panels", quality.attrs.get("synthetic")))
+    axes.set_title(titled("Gains of the panels", quality.attrs.get("synthetic")))
+    return figure
+
+
+def health_figure(health: xr.Dataset) -> Figure:
+    """Sets of panels that were lit together and cannot be, a row each with its samples; panels whose loss explains all marked."""
+    lit, lost = (health[name].values.astype(bool) for name in ("impossible_lit", "lost"))
+    figure = Figure(figsize=(7, 1.6 + 0.35 * max(len(lit), 3)), layout="constrained")
+    axes = figure.subplots()
+    row, column = np.nonzero(lit)
+    axes.plot(column, row, "s", ms=11, color=COLOURS[4], label="lit")
+    for k, panels in enumerate(lost[:1]):
+        for place in np.flatnonzero(panels):
+            axes.axvline(place, color=COLOURS[1], lw=1.4, ls="--", label="its loss explains them" if k == 0 else None)
+    axes.set_yticks(range(len(lit)), [f"{n} samples" for n in health["samples"].values])
+    axes.set_xticks(range(lit.shape[1]), [named(name) for name in health["panel"].values])
+    axes.set(xlabel="panel", xlim=(-0.6, lit.shape[1] - 0.4), ylim=(len(lit) - 0.4, -0.6) if len(lit) else (1, 0))
+    handles, labels = axes.get_legend_handles_labels()
+    shown = dict(zip(labels, handles, strict=True))
+    if shown:
+        axes.legend(shown.values(), shown.keys(), ncols=2, fontsize=9, **ABOVE)
+    title = "Lit together, which the Sun alone cannot do" if len(lit) else "Nothing was lit that the Sun cannot light"
+    axes.set_title(titled(title, health.attrs.get("synthetic")), fontsize=10, loc="left", pad=20)
     return figure
 
 
@@ -171,7 +193,7 @@ def sun_directions_figure(
     error = sun["sigma_rad"].values
     if telemetry is not None:
         _signals(parts[0], telemetry, place)
-    figure.suptitle(_title("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
+    figure.suptitle(titled("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
     for k, axis in enumerate("xyz"):
         middle.errorbar(
             x[told], sun["sun_B"].values[told, k], yerr=error[told], fmt=".", ms=5, lw=0.8, color=COLOURS[k],
@@ -249,7 +271,7 @@ def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) ->
         axes.scatter(*doubtful.T, s=9, color=COLOURS[1], depthshade=False)
         more = f", {len(doubtful)} doubtful" if len(doubtful) else ""
         axes.set_title(f"{chr(65 + k)}: {name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9)
-    figure.suptitle(_title("Directions to the Sun in body axes", synthetic), fontsize=10)
+    figure.suptitle(titled("Directions to the Sun in body axes", synthetic), fontsize=10)
     return figure
 
 
@@ -263,8 +285,11 @@ def _sphere(axes: Any) -> None:
         axes.tick_params(axis=name, labelsize=6, pad=-3)
 
 
-def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray]) -> Figure:
-    """Wheel speed against time for several friction laws (paper, Fig. 5)."""
+def spin_down_figure(
+    t_s: np.ndarray, curves: dict[str, np.ndarray],
+    title: str = "Spin-down of the wheel, computed from published friction (no measured record is public)",
+) -> Figure:  # fmt: skip
+    """Wheel speed against time for several friction laws (paper, Fig. 5), or as recorded and fitted."""
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     for k, (label, speed) in enumerate(curves.items()):
@@ -274,7 +299,7 @@ def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray]) -> Figure:
     axes.set_ylim(bottom=-20)
     axes.axhline(0, lw=0.5, color=COLOURS[7])
     axes.legend()
-    axes.set_title("Spin-down of the wheel, computed from published friction (no measured record is public)", fontsize=9)
+    axes.set_title(title, fontsize=9)
     return figure
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title, named
+from sunspin.output.figures import COLOURS, named, titled
 
 SHOWN_DRAWS = 3000
 
@@ -46,14 +46,14 @@ def corner_figure(tree: Any, truth: Any = None) -> Figure:
             axes.tick_params(axis="y", labelsize=7)
     word = f": {named(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
     text = f"Body rate of {named(tree.attrs.get('vehicle', 'the body'))} at the first sample{word}"
-    figure.suptitle(_title(text, tree.attrs.get("synthetic")), fontsize=10)
+    figure.suptitle(titled(text, tree.attrs.get("synthetic")), fontsize=10)
     return figure
 
 
 def _histogram(axes: Any, value: np.ndarray, mode: np.ndarray) -> None:
     edges = np.histogram_bin_edges(value, 60)
     for k in np.unique(mode):
-        axes.hist(value[mode == k], edges, color=COLOURS[int(k) % 8], alpha=0.7)
+        axes.hist(value[mode == k], edges, histtype="stepfilled", color=COLOURS[int(k) % 8], alpha=0.7)
 
 
 def search_figure(tree: Any) -> Figure:
@@ -73,5 +73,5 @@ def search_figure(tree: Any) -> Figure:
     right.set_ylabel("log evidence")
     for i, (share, k) in enumerate(zip(sampling["effective_share"].values, sampling["pareto_k"].values, strict=True)):
         right.annotate(f"{share:.0%}, k {k:.2f}", (i, sampling["log_evidence"].values[i]), fontsize=7, rotation=30)
-    figure.suptitle(_title("Search and sampling", tree.attrs.get("synthetic")), fontsize=10)
+    figure.suptitle(titled("Search and sampling", tree.attrs.get("synthetic")), fontsize=10)
     return figure

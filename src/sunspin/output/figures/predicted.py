@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title, named
+from sunspin.output.figures import COLOURS, named, titled
 
 
 def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | None = None) -> Figure:
@@ -41,14 +41,14 @@ def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | N
             angles.set_xlabel("angle (deg)")
     marks = "; dashed: the truth" if truth is not None else ""
     text = f"What {named(found.attrs.get('vehicle', 'the body'))} did: draws of the posterior{marks}"
-    figure.suptitle(_title(text, found.attrs.get("synthetic")), fontsize=11)
+    figure.suptitle(titled(text, found.attrs.get("synthetic")), fontsize=11)
     return figure
 
 
 def _spread(axes: Any, values: np.ndarray, colour: str, label: str | None, true: float | None) -> None:
     """A histogram with its 50 % and 90 % intervals as bars below."""
     values = values[np.isfinite(values)]
-    axes.hist(values, 50, color=colour, alpha=0.6, label=label)
+    axes.hist(values, 50, histtype="stepfilled", color=colour, alpha=0.6, label=label)
     for level, width in ((0.9, 1.5), (0.5, 4.0)):
         low, high = np.quantile(values, [0.5 - level / 2, 0.5 + level / 2])
         axes.plot([low, high], [0, 0], color=colour, lw=width, solid_capstyle="butt", clip_on=False, zorder=5)

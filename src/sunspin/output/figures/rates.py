@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title, named
+from sunspin.output.figures import COLOURS, named, titled
 
 SHOWN = 8
 """Passes drawn; more would not be legible."""
@@ -37,7 +37,7 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Fig
         axes.set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=2, frameon=False)
-    figure.suptitle(_title(f"Body rates of {named(result.attrs['vehicle'])} from {sources(result)}, best motion of each pass",
+    figure.suptitle(titled(f"Body rates of {named(result.attrs['vehicle'])} from {sources(result)}, best motion of each pass",
                            result.attrs.get("synthetic")), fontsize=10, wrap=True)  # fmt: skip
     return figure
 

@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from sunspin.output.figures import COLOURS, _title, named
+from sunspin.output.figures import COLOURS, named, titled
 from sunspin.output.figures.rates import SHOWN, chosen_passes, clock_text
 from sunspin.telemetry.quality import panel_quality
 from sunspin.telemetry.sun import signals
@@ -104,7 +104,7 @@ def residuals_figure(result: xr.Dataset, telemetry: xr.Dataset, vehicle: Vehicle
         axes.tick_params(labelsize=8)
         axes.set_ylim(-1.05 * SHOWN_SIGMAS, 1.05 * SHOWN_SIGMAS)
     left = f", {SHOWN} of {result.sizes['pass_id']} passes" if result.sizes["pass_id"] > SHOWN else ""
-    figure.suptitle(_title(f"Readings less what the motion predicts{left}", result.attrs.get("synthetic")), fontsize=10)
+    figure.suptitle(titled(f"Readings less what the motion predicts{left}", result.attrs.get("synthetic")), fontsize=10)
     return figure
 
 
@@ -116,7 +116,7 @@ def _unused(result: xr.Dataset, sensor: str) -> str:
 
 def _distribution(axes: Any, value: np.ndarray) -> None:
     edges = np.linspace(-SHOWN_SIGMAS, SHOWN_SIGMAS, 25)
-    axes.hist(value, edges, orientation="horizontal", color=COLOURS[0], alpha=0.5)
+    axes.hist(value, edges, histtype="stepfilled", orientation="horizontal", color=COLOURS[0], alpha=0.5)
     x = np.linspace(-SHOWN_SIGMAS, SHOWN_SIGMAS, 200)
     axes.plot(len(value) * (edges[1] - edges[0]) * norm.pdf(x), x, color=COLOURS[6], lw=1)
     far, expected = np.mean(np.abs(value) > BEYOND), 2 * norm.sf(BEYOND)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from sunspin.output.kinds import calibration, comparison, motion, outcomes, posterior, rates, scan, seen
+from sunspin.output.kinds import calibration, collision, comparison, motion, outcomes, posterior, rates, scan, seen
 from sunspin.output.kinds.kind import Kind
 
 KINDS: dict[str, Kind] = {
     "telemetry": Kind("telemetry", "telemetry.nc", seen.telemetry_summary, seen.telemetry_drawings),
     "sun_directions": Kind("sun", "sun.nc", seen.sun_summary, seen.sun_drawings, seen.sun_tables),
     "panel_quality": Kind("panel_quality", "panel-quality.nc", seen.quality_summary, seen.quality_drawings),
+    "panel_health": Kind("panel_health", "panel-health.nc", seen.health_summary, seen.health_drawings),
     "calibration": Kind(
         "calibrate-sensors", "calibration.nc", calibration.calibration_summary, tables=calibration.calibration_tables
     ),
     "rates": Kind("rates", "rates.nc", rates.rates_summary, rates.rates_drawings, rates.rates_tables),
     "trajectory": Kind("simulate", "trajectory.nc", motion.trajectory_summary, motion.trajectory_drawings),
     "impact": Kind("impact", "impact.nc", motion.impact_summary),
+    "spin_down": Kind("spin_down", "spin-down.nc", motion.spin_down_summary, motion.spin_down_drawings),
     "scan": Kind("scan", "scan.nc", scan.scan_summary, scan.scan_drawings),
     "lines": Kind("lines", "lines.nc", scan.lines_summary),
     "posterior": Kind(
@@ -26,6 +28,7 @@ KINDS: dict[str, Kind] = {
     "outcomes": Kind("outcomes", "outcomes.nc", outcomes.outcomes_summary, outcomes.outcomes_drawings),
     "strategies": Kind("outcomes", "strategies.nc", outcomes.strategies_summary, outcomes.strategies_drawings),
     "best_delay": Kind("outcomes", "best-delay.nc", outcomes.delay_summary, outcomes.delay_drawings),
+    "collision": Kind("outcomes", "collision.nc", collision.collision_summary, collision.collision_drawings),
     "comparison": Kind(
         "compare", "comparison.nc", comparison.comparison_summary, comparison.comparison_drawings, comparison.comparison_tables
     ),

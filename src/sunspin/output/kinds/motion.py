@@ -1,4 +1,4 @@
-"""Trajectories, impacts."""
+"""Trajectories, impacts, wheels that run down."""
 
 from __future__ import annotations
 
@@ -49,3 +49,30 @@ def impact_summary(hit: Any) -> Summary:
     head = "after the impact" if cases == 1 else f"after {cases} impacts, medians"
     units = {name: str(hit[name].attrs["units"]) for name in numbers}
     return Summary({"cases": cases, **numbers}, [head, *(f"  {n} {vector(v)} {units[n]}" for n, v in numbers.items())])
+
+
+def spin_down_summary(fit: Any) -> Summary:
+    """Coefficients with their sigmas, the friction, the residual."""
+    sigma = np.sqrt(np.diag(fit["covariance"].values))
+    names = ("c1_rad_s", "c2_per_s", "c3_rad_s")
+    numbers = {name: float(fit[name]) for name in (*names, "coulomb_N_m", "viscous_N_m_s", "rms_rad_s")}
+    found = [f"{n[:2]} = {numbers[n]:.6g} +- {s:.2g} {fit[n].attrs['units']}" for n, s in zip(names, sigma, strict=True)]
+    return Summary(
+        numbers | {"sigma": sigma.tolist(), "samples": fit.sizes["time"]},
+        [
+            f"wheel speed c1 exp(c2 t) + c3 through {fit.sizes['time']} samples: {', '.join(found)}; "
+            f"rms {numbers['rms_rad_s']:.3g} rad s-1",
+            f"  friction: {numbers['coulomb_N_m']:.5g} N m, and {numbers['viscous_N_m_s']:.5g} N m s times the speed",
+        ],
+    )
+
+
+def spin_down_drawings(fit: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures import spin_down_figure
+
+    curves = {"recorded": fit["recorded_rad_s"].values, "fitted": fit["fitted_rad_s"].values}
+    yield Drawing(
+        "spin-down", lambda: spin_down_figure(fit["time"].values, curves, "A wheel that runs down, and c1 exp(c2 t) + c3"),
+        "Size of a wheel's speed against time as recorded and as fitted.",
+        "A wheel that runs down: as recorded, and c1 exp(c2 t) + c3.",
+    )  # fmt: skip

@@ -11,6 +11,7 @@ import xarray as xr
 
 from sunspin.landing.tally import tally
 from sunspin.output.folder import write_netcdf
+from sunspin.output.kinds.collision import collision_drawings, collision_summary
 from sunspin.output.kinds.kind import Beside, Drawing, Summary
 
 SHOWN = (
@@ -69,10 +70,12 @@ def landing_summary(tree: Any) -> Summary:
     lines: list[str] = []
     for name, runs in runs_of(tree).items():
         lines += _lines(runs, told["strategies"][name])
-    if "best_delay" in tree:
-        best = delay_summary(tree["best_delay"].to_dataset())
-        return Summary({**told, "best_delay": best}, [*lines, *best.lines], told.notes)
-    return Summary(told, lines, told.notes)
+    numbers = dict(told)
+    for name, summary in (("best_delay", delay_summary), ("collision", collision_summary)):
+        if name in tree:
+            numbers[name] = found = summary(tree[name].to_dataset())
+            lines += found.lines
+    return Summary(numbers, lines, told.notes)
 
 
 def runs_of(tree: Any) -> dict[str, xr.Dataset]:
@@ -145,6 +148,8 @@ def landing_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
     yield from runs_drawings(runs_of(tree))
     if "best_delay" in tree:
         yield from delay_drawings(tree["best_delay"].to_dataset(), beside)
+    if "collision" in tree:
+        yield from collision_drawings(tree["collision"].to_dataset(), beside)
 
 
 def landing_tables(tree: Any, folder: Path, _: Beside) -> None:

@@ -42,6 +42,9 @@ def posterior_summary(tree: Any) -> Summary:
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
     priors = json.loads(tree.attrs["priors"])
     lines.append("  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items()))
+    if "hypotheses" in tree.attrs:
+        numbers["hypotheses"] = json.loads(tree.attrs["hypotheses"])
+        lines.append("  weights: " + ", ".join(f"{what} {weight:.2g}" for what, weight in numbers["hypotheses"].items()))
     if "prior_widths" in tree.attrs:
         widths = json.loads(tree.attrs["prior_widths"])
         numbers["prior_widths"] = widths["told"]

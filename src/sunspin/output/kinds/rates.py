@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.estimate.terms.period import reading_words, unheard
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
@@ -35,8 +37,27 @@ def rates_summary(result: Any) -> Summary:
         "synthetic_telemetry": bool(result.attrs.get("synthetic", 0)),
     }  # fmt: skip
     lines = [result.attrs["verdict"], *(line for _, line in found)]
+    if "periods" in result.attrs:
+        numbers["periods"] = json.loads(result.attrs["periods"])
+        lines += [f"  {_period(result, one)}" for one in numbers["periods"]]
     counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
     return Summary(numbers, [*lines, *_mirrored(numbers["passes"], numbers["source"]), *counted])
+
+
+def _period(result: Any, one: dict[str, Any]) -> str:
+    """What a period decides in its pass, in words."""
+    k = int(np.flatnonzero(result["pass_id"].values == one["pass"])[0])
+    if why_not := unheard(one["nearest_sigmas"], one["effective"], f"pass {one['pass']}"):
+        return f"{why_not}; its weights stay as they are"
+    if not one["told"]:
+        return (
+            f"periods: the samples of pass {one['pass']} speak against {one['period_s']:g} s at {one['t_s']:g} s: motions that "
+            f"have it hold {one['carried']:.1%} of the weight, which stays as it is"
+        )
+    said = reading_words(one["t_s"], one["period_s"], one["sigma_s"], one["shares"])
+    own, heaviest = one["without"]
+    was = f"{own:.0%}" if own == heaviest else f"{own:.0%}, when another held {heaviest:.0%}"
+    return f"{said}; in pass {one['pass']} the likeliest motion holds {result['weight'].values[k, 0]:.0%} (without: {was})"
 
 
 def _mirrored(passes: list[dict[str, Any]], source: str) -> list[str]:

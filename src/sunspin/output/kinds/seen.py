@@ -1,8 +1,8 @@
-"""Telemetry, directions to the Sun, the quality of panels."""
+"""Telemetry, directions to the Sun, the quality and the health of panels."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+from sunspin.telemetry.health import named_panels
 from sunspin.telemetry.sun import is_reconstructed
 
 
@@ -114,4 +115,46 @@ def quality_drawings(quality: Any, _: Beside) -> Iterator[Drawing]:
         "panel-quality", lambda: gains_figure(quality), "Gain of each panel with its error bar.",
         "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light."
         + synthetic_note(quality),
+    )  # fmt: skip
+
+
+def health_summary(health: Any) -> Summary:
+    """Lit patterns that no Sun makes, whose loss would explain them, and what noise alone may have done."""
+    seen = dict(zip(_joined(health, "impossible_lit"), health["samples"].values.tolist(), strict=True))
+    chance = dict(zip(seen, health["largest"].values.tolist(), strict=True))
+    numbers = {
+        "allowed": _joined(health, "allowed_lit"), "impossible": seen,
+        "explanations": [list(lost) for lost in named_panels(health, "lost")],
+        "noise_probability": {pattern: value for pattern, value in chance.items() if np.isfinite(value)},
+    }  # fmt: skip
+    lines = health_lines(numbers)
+    return Summary(numbers, lines or ["no set of lit panels is one that the Sun cannot light"])
+
+
+def _joined(health: Any, name: str) -> list[str]:
+    return ["-".join(panels) for panels in named_panels(health, name)]
+
+
+def health_lines(numbers: Mapping[str, Any]) -> list[str]:
+    """The numbers of :func:`health_summary` in words; none where no pattern is impossible."""
+    if not numbers["impossible"]:
+        return []
+    seen = ", ".join(f"{pattern} ({n})" for pattern, n in numbers["impossible"].items())
+    if numbers.get("noise_made"):
+        return [f"  sets of lit panels that the Sun cannot light, as noise alone makes them: {seen}"]
+    lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
+    why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
+    chance = numbers["noise_probability"]
+    noise = f"; noise alone makes the likeliest of them with a probability of at most {max(chance.values()):.2g}" if chance else ""
+    return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}{noise}"]
+
+
+def health_drawings(health: Any, _: Beside) -> Iterator[Drawing]:
+    from sunspin.output.figures import health_figure
+
+    yield Drawing(
+        "panel-health", lambda: health_figure(health),
+        "Which panels were lit together although the Sun cannot light them so, and how often.",
+        "Sets of panels that were lit together and that the Sun alone cannot light; a panel whose loss explains them is marked."
+        + synthetic_note(health),
     )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from markupsafe import Markup
 from sunspin.base.errors import OutputError, sentence
 from sunspin.output.folder import plain, write_whole
 from sunspin.output.report import sections
-from sunspin.output.report.read import read_results
+from sunspin.output.report.read import Results, read_results
 from sunspin.output.report.section import Plot, Section, Special
 
 MAX_PICTURES = 5_000_000
@@ -28,12 +29,17 @@ REDRAWN = {
 """Figures of the study that the page has in another form, most of them to be turned; the files stay in the folder."""
 
 
-def write_report(folder: str | Path, ours: bool = False) -> Path:
-    """Write `report.html` of a results folder from the files in it, and return its path; `ours` as in `read_results`."""
+def write_report(folder: str | Path, ours: bool = False, figures: bool = False) -> Path:
+    """Write `report.html` of a results folder from the files in it, and return its path; `ours` as in `read_results`.
+
+    With `figures` the page's flat plots are also written as PNG and SVG.
+    """
     results = read_results(folder, ours)
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers: they are shown as they are
         page = sections.page(results)
         data = _data(page)
+        if figures:
+            _save_figures(results, page)
     turned = bool(data["plots"]) or len(data) > 1  # else nothing on the page needs the library
     redrawn = REDRAWN if results.command == "reproduce" else results.drawn
     pictures, left_out = _pictures([picture for picture in results.pictures if picture.path.stem not in redrawn])
@@ -45,6 +51,15 @@ def write_report(folder: str | Path, ours: bool = False) -> Path:
     return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
 
 
+def _save_figures(results: Results, page: sections.Page) -> None:
+    from sunspin.output.figures import save
+    from sunspin.output.report.described import figure_of, flat_plots
+
+    for plot in flat_plots(page.sections, page.hero):
+        sections.guarded(results, f"the figure {plot.id}", lambda _, plot=plot: save(figure_of(plot), results.folder, plot.id))
+
+
+@cache
 def _template() -> Any:
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(_asset("page.html.j2"))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title
+from sunspin.output.figures import COLOURS, titled
 from sunspin.philae import touchdown
 from sunspin.philae.candidates import Candidates, Chain
 
@@ -25,7 +25,7 @@ def draw(chain: Chain, synthetic: bool) -> Figure:
     speed, angles = figure.subplots(1, 2)
     _speeds(speed, chain)
     _angles(angles, chain)
-    figure.suptitle(_title("What this telemetry leaves of the motion after the first touchdown", synthetic), fontsize=11)
+    figure.suptitle(titled("What this telemetry leaves of the motion after the first touchdown", synthetic), fontsize=11)
     return figure
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, _title
+from sunspin.output.figures import COLOURS, titled
 from sunspin.philae.descent import Descent
 
 RATE_UNIT = 1e-3
@@ -23,7 +23,7 @@ def draw(result: Descent) -> Figure:
     _aliases(wide, result)
     _minimum(near, result)
     title = f"Descent, samples {result.number[0]} to {result.number[1]}: cubic rate about z"
-    figure.suptitle(_title(title, result.synthetic), fontsize=11)
+    figure.suptitle(titled(title, result.synthetic), fontsize=11)
     return figure
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import ABOVE, COLOURS, _title
+from sunspin.output.figures import ABOVE, COLOURS, titled
 from sunspin.philae.phases import Phases
 from sunspin.telemetry.sun import SunStatus
 
@@ -21,7 +21,7 @@ def draw(result: Phases) -> Figure:
     top, low = figure.subplots(2, 1, height_ratios=(1, 1.15), sharex=True)
     _lit(top, result)
     _probability(low, result)
-    figure.suptitle(_title("Health of the panels", result.synthetic), fontsize=11)
+    figure.suptitle(titled("Health of the panels", result.synthetic), fontsize=11)
     return figure
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from sunspin.output.figures import COLOURS, _title
+from sunspin.output.figures import COLOURS, titled
 from sunspin.philae.against_lines import Against, along_line
 
 SHOWN = 2500
@@ -34,7 +34,7 @@ def draw(result: Against, low: float = -0.3, high: float = 0.3) -> Figure:
     smallest = min(result.factors.values())
     text = f"Rates at the first sample: the posterior holds 90 % in {_power(result.volume)} (rad/s)$^3$, "
     text += f"at least {smallest:.0f} times less than any of the line sets"
-    figure.suptitle(_title(text, result.synthetic), fontsize=11)
+    figure.suptitle(titled(text, result.synthetic), fontsize=11)
     return figure
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from sunspin.vehicle.response.cube import nodes
 from sunspin.vehicle.response.protocol import sphere
@@ -20,6 +19,8 @@ NEAREST, HALVINGS = 12, 25
 def angle_to_border(counts: Callable[[np.ndarray], np.ndarray], size: int) -> np.ndarray:
     """The signed angle (rad) in float32 at the nodes of a table of `size` cells along an edge, `counts` saying which directions
     (n, 3) are inside."""
+    from scipy.spatial import KDTree
+
     where, looks = nodes(size), sphere(LOOKS)
     inside, seen = counts(where), counts(looks)
     found = np.where(inside, np.pi, -np.pi)

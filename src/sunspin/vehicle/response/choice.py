@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
 from sunspin.base.errors import VehicleError, sentence
-from sunspin.vehicle.part import Part, part
+from sunspin.vehicle.part import Part, Vector, part
 from sunspin.vehicle.response.cosine import Cosine
 from sunspin.vehicle.response.grazing import Grazing
 from sunspin.vehicle.response.joined import Input, Inputs, Joined, full_signal
@@ -19,15 +20,20 @@ from sunspin.vehicle.response.wall import Wall
 
 @part
 class ResponseForm(Part):
-    """The law: at most one of these, and gain times cosine without."""
+    """The law: at most one of these, and gain times cosine without. `turned_B_rad`: the rotation vector by which the panels as a
+    whole stand turned against the axes of the body, under any law; its sigma is in the facts."""
 
     grazing: Grazing | None = None
     wall: Wall | None = None
     tilted: Tilted | None = None
+    turned_B_rad: Vector | None = None
+
+    unsaid: ClassVar[tuple[str, ...]] = ("turned_B_rad",)
 
     def __post_init__(self) -> None:
-        if sum(law is not None for law in vars(self).values()) > 1:
-            given = ", ".join(name for name, law in vars(self).items() if law is not None)
+        laws = {name: law for name, law in vars(self).items() if name != "turned_B_rad" and law is not None}
+        if len(laws) > 1:
+            given = ", ".join(laws)
             raise VehicleError(sentence("panel_response must be one law", got=given, do="keep one of them"))
 
     @property

@@ -8,10 +8,10 @@ few candidates, each linear in M, so it is found without a search and for many s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -58,6 +58,53 @@ def blurred(power, sun_B: np.ndarray, blur_rad: float) -> np.ndarray:
     return np.einsum("m,m...->...", BLUR_WEIGHTS, np.stack([power(sun) for sun in each]))
 
 
+class Places(NamedTuple):
+    """Where the least Delta of flat panels may lie: `maps` (n_map, 3, n_panel) turn readings into directions, `fixed` (n, 3) are
+    directions."""
+
+    maps: np.ndarray
+    fixed: np.ndarray
+
+    def mapped(self, target: np.ndarray) -> np.ndarray:
+        """The candidates (n, n_map, 3) that depend on the readings."""
+        candidates = np.einsum("mik,nk->nmi", self.maps, target)
+        length = np.linalg.norm(candidates, axis=2, keepdims=True)
+        return candidates / np.where(length > 0, length, 1.0)
+
+    def candidates(self, readings: np.ndarray) -> np.ndarray:
+        """All of them (n, n_candidate, 3)."""
+        fixed = np.broadcast_to(self.fixed, (len(readings), *self.fixed.shape))
+        return np.concatenate([self.mapped(unit_readings(readings)), fixed], axis=1)
+
+    def best(self, power: Callable[[np.ndarray], np.ndarray], readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The direction (n, 3) with the least Delta (n) between `power` and readings (n, n_panel)."""
+        fixed, fixed_shape = self.fixed, power(self.fixed)
+        direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
+        chunk = max(1, NUMBERS // ((len(self.maps) + len(fixed)) * readings.shape[1]))
+        for start in range(0, len(readings), chunk):
+            part = slice(start, start + chunk)
+            target = unit_readings(readings[part])
+            candidates = self.mapped(target)
+            away = misfit(power(candidates), target[:, None, :])
+            away_fixed = misfit(np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :])
+            best, best_fixed = np.argmin(away, axis=1), np.argmin(away_fixed, axis=1)
+            each = np.arange(len(target))
+            use_fixed = away_fixed[each, best_fixed] < away[each, best] - 1e-14
+            direction[part] = np.where(use_fixed[:, None], fixed[best_fixed], candidates[each, best])
+            delta[part] = np.minimum(away_fixed[each, best_fixed], away[each, best])
+        return direction, delta
+
+
+def places_of(within: Iterable[np.ndarray], between: Iterable[tuple[np.ndarray, np.ndarray]], fixed: np.ndarray) -> Places:
+    """The candidates of cells in which power is a matrix (n_panel, 3) times the direction, and of arcs, each a matrix and the
+    normal (3) of its plane."""
+    maps = [np.linalg.pinv(rows) for rows in within]
+    for rows, normal in between:
+        basis = plane_basis(normal)
+        maps.append(basis @ np.linalg.pinv(rows @ basis))
+    return Places(np.array(maps), fixed)
+
+
 class Cosine(Flat):
     """``gain * max(0, normal . sun)``. Names and shapes as in :class:`sunspin.vehicle.response.protocol.PanelResponse`."""
 
@@ -90,9 +137,11 @@ class Cosine(Flat):
         to_tilt = None if tilt is None else lit * np.cross(normals, sun)
         return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
-    def along(self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None) -> list[np.ndarray]:
-        lit, strength = self.cosines(sun_B, None) > 0, self.strengths(gain)
-        return [strength * np.where(lit, step @ self.normals_B.T, 0.0) for step in steps]
+    def along(
+        self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> list[np.ndarray]:
+        lit, strength = self.cosines(sun_B, tilt) > 0, self.strengths(gain)
+        return [strength * np.where(lit, self.cosines(step, tilt), 0.0) for step in steps]
 
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         rows = self._rows / unit
@@ -127,45 +176,19 @@ class Cosine(Flat):
         return np.concatenate([self._cells.arc_lit, self._cells.vertex_B @ self.normals_B.T > ON_PLANE])
 
     @cached_property
-    def _maps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Matrices (n_map, 3, n_panel) that turn powers into candidate directions, and fixed candidates (n_vertex, 3)."""
-        cells, maps = self._cells, []
-        for lit in cells.cell_lit:
-            if lit.any():
-                maps.append(np.linalg.pinv(self._rows * lit[:, None]))
-        for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True):
-            if lit.any():
-                basis = plane_basis(self.normals_B[k])
-                maps.append(basis @ np.linalg.pinv((self._rows * lit[:, None]) @ basis))
-        return np.array(maps), np.concatenate([cells.vertex_B, cells.cell_B])
-
-    def _mapped(self, target: np.ndarray) -> np.ndarray:
-        """The candidates (n, n_map, 3) that depend on the readings."""
-        candidates = np.einsum("mik,nk->nmi", self._maps[0], target)
-        length = np.linalg.norm(candidates, axis=2, keepdims=True)
-        return candidates / np.where(length > 0, length, 1.0)
+    def _places(self) -> Places:
+        cells, rows = self._cells, self._rows
+        within = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
+        between = [
+            (rows * lit[:, None], self.normals_B[k]) for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True) if lit.any()
+        ]
+        return places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
 
     def candidates(self, share: np.ndarray) -> np.ndarray:
-        fixed = np.broadcast_to(self._maps[1], (len(share), *self._maps[1].shape))
-        return np.concatenate([self._mapped(unit_readings(share)), fixed], axis=1)
+        return self._places.candidates(share)
 
     def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        maps, fixed = self._maps
-        fixed_shape = self.power(fixed)
-        direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
-        chunk = max(1, NUMBERS // ((len(maps) + len(fixed)) * readings.shape[1]))
-        for start in range(0, len(readings), chunk):
-            part = slice(start, start + chunk)
-            target = unit_readings(readings[part])
-            candidates = self._mapped(target)
-            away = misfit(self.power(candidates), target[:, None, :])
-            away_fixed = misfit(np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :])
-            best, best_fixed = np.argmin(away, axis=1), np.argmin(away_fixed, axis=1)
-            each = np.arange(len(target))
-            use_fixed = away_fixed[each, best_fixed] < away[each, best] - 1e-14
-            direction[part] = np.where(use_fixed[:, None], fixed[best_fixed], candidates[each, best])
-            delta[part] = np.minimum(away_fixed[each, best_fixed], away[each, best])
-        return direction, delta
+        return self._places.best(self.power, readings)
 
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         return self.best(readings)[0][:, None]

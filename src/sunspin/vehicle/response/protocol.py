@@ -101,7 +101,9 @@ class PanelResponse(Protocol):
         """The same with its derivatives."""
         ...
 
-    def along(self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None) -> list[np.ndarray]:
+    def along(
+        self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> list[np.ndarray]:
         """How powers change (each (..., n_panel)) with the Sun along each of `steps` (..., 3): not at all where they are zero."""
         ...
 

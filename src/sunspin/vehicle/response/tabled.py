@@ -159,8 +159,10 @@ class Tabled(Flat):
         smaller = np.where(np.abs(forward) < np.abs(back), forward, back)
         return np.where(np.abs(forward - back) > JUMP * self.gains, smaller, (forward + back) / 2)
 
-    def along(self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None) -> list[np.ndarray]:
-        power, to_sun = self._along_sphere(sun_B, gain)
+    def along(
+        self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> list[np.ndarray]:
+        power, to_sun = self._along_sphere(sun_B, gain, tilt)
         to_sun = np.where(power[..., None] > 0, to_sun, 0.0)
         return [np.einsum("...pi,...i->...p", to_sun, step) for step in steps]
 

@@ -1,0 +1,31 @@
+"""`sunspin compile`."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import click
+
+from sunspin.cli.common import output_options, report
+
+
+@click.command("compile")
+@click.argument("vehicles", metavar="[VEHICLE]...", nargs=-1)
+@output_options(out=False)
+def compile_kernels(vehicles, as_json, quiet) -> None:
+    """Compile now what scans of these vehicles run, so that the first scan need not wait for it.
+
+    A vehicle's kernels take about half a minute and are kept for this machine's kind of processor. Other vehicles with wheels,
+    panels and mask along the same axes share them. Without a VEHICLE: Philae, and the vehicle that `sunspin init` writes.
+
+    \b
+    Examples:
+      sunspin compile
+      sunspin compile vehicle.toml
+    """
+    from sunspin.estimate.scan.volume import compile_kernels as compile_for
+    from sunspin.vehicle import load_vehicle
+
+    names = list(vehicles) or ["philae", str(resources.files("sunspin").joinpath("template", "vehicle.toml"))]
+    folder = compile_for([load_vehicle(name) for name in names])
+    report({"vehicles": names, "folder": str(folder)}, [f"Scans of {len(names)} vehicles are ready: {folder}"], as_json, quiet)

@@ -1,0 +1,82 @@
+"""Panels that do not stand as drawn: turns of their normals, the same in all samples, as unknowns of the posterior.
+
+Each panel's own turn is two angles about axes across its normal, and one turn may be common to all panels (the axes in which they
+were drawn are not those of inertia and wheel). A turn by an angle changes a panel's reading as a Sun moved by that angle would, in
+all samples alike: as noise of each reading it would be taken for many independent errors, and rates for better known than they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sunspin.estimate.terms.term import Unknown
+from sunspin.solve.rotations import tangents
+from sunspin.vehicle import Vehicle
+
+KIND, COMMON = "tilt", "tilt_common"
+"""Kinds of the unknowns: of one panel, and of all together."""
+
+
+LIT_SINE = 2 / 3
+"""Mean square of the sine of the angle between a normal and the Suns that light its panel."""
+
+
+def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
+    """Sigmas in rad as the vehicle's file has them, 0 where it states none: (n_panel) of each normal's direction, to each side, and
+    of the turn of all panels.
+
+    That of `normal_B`, each component's (where these differ, their root mean square), and of the turn of a panel that is tilted.
+    """
+    own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
+    tilted = vehicle.panel_response.tilted
+    if tilted is not None:
+        own = np.hypot(own, _sigma(vehicle, "panel_response.tilted.turn_B_rad") * (np.array(vehicle.panel_names) == tilted.panel))
+    return own, _sigma(vehicle, "panel_response.turned_B_rad")
+
+
+def _sigma(vehicle: Vehicle, key: str) -> float:
+    fact = vehicle.facts.get(key)
+    return 0.0 if fact is None or fact.sigma is None else float(np.sqrt(np.mean(np.square(fact.sigma))))
+
+
+def unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> list[Unknown]:
+    """Those of turns with sigmas `own_rad` (n_panel) of each panel and `common_rad` of all, about each axis."""
+    made = [
+        Unknown(f"tilt_{panel.name}_{side + 1}_rad", KIND, "rad", 0.0, float(own_rad[j]), 2 * j + side)
+        for j, panel in enumerate(vehicle.panels) for side in range(2)
+    ]  # fmt: skip
+    return made + [Unknown(f"tilt_all_{'xyz'[axis]}_rad", COMMON, "rad", 0.0, common_rad, axis) for axis in range(3)]
+
+
+def turns(vehicle: Vehicle, unknown: Sequence[Unknown]) -> np.ndarray:
+    """Turns (k, n_panel, 3) in rad of all panels by one sigma of each unknown (k): zero for those that are no tilts."""
+    out = np.zeros((len(unknown), len(vehicle.panels), 3))
+    across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
+    for i, x in enumerate(unknown):
+        if x.kind == KIND:
+            panel, side = divmod(x.index, 2)
+            out[i, panel] = x.sigma * across[panel, side]
+        elif x.kind == COMMON:
+            out[i, :, x.index] = x.sigma
+    return out
+
+
+def spread(sigma: float, vehicle: Vehicle, unknown: Sequence[Unknown], scale: float) -> float:
+    """Sigma of a reading with what turns add to that of its noise, for the search, which knows no turn: the root mean square over
+    panels and over Suns in front of them."""
+    off = (np.cross(turns(vehicle, unknown), vehicle.panel_normals_B) ** 2).sum(axis=(0, 2)) / 2  # to each side
+    size = np.sqrt(np.mean(off * vehicle.panel_gains**2) * LIT_SINE) if len(off) else 0.0
+    return float(np.hypot(sigma, size * scale)) if size else sigma
+
+
+def told(priors: Mapping[str, Any], vehicle: Vehicle) -> tuple[np.ndarray, float, dict[str, str]]:
+    """Sigmas of `unknowns`, given or stated, and the words for that; what is given is checked by the caller."""
+    own, common = stated_sigma(vehicle)
+    own = np.full(len(own), float(priors["tilt"])) if "tilt" in priors else own
+    common = float(priors.get("tilt_common", common))
+    sizes = {"tilt": float(own.max(initial=0.0)), "tilt_common": common}
+    sources = {key: "given" if key in priors else "vehicle file" if size else "assumed" for key, size in sizes.items()}
+    return own, common, {key: f"{np.degrees(size):.3g} deg ({sources[key]})" for key, size in sizes.items()}
