@@ -41,7 +41,7 @@ def reached(request: pytest.FixtureRequest):
     figures = request.node.stash.setdefault(FIGURES, {})
 
     def record(label: str, value, unit: str = "", limit: float | None = None) -> None:
-        figures[label] = {"value": float(np.max(value)), "unit": unit, "limit": limit}
+        figures[label] = {"value": float(np.max(value)), "unit": unit, "limit": None if limit is None else float(limit)}
 
     return record
 
