@@ -83,11 +83,11 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
     assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
 
 
-@pytest.mark.parametrize("first", ["sunspin.dynamics.ensemble", *(pytest.param(f"sunspin.estimate.{name}", marks=pytest.mark.long)
-                                                                        for name in ("scan.rows", "posterior.cells"))])  # fmt: skip
+@pytest.mark.long
+@pytest.mark.parametrize("first", ["dynamics.ensemble", "estimate.scan.rows", "estimate.posterior.cells"])
 def test_the_compiler_is_the_same_whatever_is_imported_first(first):
     """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
-    assert target_after(first) == target_after("sunspin.compute.compiler") != ""
+    assert target_after(f"sunspin.{first}") == target_after("sunspin.compute.compiler") != ""
 
 
 @lru_cache

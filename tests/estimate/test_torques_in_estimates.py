@@ -41,6 +41,7 @@ def tumbling_telemetry() -> tuple[xr.Dataset, xr.Dataset]:
     return xr.Dataset(variables, coords, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}), run
 
 
+@pytest.mark.long
 @pytest.mark.evidence("rates", "modelled", "a tumbling CubeSat; without the torque it must fit worse")
 def test_rates_under_gravity_gradient_tell_the_turn_about_the_sun():
     data, run = tumbling_telemetry()

@@ -1,4 +1,7 @@
-"""The report in a real browser: quiet, complete, moving, and true to the files it was made from."""
+"""The report in a real browser: quiet, complete, moving, and true to the files it was made from.
+
+The quick tests open the page of a run of `simulate`; those of the whole study's page, thirty seconds of painting, are long.
+"""
 
 from __future__ import annotations
 
@@ -60,6 +63,7 @@ def text(browser: Browser, selector: str) -> str:
     return browser.js(f"document.querySelector({json.dumps(selector)}).textContent")
 
 
+@pytest.mark.long
 @pytest.mark.evidence("report", "validated", "Chromium: no error, no request, every plot drawn")
 def test_it_is_quiet_and_asks_nobody(page):
     assert page.complaints() == []
@@ -68,6 +72,7 @@ def test_it_is_quiet_and_asks_nobody(page):
     assert page.js("[...document.querySelectorAll('[data-plot]')].every(e => e.dataset.drawn === 'yes')")
 
 
+@pytest.mark.long
 def test_the_lander_is_there_and_turns(page):
     page.js(TOP)
     page.show(STAGE)
@@ -86,6 +91,7 @@ def test_the_lander_is_there_and_turns(page):
     assert np.mean(np.abs(second - first).max(axis=2) > 0.05) > 0.005
 
 
+@pytest.mark.long
 @pytest.mark.evidence("report", "verified", "rate, wheel, panels and time shown, against the result files")
 def test_the_readings_are_those_of_the_files(page, study):
     names = page.js("[...document.getElementById('lander-motion').options].map(o => o.textContent)")
@@ -105,6 +111,7 @@ def test_the_readings_are_those_of_the_files(page, study):
         assert run.attrs["about"][1:40] in text(page, "#lander-about")
 
 
+@pytest.mark.long
 @pytest.mark.evidence("report", "verified", "the drawn attitude carries the Sun where the result file has it")
 def test_what_is_drawn_is_the_stored_attitude(page, study):
     """The Sun's direction in the body, from the drawn vertices: the scene's Sun carried back by the drawn turn."""
@@ -121,6 +128,7 @@ def test_what_is_drawn_is_the_stored_attitude(page, study):
     assert turn @ sun == pytest.approx(run["sun_B"].values[i], abs=2e-4)
 
 
+@pytest.mark.long
 def test_play_moves_time_and_space_stops_it(page):
     choose(page, "#lander-motion", "0")
     low = float(page.js("document.getElementById('lander-slider').min"))
@@ -134,6 +142,7 @@ def test_play_moves_time_and_space_stops_it(page):
     assert page.js("sunspin.lander.now()") == stopped
 
 
+@pytest.mark.long
 def test_jump_to_an_event(page):
     choose(page, "#lander-motion", "0")
     options = page.js("[...document.getElementById('lander-event').options].map(o => [o.textContent, o.value])")
@@ -152,6 +161,7 @@ def test_views_change_what_is_shown(page):
     assert page.js(visible) != first and any(page.js(visible))
 
 
+@pytest.mark.long
 def test_slices_show_the_scan(page, study):
     page.show("#slices-plot")
     scan = xr.load_dataset(study / "scan_telemetry.nc", engine="h5netcdf")["emd"]
@@ -165,6 +175,7 @@ def test_slices_show_the_scan(page, study):
         assert z.T == pytest.approx(np.log10(scan.isel(omega_z=k).values), abs=0.51 * step)
 
 
+@pytest.mark.long
 def test_rows_can_be_filtered(page, study):
     summary = json.loads((study / "summary.json").read_text("utf-8"))
     page.js("document.querySelector(\"button[data-filter='differs']\").click()")
@@ -180,6 +191,7 @@ def test_rows_can_be_filtered(page, study):
     page.js("document.querySelector(\"button[data-filter='']\").click()")
 
 
+@pytest.mark.long
 def test_every_filter_shows_as_many_rows_as_it_says(page):
     labels = page.js("[...document.querySelectorAll('button[data-filter]')].map(b => [b.dataset.filter, b.textContent])")
     assert labels[0] == ["", "all"] and {"agrees", "differs", "put_in"} & {key.replace("-", "_") for key, _ in labels}
@@ -193,6 +205,7 @@ def test_every_filter_shows_as_many_rows_as_it_says(page):
     assert page.js("document.querySelectorAll('tr[data-row]:not([hidden])').length") == total
 
 
+@pytest.mark.long
 def test_keys_turn_a_plot_and_reach_the_controls(page):
     page.show("#figure-lines [data-plot]")
     eye = "JSON.stringify(document.querySelector('#figure-lines [data-plot]')._fullLayout.scene.camera.eye)"
@@ -231,6 +244,7 @@ def test_a_page_without_conclusions_shows_its_reason_first(browser, no_conclusio
     assert browser.js("document.documentElement.scrollWidth <= innerWidth") and browser.complaints() == []
 
 
+@pytest.mark.long
 def test_in_a_narrow_window_no_word_is_broken_or_cut(browser, study):
     browser.open(study / "report.html", 390, 844)
     broken = browser.js(

@@ -173,6 +173,7 @@ def test_the_first_screen_of_a_study_begins_with_what_the_file_carries(study):
     assert "more" not in page.ids("section") or "uninformative" not in page.part("more")
 
 
+@pytest.mark.long
 @pytest.mark.evidence("report", "verified", "a file that carries no conclusion: each panel's readings in random order")
 def test_a_page_without_conclusions_gives_the_reason_and_claims_nothing(no_conclusion):
     summary, page = json.loads((no_conclusion / "summary.json").read_text("utf-8")), Page(no_conclusion / "report.html")

@@ -20,6 +20,7 @@ def cube() -> Vehicle:
     return Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form)
 
 
+@pytest.mark.long
 def test_small_twins_are_recalled_and_resumed(tmp_path):
     options = {"max_rate": 0.1, "samples": 12, "interval_s": 20.0, "workers": 2, "vehicle": cube()}
     first = calibrate(tmp_path, "unknown", 1, **options)
