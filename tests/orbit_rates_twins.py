@@ -28,8 +28,8 @@ from sunspin.base.errors import SunspinError
 from sunspin.compute.campaign import command
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
-from sunspin.estimate.field_calibration import field_calibration
-from sunspin.estimate.orbit import judged_orbit
+from sunspin.estimate.orbit.field_calibration import field_calibration
+from sunspin.estimate.orbit.judged import judged_orbit
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Magnetometer, Sensors

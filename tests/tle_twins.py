@@ -24,7 +24,7 @@ from strange_twins import FACES, unit
 from sunspin.compute.campaign import command
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
-from sunspin.estimate.orbit_check import check_orbit
+from sunspin.estimate.orbit.check import check_orbit
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Magnetometer, Sensors
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
-from sunspin.estimate import orbit_check
+from sunspin.estimate.orbit import check as orbit_check
 
 TLE = """1 25544U 98067A   26001.50000000  .00010000  00000-0  10000-3 0  9999
 2 25544  51.6400 120.0000 0006000  30.0000  40.0000 15.49000000    03

@@ -19,7 +19,7 @@ from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.calibrate import sensors as calibrate
 from sunspin.estimate.calibrate.gyro import fit_gyro
-from sunspin.estimate.orbit_check import OrbitCheck, Verdict
+from sunspin.estimate.orbit.check import OrbitCheck, Verdict
 from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
 

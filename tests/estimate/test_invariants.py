@@ -7,8 +7,8 @@ import pytest
 
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
-from sunspin.estimate.along_track import AlongTrack
-from sunspin.estimate.invariants import Model, Predicted, Seen, State, calibrated
+from sunspin.estimate.orbit.along_track import AlongTrack
+from sunspin.estimate.orbit.invariants import Model, Predicted, Seen, State, calibrated
 from tle_twins import make
 
 SCALE_T, NOISE = 6e-8, 12.0

@@ -10,10 +10,10 @@ import pytest
 import sunspin as ss
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
-from sunspin.estimate import orbit_check
-from sunspin.estimate.invariants import fit, predict, seen_in
-from sunspin.estimate.orbit import judged_orbit, orbit_of
-from sunspin.estimate.orbit_check import Verdict, check_orbit
+from sunspin.estimate.orbit import check as orbit_check
+from sunspin.estimate.orbit.check import Verdict, check_orbit
+from sunspin.estimate.orbit.invariants import fit, predict, seen_in
+from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
 from sunspin.vehicle.parts import Orbit
 from tle_twins import make, turned
 

@@ -12,7 +12,7 @@ import sunspin as ss
 from orbit_rates_twins import judged, make, orbit_of
 from sunspin.environment import Surroundings
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.field_calibration import FieldCalibration, field_calibration
+from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.rates.observe import FIELD_ALONE, observations, usable
 from sunspin.estimate.rates.seed import field_leads
 from sunspin.estimate.terms.earth_light import EarthLight

@@ -37,7 +37,7 @@ def calibrate_sensors(vehicle, telemetry, as_json, quiet, data, elements, shift_
     """
     from sunspin.estimate.calibrate.sensors import calibrate_sensors as run
     from sunspin.estimate.calibrate.sensors import new_values
-    from sunspin.estimate.orbit import orbit_of
+    from sunspin.estimate.orbit.judged import orbit_of
     from sunspin.output.folder import write_whole
     from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle

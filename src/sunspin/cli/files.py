@@ -75,7 +75,7 @@ def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> No
       sunspin check vehicle.toml telemetry.csv
       sunspin check philae philae
     """
-    from sunspin.estimate.orbit import elements_of
+    from sunspin.estimate.orbit.judged import elements_of
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)

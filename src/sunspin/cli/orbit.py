@@ -23,12 +23,12 @@ def orbit_options(command: Callable) -> Callable:
 
 def about_orbit(craft: Any, samples: Any, elements: Path | None, shift_sigma: float | None) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on whether the elements fit the telemetry; nothing where there are none."""
-    from sunspin.estimate.orbit import orbit_of
+    from sunspin.estimate.orbit.judged import orbit_of
 
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
         return {}, []
-    from sunspin.estimate.orbit_check import check_orbit
+    from sunspin.estimate.orbit.check import check_orbit
 
     one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
     found = check_orbit(orbit, craft, samples)
@@ -41,8 +41,8 @@ def orbit_used(
     """The orbit that the telemetry allows to use (None: no), the magnetometer's calibration along it, and summary and lines on the
     orbit; nothing where there are no elements."""
     from sunspin.base.errors import InputError, sentence
-    from sunspin.estimate.field_calibration import field_calibration
-    from sunspin.estimate.orbit import judged_orbit, orbit_of
+    from sunspin.estimate.orbit.field_calibration import field_calibration
+    from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
 
     if none:
         if elements is not None or shift_sigma is not None:

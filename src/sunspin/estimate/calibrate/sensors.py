@@ -15,9 +15,9 @@ from sunspin.base.errors import InputError, MotionError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
-from sunspin.estimate.orbit_check import OrbitCheck, Verdict, check_orbit
+from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
+from sunspin.estimate.orbit.sensors import FEWEST, SUN_KEYS, Calibration, Readings, Start, fit_in_orbit, priors, readings
 from sunspin.estimate.rates.estimate import rates
-from sunspin.estimate.sensors_in_orbit import FEWEST, SUN_KEYS, Calibration, Readings, Start, fit_in_orbit, priors, readings
 from sunspin.estimate.verdict import NARROWER
 from sunspin.telemetry.gains import prior_sigmas, with_gains
 from sunspin.telemetry.quality import panel_quality

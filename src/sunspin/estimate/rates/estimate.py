@@ -16,7 +16,7 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
-from sunspin.estimate.field_calibration import FieldCalibration, field_calibration
+from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import DOUBTFUL
 from sunspin.estimate.rates.alternatives import Others
 from sunspin.estimate.rates.clock import lateness, suspected
@@ -103,10 +103,10 @@ def rates(
         What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
         to the Sun (:func:`sunspin.environment.circular`). In an orbit the field, the shadow and the direction of the Earth's light
         are known: a magnetometer, calibrated along the orbit, gives directions, and samples without a Sun count. The orbit is
-        believed; :func:`sunspin.estimate.orbit.judged_orbit` judges it before.
+        believed; :func:`sunspin.estimate.orbit.judged.judged_orbit` judges it before.
     calibration : FieldCalibration, optional
-        Of the magnetometer along the orbit (:func:`sunspin.estimate.field_calibration.field_calibration`), by a longer file say;
-        default: by this telemetry.
+        Of the magnetometer along the orbit, by a longer file say
+        (:func:`sunspin.estimate.orbit.field_calibration.field_calibration`); default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.

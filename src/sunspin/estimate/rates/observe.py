@@ -9,7 +9,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.environment import Environment
-from sunspin.estimate.field_calibration import FieldCalibration
+from sunspin.estimate.orbit.field_calibration import FieldCalibration
 from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.estimate.rates.state import Observations
 from sunspin.estimate.terms.field_direction import reads_directions

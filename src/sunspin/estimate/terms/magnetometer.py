@@ -16,7 +16,7 @@ import xarray as xr
 
 from sunspin.environment import Surroundings
 from sunspin.environment.field import MODEL_SIGMA_T
-from sunspin.estimate.field_calibration import FieldCalibration
+from sunspin.estimate.orbit.field_calibration import FieldCalibration
 from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.term import PairTerm, Seen, Term, Unknown, drifting
 from sunspin.solve.rotations import cross_matrix

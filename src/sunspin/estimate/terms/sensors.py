@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.estimate.field_calibration import FieldCalibration
+from sunspin.estimate.orbit.field_calibration import FieldCalibration
 from sunspin.estimate.terms.attitude import Attitude
 from sunspin.estimate.terms.field_direction import FieldDirection, TurningAxes
 from sunspin.estimate.terms.gyro import Gyro

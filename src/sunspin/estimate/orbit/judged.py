@@ -12,7 +12,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
 from sunspin.environment.orbit import Orbit, Source, in_orbit
-from sunspin.estimate.orbit_check import OrbitCheck, Verdict, check_orbit
+from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.parts import Orbit as Stated
 
@@ -57,7 +57,7 @@ def orbit_of(
 
 
 def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Orbit | None, OrbitCheck, str]:
-    """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit_check`), and what follows, in words.
+    """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit.check`), and what follows, in words.
 
     Elements that fit get the shift that was found, with its sigma; where the telemetry cannot tell, they stay as they were;
     refused ones are None: no answer may rest on them.

@@ -18,8 +18,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment.orbit import Orbit, turned
-from sunspin.estimate.along_track import AlongTrack
-from sunspin.estimate.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA
+from sunspin.estimate.orbit.along_track import AlongTrack
+from sunspin.estimate.orbit.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA
 from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense

@@ -1,8 +1,8 @@
 """What a magnetometer reads in an orbit that is known: zero and matrix (scale, soft iron, axes), with their errors, from a file.
 
 Strength of the field and its angle to the Sun need no attitude; model and priors are those by which an orbit is judged
-(:mod:`sunspin.estimate.invariants`). Of few readings little more comes back than the priors, which are wide: then a fit of the
-motion finds the rest. What is open of the place along the track is part of the errors: a calibration along a shifted orbit is
+(:mod:`sunspin.estimate.orbit.invariants`). Of few readings little more comes back than the priors, which are wide: then a fit of
+the motion finds the rest. What is open of the place along the track is part of the errors: a calibration along a shifted orbit is
 another one.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight
+from sunspin.estimate.orbit.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight
 from sunspin.vehicle import Vehicle
 
 FEW_SCATTER = 0.02

@@ -18,8 +18,8 @@ import xarray as xr
 from scipy.special import erfc
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.invariants import FEWEST, Fits, Predicted, Seen, fit, predict, seen_in
-from sunspin.estimate.sensors_in_orbit import Start, by_sun_sensors
+from sunspin.estimate.orbit.invariants import FEWEST, Fits, Predicted, Seen, fit, predict, seen_in
+from sunspin.estimate.orbit.sensors import Start, by_sun_sensors
 from sunspin.vehicle import Vehicle
 
 COPIES = 50

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.along_track import AlongTrack
+from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.quality import lit_threshold
