@@ -9,8 +9,9 @@ import pytest
 
 import satellites
 import sunspin as ss
+from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.quality import panel_quality
-from sunspin.telemetry.sun import sun_directions
+from sunspin.telemetry.sun import best_directions, sun_directions
 from sunspin.telemetry.units import wrong_units
 from sunspin.vehicle.file import line_of, parse_vehicle
 
@@ -35,6 +36,15 @@ def judged(text: str, telemetry) -> list:
 def satellite(request, tmp_path):
     make, seed = request.param
     return make(tmp_path, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_file_of_the_shadow_alone_is_in_no_wrong_unit(tmp_path, seed):
+    """Noise that is cut off at zero leaves panels that agree on directions, but not samples on how bright their Sun is."""
+    made, rng = satellites.six_faces(tmp_path, np.random.default_rng(1)), np.random.default_rng(seed)
+    vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
+    noise = 0.012 * vehicle.input_gains * rng.normal(size=(90, len(vehicle.inputs)))
+    assert panel_unit(vehicle, np.clip(noise, 0.0, None), best_directions) is None
 
 
 def with_scale(text: str) -> str:
