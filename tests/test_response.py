@@ -332,7 +332,8 @@ def test_quality_finds_nothing_wrong_with_readings_of_the_law_itself(law):
 @pytest.mark.parametrize("law", ["grazing", *(pytest.param(law, marks=pytest.mark.long) for law in ("wall", "tilted"))])
 def test_health_knows_what_the_law_lights(law):
     vehicle = under(law, PHILAE)
-    shown, clean = set(lit_names(vehicle, directions(100_000, 15))), ss.panel_power(vehicle, directions(30, 16))
+    shown = set(lit_names(vehicle, directions(100_000, 15)))
+    clean = ss.panel_power(vehicle, directions(60 if law == "wall" else 30, 16))  # few of them fall on the wall
     assert {frozenset(pattern) for pattern in ss.panel_health(vehicle, clean[:5])["allowed"]} == shown
     assert ss.panel_health(vehicle, clean, lit_threshold=0.1)["impossible"] == {}
     assert ("1",) in ss.panel_health(vehicle, clean * [0, 1, 1, 1, 1, 1], lit_threshold=0.1)["explanations"]

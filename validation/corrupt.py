@@ -188,8 +188,8 @@ def write_orbit(path: Path) -> None:
     from sunspin.telemetry.case import load_case
 
     case = load_case("philae")
-    begin = collision._tdb(case, "first_touchdown") - 100
-    end = collision._tdb(case, "second_touchdown") + 100
+    begin = collision.tdb_of(case, "first_touchdown") - 100
+    end = collision.tdb_of(case, "second_touchdown") + 100
     t = np.linspace(begin, end, 200)
     states = np.column_stack([1 + 1e-5 * (t - begin), 2 - 1e-5 * (t - begin), 0 * t, 1e-5 + 0 * t, -1e-5 + 0 * t, 0 * t])
     handle = sp.spkopn(str(path), "made up", 0)
