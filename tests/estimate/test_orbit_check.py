@@ -66,6 +66,7 @@ def test_elements_of_another_plane_are_refused(twin, few_copies):
     assert used is None and words.startswith("the orbit is NOT USED: the elements do not fit the telemetry")
 
 
+@pytest.mark.long
 def test_a_clock_off_by_an_hour_is_named(twin, few_copies):
     vehicle, data, given, about = twin
     late = data.assign_attrs(epoch_utc=_earlier(data.attrs["epoch_utc"], 3600))

@@ -109,7 +109,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         sunspin("rates", *data, "--max-rate", "5", "--out", str(root / "rates"))
         grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
-        known = [f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed")]
+        known = [f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed", "steady_torque")]
         sunspin("posterior", *data, "--prior=max_rate_rad_s=0.1", *known, "--predict=0,600", "--out", str(root / "posterior"))
         motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
         sunspin("simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate"))

@@ -156,6 +156,7 @@ def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
         assert is_whole(path)
 
 
+@pytest.mark.long
 def test_the_campaign_would_notice_other_results(tmp_path, monkeypatch):
     """A command whose result hangs on whether it was killed."""
     code = (
