@@ -48,15 +48,16 @@ def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.quantile(np.linalg.norm(drawn, axis=-1), SPEEDS, axis=1).T
 
 
+def padded(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Values (n_mode, ...) of each pass as one array (n_pass, most modes, ...), NaN where a pass has fewer motions than another."""
+    out = np.full((len(values), max(map(len, values)), *values[0].shape[1:]), np.nan)
+    for row, value in zip(out, values, strict=True):
+        row[: len(value)] = value
+    return out
+
+
 def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any]:
     """Variables for a Dataset over (`pass_id`, `mode`), those of `passes.csv`; NaN where a pass has fewer motions than another."""
-    count = max(len(one.weight) for one in passes)
-
-    def padded(values: list[np.ndarray]) -> np.ndarray:
-        out = np.full((len(values), count), np.nan)
-        for row, value in zip(out, values, strict=True):
-            row[: len(value)] = value
-        return out
 
     def utc(seconds: float) -> str:
         return "" if epoch_utc is None else utc_after(seconds, epoch_utc, 3)

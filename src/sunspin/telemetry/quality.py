@@ -70,6 +70,9 @@ LIMITED_SCALE = 2.0
 CLEAN_SCALE = 0.06
 """Relative uncertainty of the scale of a sample in full Sun: cell temperature and spread of gains."""
 
+NOT_INCREASING = 4
+"""The bit of `flag` of a time that does not increase (`sunspin.telemetry.reader.FLAGS`)."""
+
 LATE = "dropped: a late or repeated frame (time does not increase)"
 STALE = "dropped: repeats the sample before it to the last digit (stale frame)"
 BELOW_FULL = "down-weighted: below full Sun, so the battery and not the Sun sets the current, or a dead panel is lit"
@@ -193,13 +196,19 @@ def lit_threshold(vehicle: Vehicle, telemetry: xr.Dataset) -> float | None:
     return SURELY_LIT * light if told else None
 
 
+def came_late(telemetry: xr.Dataset) -> np.ndarray:
+    """Which samples (n) are late or repeated frames: their time does not increase."""
+    if "flag" not in telemetry:
+        return np.zeros(telemetry.sizes["time"], dtype=bool)
+    return np.asarray(telemetry["flag"]) & NOT_INCREASING != 0
+
+
 def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Samples that cannot be used at all (n), and why (n)."""
-    flag = np.asarray(telemetry["flag"]) if "flag" in telemetry else np.zeros(len(value), dtype=np.uint8)
     why = np.full(len(value), "", dtype=object)
     empty = ~np.isfinite(value).any(axis=1)
     why[empty] = "dropped: no panel has a number"
-    late = (flag & 4) != 0
+    late = came_late(telemetry)
     why[late] = LATE
     same = np.zeros(len(value), dtype=bool)
     same[1:] = np.all(value[1:] == value[:-1], axis=1) & (np.nan_to_num(value[1:]) > 0).any(axis=1)

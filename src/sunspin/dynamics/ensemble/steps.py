@@ -87,8 +87,14 @@ class Scales:
 
     def uneven(self) -> np.ndarray:
         """A bound (n), rad/s, of how fast H turns in body axes because the moments of inertia differ."""
+        slow, fast = self.inverse_moments
+        return 0.5 * (fast - slow).max(axis=0) * self.momentum_size
+
+    @cached_property
+    def inverse_moments(self) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest of the inverse moments of inertia (mode; n or 1), 1/(kg m2)."""
         smallest, largest = extreme_eigenvalues(self.inertias)
-        return 0.5 * (1.0 / smallest - 1.0 / largest).max(axis=0) * self.momentum_size
+        return 1.0 / largest, 1.0 / smallest
 
     def outside_rate(self, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
         """What torques from outside add to :meth:`uneven` and, as then no share of H is taken out, to the rest of the rates.
@@ -102,8 +108,7 @@ class Scales:
         bodies = self.rows.bodies_of(self.vehicle)
         own = self.acting.own(bodies)
         torque = self.acting.largest(self.acting.values(bodies)) + np.linalg.norm(own, axis=-1)
-        moments = np.linalg.eigvalsh(self.inertias)
-        slow, fast = 1.0 / moments[..., -1], 1.0 / moments[..., 0]
+        slow, fast = self.inverse_moments
         gained = torque * abs(duration_s)
         carried = self.rows.carried(self.acting, own).reshape(len(self.rows), -1, 2, 3)[:, :, 1]
         turning = np.linalg.norm(carried, axis=-1).max(axis=1, initial=0.0)

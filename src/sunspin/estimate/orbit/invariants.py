@@ -16,7 +16,7 @@ from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
-from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.quality import came_late, lit_threshold
 from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
 
@@ -95,10 +95,14 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
         sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
         covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
         light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
-    late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
-    use = np.flatnonzero((np.isfinite(reading).all(axis=1) | np.isfinite(light)) & ~late)
-    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), MOST_SAMPLES)).astype(int))] if len(use) else use
+    use = spread_evenly(telemetry, np.isfinite(reading).all(axis=1) | np.isfinite(light), MOST_SAMPLES)
     return Seen(*(part[use] for part in (time, reading, sun, covariance, light)))
+
+
+def spread_evenly(telemetry: xr.Dataset, shows: np.ndarray, most: int) -> np.ndarray:
+    """The samples that show something (n, of true and false) and came in time, at most so many of them, spread over the file."""
+    use = np.flatnonzero(shows & ~came_late(telemetry))
+    return use[np.unique(np.linspace(0, len(use) - 1, min(len(use), most)).astype(int))] if len(use) else use
 
 
 def predict(orbit: Orbit, seen: Seen, shifts: np.ndarray, node_rad: float = 0.0, phase_s: float = 0.0) -> Predicted:

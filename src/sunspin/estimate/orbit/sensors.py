@@ -19,7 +19,7 @@ import xarray as xr
 
 from sunspin.environment.orbit import Orbit, turned
 from sunspin.estimate.orbit.along_track import AlongTrack
-from sunspin.estimate.orbit.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA
+from sunspin.estimate.orbit.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA, spread_evenly
 from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
@@ -260,10 +260,7 @@ def readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
     usual = np.median(np.diff(time)) if n > 1 else 1.0
     passes = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])
     seen = Readings(time, angle, is_turned, sun, np.hypot(sun_sigma, PANEL_SIGMA_RAD), field, passes)
-    late = telemetry["flag"].values & 4 != 0 if "flag" in telemetry else np.zeros(n, dtype=bool)
-    use = np.flatnonzero((seen.has_field | seen.has_sun) & ~late)
-    use = use[np.unique(np.linspace(0, len(use) - 1, min(len(use), MOST_SAMPLES)).astype(int))] if len(use) else use
-    return seen.take(use)
+    return seen.take(spread_evenly(telemetry, seen.has_field | seen.has_sun, MOST_SAMPLES))
 
 
 def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.readings import READINGS
 from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 
@@ -111,9 +112,8 @@ def readings(
         raise InputError(sentence("the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"))
     times = np.asarray(telemetry["time"], dtype=np.float64)
     keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
-    flag = np.asarray(telemetry["flag"]) if "flag" in telemetry else np.zeros(len(times), dtype=np.uint8)
     finite = np.isfinite(value) & ~_wild(vehicle, value)
-    usable = keep & np.isfinite(times) & ((flag & 4) == 0) & finite.any(axis=1)
+    usable = keep & np.isfinite(times) & ~came_late(telemetry) & finite.any(axis=1)
     index = np.flatnonzero(usable)
     index = index[np.concatenate([[True], np.diff(np.maximum.accumulate(times[index])) > 0])] if len(index) else index
     if (np.isfinite(value) & ~finite)[index].any():

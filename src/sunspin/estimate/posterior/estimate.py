@@ -97,13 +97,11 @@ def posterior(
     priors : mapping, optional
         `steady_torque`, the most that a steady torque of which nobody told may turn the body over the samples (deg; 300 unless
         given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`,
-        `friction`, `gain`
-        (each panel's), `scale` and `noise` (of the logarithm); `tilt`, of the angles in rad by which each panel's normal is off to
-        each side, and `tilt_common`, of one turn of all panels about each axis; `time_s`, sigma of the samples' times in s (unless
-        given they are taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
+        `friction`, `gain` (each panel's), `scale` and `noise` (of the logarithm); `tilt`, of the angles in rad by which each
+        panel's normal is off to each side, and `tilt_common`, of one turn of all panels about each axis; `time_s`, sigma of the
+        samples' times in s (unless given they are taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
         before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
-        instant; `max_rate_rad_s`, the
-        ball in which rates are uniform. Default: what the vehicle's file states, else the values in
+        instant; `max_rate_rad_s`, the ball in which rates are uniform. Default: what the vehicle's file states, else the values in
         `sunspin.estimate.posterior.model`; the result's attributes say which.
     seed : int
         The same seed gives the same bits, for any number of workers and however often the run was stopped.

@@ -51,7 +51,7 @@ KEYS = {"max_rate_rad_s", "steady_torque", "inertia", "wheel_speed", "wheel_iner
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
 
-STANDING = ("scale", "noise", "gain", tilt.KIND, tilt.COMMON)
+STANDING = ("scale", "noise", "gain", *tilt.KINDS)
 """Kinds of unknowns on which readings depend and the motion does not."""
 
 
@@ -122,7 +122,7 @@ class Model:
     @cached_property
     def turns(self) -> np.ndarray | None:
         """Turns (k, n_panel, 3) of the panels by one sigma of each unknown; None where they stand as drawn."""
-        return tilt.turns(self.vehicle, self.unknowns) if self.where(tilt.KIND) or self.where(tilt.COMMON) else None
+        return tilt.turns(self.vehicle, self.unknowns) if any(map(self.where, tilt.KINDS)) else None
 
     @property
     def dimension(self) -> int:

@@ -19,7 +19,6 @@ from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, Unknown
-from sunspin.estimate.posterior.tilt import spread
 from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
@@ -57,9 +56,6 @@ KEPT_ANYWAY = 100
 
 SPEED_LEFT = 0.3
 """Part of its speed that a wheel has left at a reference."""
-
-TURNS_OF_PANELS = (tilt.KIND, tilt.COMMON)
-"""Kinds of the unknowns that are left alone until the last fit."""
 
 TURNS = 4
 """Turns about the Sun that are tried where torques depend on them."""
@@ -249,7 +245,7 @@ class Search:
         While the window grows turns of the panels are left alone and counted as noise: there would be as many of them as readings.
         Starts and looks ahead have room enough for them.
         """
-        whole, wide = Likelihood(model, data), replace(data, sigma=spread(data.sigma, model.vehicle, model.unknowns, scale))
+        whole, wide = Likelihood(model, data), replace(data, sigma=tilt.spread(data.sigma, model.vehicle, model.unknowns, scale))
         model, kept = standing(model)
         state, hits = self.starts(model, data, chosen, scale)
         notes: list[str] = []
@@ -372,7 +368,7 @@ def _turned(model: Model, state: State) -> list[State]:
 
 def standing(model: Model) -> tuple[Model, np.ndarray]:
     """The model with its panels as drawn, and the places (k) in u of the unknowns that are left."""
-    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in TURNS_OF_PANELS], dtype=np.int64)
+    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in tilt.KINDS], dtype=np.int64)
     return (model if len(kept) == len(model.unknowns) else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))), kept
 
 

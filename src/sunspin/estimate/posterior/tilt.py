@@ -19,6 +19,7 @@ from sunspin.vehicle import Vehicle
 KIND, COMMON = "tilt", "tilt_common"
 """Kinds of the unknowns: of one panel, and of all together."""
 
+KINDS = (KIND, COMMON)
 
 LIT_SINE = 2 / 3
 """Mean square of the sine of the angle between a normal and the Suns that light its panel."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.torques import NOTHING
+from sunspin.estimate.passes import padded
 from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.motion import Body, Ends, step
 from sunspin.estimate.rates.state import Motion, Observations
@@ -131,8 +132,6 @@ def without_periods(found: list[Pass]) -> dict[str, Any]:
     """The variable `weight_without_periods (pass_id, mode)`, where periods were counted in."""
     if all(p.before is None for p in found):
         return {}
-    before = np.full((len(found), max(len(p.weight) for p in found)), np.nan)
-    for row, p in zip(before, found, strict=True):
-        row[: len(p.weight)] = p.before
+    before = [p.weight if p.before is None else p.before for p in found]
     about = {"units": "1", "long_name": "weight of each motion without the periods seen"}
-    return {"weight_without_periods": (("pass_id", "mode"), before, about)}
+    return {"weight_without_periods": (("pass_id", "mode"), padded(before), about)}

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.provenance import provenance
 from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, speeds, table
+from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, padded, speeds, table
 from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.images import either_side, images_of
@@ -30,14 +30,6 @@ SUSPECTED = "the data alone, not counted"
 
 
 def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
-    count = max(len(p.weight) for p in found)
-
-    def padded(values: list[np.ndarray]) -> np.ndarray:
-        out = np.full((len(values), count, *values[0].shape[1:]), np.nan)
-        for row, value in zip(out, values, strict=True):
-            row[: len(value)] = value
-        return out
-
     index = np.concatenate([p.index for p in found])
     best = [p.track.take(np.array([0])) for p in found]
     attitude = np.concatenate([track.attitude[0] for track in best])
