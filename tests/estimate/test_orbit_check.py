@@ -25,14 +25,16 @@ def twin():
 
 @pytest.fixture
 def few_copies(monkeypatch):
-    """Right elements are refused once in 20 times at most, and not in 50; enough where wrong ones are clearly wrong."""
-    monkeypatch.setattr(orbit_check, "COPIES", 20)
+    """A fifth of the usual copies: enough where elements are clearly wrong."""
+    monkeypatch.setattr(orbit_check, "COPIES", 10)
 
 
 @pytest.fixture(scope="module")
 def judged(twin):
     """The right elements as they are used, and what is said of them."""
-    return judged_orbit(orbit(twin), *twin[:2])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(orbit_check, "COPIES", 20)
+        return judged_orbit(orbit(twin), *twin[:2])
 
 
 @pytest.fixture(scope="module")
