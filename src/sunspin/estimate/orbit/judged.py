@@ -56,6 +56,13 @@ def orbit_of(
     )  # fmt: skip
 
 
+def drifting(found: OrbitCheck) -> str:
+    """How the shift changes, in words, where the telemetry has shown it."""
+    if found.made is None:
+        return ""
+    return f" in the middle of the file, {found.drift_s_day:+.1f} +- {found.drift_sigma_s_day:.1f} s a day"
+
+
 def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Orbit | None, OrbitCheck, str]:
     """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit.check`), and what follows, in words.
 
@@ -73,6 +80,9 @@ def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple
         return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it{sign}"
     # the shift found is that of place and clock together, of which the data determine the sum
     rest = float(np.sqrt(max(found.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
-    known = replace(orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s))
-    shift = f"{found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track"
+    known = replace(
+        orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s),
+        drift_s_day=found.drift_s_day, drift_sigma_s_day=found.drift_sigma_s_day,
+    )  # fmt: skip
+    shift = f"{found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track{drifting(found)}"
     return known, found, f"the orbit is used: its elements fit, {shift}{sign}"
