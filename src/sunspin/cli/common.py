@@ -10,20 +10,25 @@ from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sunspin.base.errors import InputError, printable, sentence
 from sunspin.cli.values import sensible
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from sunspin.vehicle import Vehicle
+
 COMMANDS = {
     "reproduce": "sunspin.cli.reproduce:reproduce",
     "coverage": "sunspin.cli.coverage:coverage",
     "worth": "sunspin.cli.coverage:worth",
-    "init": "sunspin.cli.files:init",
-    "check": "sunspin.cli.files:check",
-    "decode": "sunspin.cli.files:decode",
+    "init": "sunspin.cli.init:init",
+    "check": "sunspin.cli.check:check",
+    "decode": "sunspin.cli.decode:decode",
     "sun": "sunspin.cli.sun:sun",
     "calibrate-sensors": "sunspin.cli.calibrate:calibrate_sensors",
     "rates": "sunspin.cli.rates:rates",
@@ -65,9 +70,6 @@ SUMMARIES = {
     "compare": "What moved between two results; or rates against SPICE kernels.",
     "compile": "Compile what scans run now, so that the first need not wait.",
 }
-
-WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."
-"""Help of the option that both `simulate` and `scan` have."""
 
 
 class ReaderGone(Exception):
@@ -145,6 +147,22 @@ def device_option(command: Callable) -> Callable:
                         "processor, or on an NVIDIA GPU. The latter needs pip install \"sunspin[gpu]\".")(command)  # fmt: skip
 
 
+def wheel_mode_option(about: str = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the "
+                      "vehicle's brake torque.") -> Callable:  # fmt: skip
+    modes = click.Choice(["coast", "hold", "brake"])
+    return click.option("--wheel-mode", type=modes, default="coast", show_default=True, help=about)
+
+
+def factor_option(command: Callable) -> Callable:
+    least = click.FloatRange(1, min_open=True)
+    return click.option("--factor", type=least, default=1.1, show_default=True, help="Near-minimum factor.")(command)
+
+
+def store_option(about: str = "Folder that keeps what is computed: after a crash, a power cut or Ctrl-C the same command goes on "
+                 "where it stopped. Other inputs need another folder.") -> Callable:  # fmt: skip
+    return click.option("--store", type=click.Path(path_type=Path), help=about)
+
+
 def run_options(command: Callable) -> Callable:
     """--seed, --workers."""
     command = click.option("--workers", type=click.IntRange(1, 4096), help="Threads; default one per core.")(command)
@@ -153,8 +171,17 @@ def run_options(command: Callable) -> Callable:
     )
 
 
-def find_telemetry(path: str, data: Path | None) -> Path:
-    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry."""
+def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Path:
+    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry.
+
+    Without a path it is that of the case whose name `vehicle` is.
+    """
+    if path is None:
+        from sunspin.telemetry.case import case_telemetry
+
+        if (own := case_telemetry(vehicle)) is None:
+            raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
+        return own
     if path == "-":
         raise InputError(sentence("telemetry is read from a file and not from standard input", do="save it to a file"))
     given = Path(path)
@@ -169,6 +196,15 @@ def find_telemetry(path: str, data: Path | None) -> Path:
         except (OSError, ValueError):
             return given
     return given
+
+
+def read_both(vehicle: Any, telemetry: str, data: Path | None) -> tuple[Vehicle, xr.Dataset]:
+    """The vehicle of a name or file, and telemetry read with its columns."""
+    from sunspin.telemetry.reader import read_telemetry
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    return craft, read_telemetry(find_telemetry(telemetry, data), craft)
 
 
 def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool) -> None:
