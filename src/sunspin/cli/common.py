@@ -229,8 +229,7 @@ def claim(out: Path | None, command: str) -> None:
 
 def deliver(
     result: Any, out: Path | None, as_json: bool, quiet: bool, vehicle: Any, telemetry: Any = None,
-    also: Mapping[str, Any] | None = None, lines: Sequence[str] = (), drawings: Sequence[Any] = (),
-    main: str = "",
+    also: Mapping[str, Any] | None = None, lines: Sequence[str] = (), main: str = "",
 ) -> None:  # fmt: skip
     """Save a result where a folder is given, and print what it says of itself; `also` and `lines`: more of it; `main`: its file."""
     import_module("sunspin.output.result")
@@ -238,7 +237,7 @@ def deliver(
     told = [*summary.lines, *lines, *summary.notes]
     if out is not None:
         command = shlex.join(["sunspin", *sys.argv[1:]])
-        folder = result.sunspin.save(out, vehicle=vehicle, telemetry=telemetry, command=command, also=also, drawings=drawings)
+        folder = result.sunspin.save(out, vehicle=vehicle, telemetry=telemetry, command=command, also=also)
         told += [f"Results: {folder / main}", f"A page to look into it: sunspin report {folder}"]
     report({**summary, **(also or {})}, told, as_json, quiet)
 

@@ -20,7 +20,6 @@ from sunspin.vehicle.assumptions import split
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.file import changed_file
 
-
 NAMES = ("version", "title", "command", "seed", "confidence", "seconds", "sentences", "changes", "figures", "folder",
          "synthetic_telemetry")  # fmt: skip
 """What a coverage answers to beside its variables."""
