@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -22,54 +22,36 @@ if TYPE_CHECKING:
 
     from sunspin.vehicle import Vehicle
 
+class Listed(NamedTuple):
+    """A command: the module that has it, the heading of --help under which it stands, its line there."""
+
+    module: str
+    section: str
+    summary: str
+
+
+YOURS, MOTIONS, PHILAE, OTHERS = "Your satellite", "Motions", "Philae", "Data of others"
+
 COMMANDS = {
-    "reproduce": "sunspin.cli.reproduce:reproduce",
-    "coverage": "sunspin.cli.coverage:coverage",
-    "worth": "sunspin.cli.coverage:worth",
-    "init": "sunspin.cli.init:init",
-    "check": "sunspin.cli.check:check",
-    "decode": "sunspin.cli.decode:decode",
-    "sun": "sunspin.cli.sun:sun",
-    "calibrate-sensors": "sunspin.cli.calibrate:calibrate_sensors",
-    "rates": "sunspin.cli.rates:rates",
-    "simulate": "sunspin.cli.simulate:simulate",
-    "scan": "sunspin.cli.scan:scan",
-    "posterior": "sunspin.cli.posterior:posterior",
-    "outcomes": "sunspin.cli.outcomes:outcomes",
-    "report": "sunspin.cli.report:report_page",
-    "export": "sunspin.cli.export:export",
-    "compare": "sunspin.cli.compare:compare",
-    "compile": "sunspin.cli.compile:compile_kernels",
+    "init": Listed("init", YOURS, "Write a vehicle file and telemetry to start from."),
+    "check": Listed("check", YOURS, "What is wrong with my files, in plain words."),
+    "sun": Listed("sun", YOURS, "Directions to the Sun from panel powers or currents."),
+    "calibrate-sensors": Listed("calibrate", YOURS, "Gains, zeros, scales and soft iron from the telemetry itself."),
+    "rates": Listed("rates", YOURS, "Body rates and attitude of each pass, all motions that fit."),
+    "posterior": Listed("posterior", YOURS, "Every motion that the readings allow, with its probability."),
+    "report": Listed("report", YOURS, "A results folder as one page to look into."),
+    "export": Listed("export", YOURS, "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet."),
+    "compare": Listed("compare", YOURS, "What moved between two results; or rates against SPICE kernels."),
+    "simulate": Listed("simulate", MOTIONS, "One trajectory of a vehicle with its wheels."),
+    "scan": Listed("scan", MOTIONS, "Which initial rates fit, and the lines they lie on."),
+    "outcomes": Listed("outcomes", MOTIONS, "What a motion leads to: collision, landing, wheel strategies."),
+    "compile": Listed("compile", MOTIONS, "Compile what scans run now, so that the first need not wait."),
+    "reproduce": Listed("reproduce", PHILAE, "The whole Philae study: figures, tables, report."),
+    "coverage": Listed("coverage", PHILAE, "How often the paper's method finds the truth."),
+    "worth": Listed("coverage", PHILAE, "The earlier name of coverage."),
+    "decode": Listed("decode", OTHERS, "Raw beacons of skCUBE into a table."),
 }
-"""Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
-
-SECTIONS = {
-    "Your satellite": ("init", "check", "sun", "calibrate-sensors", "rates", "posterior", "report", "export", "compare"),
-    "Motions": ("simulate", "scan", "outcomes", "compile"),
-    "Philae": ("reproduce", "coverage", "worth"),
-    "Data of others": ("decode",),
-}
-"""How --help groups the commands; one that is in no group comes last."""
-
-SUMMARIES = {
-    "reproduce": "The whole Philae study: figures, tables, report.",
-    "coverage": "How often the paper's method finds the truth.",
-    "worth": "The earlier name of coverage.",
-    "init": "Write a vehicle file and telemetry to start from.",
-    "check": "What is wrong with my files, in plain words.",
-    "decode": "Raw beacons of skCUBE into a table.",
-    "sun": "Directions to the Sun from panel powers or currents.",
-    "calibrate-sensors": "Gains, zeros, scales and soft iron from the telemetry itself.",
-    "rates": "Body rates and attitude of each pass, all motions that fit.",
-    "simulate": "One trajectory of a vehicle with its wheels.",
-    "scan": "Which initial rates fit, and the lines they lie on.",
-    "posterior": "Every motion that the readings allow, with its probability.",
-    "outcomes": "What a motion leads to: collision, landing, wheel strategies.",
-    "report": "A results folder as one page to look into.",
-    "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
-    "compare": "What moved between two results; or rates against SPICE kernels.",
-    "compile": "Compile what scans run now, so that the first need not wait.",
-}
+"""In the order of --help. A command's module is imported only when the command is used or its help line shown."""
 
 
 class ReaderGone(Exception):
@@ -94,18 +76,16 @@ class Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module, name = COMMANDS[cmd_name].split(":")
-        command = getattr(import_module(module), name)
+        found = vars(import_module(f"sunspin.cli.{COMMANDS[cmd_name].module}")).values()
+        command = next(one for one in found if isinstance(one, click.Command) and one.name == cmd_name)
         for parameter in command.params:
             parameter.callback = parameter.callback or sensible
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        grouped = {name for names in SECTIONS.values() for name in names}
-        for title, names in {**SECTIONS, "More": [name for name in COMMANDS if name not in grouped]}.items():
-            if names:
-                with formatter.section(title):
-                    formatter.write_dl([(name, SUMMARIES[name]) for name in names])
+        for title in dict.fromkeys(one.section for one in COMMANDS.values()):
+            with formatter.section(title):
+                formatter.write_dl([(name, one.summary) for name, one in COMMANDS.items() if one.section == title])
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click does, but a misspelt command is answered with the likely ones."""
