@@ -5,16 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import xarray as xr
+
+from sunspin.telemetry.quality import panel_quality, reasons
+from sunspin.telemetry.sun import signals
+from sunspin.telemetry.units import wrong_units
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.file import line_of, vehicle_text
 
 SHOWN = 30
 """Columns listed by name."""
 
 
-def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
+def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
-    from sunspin.telemetry.units import wrong_units
-    from sunspin.vehicle.file import line_of, vehicle_text
-
     units = []
     for wrong in wrong_units(craft, samples):
         stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0])
@@ -28,7 +32,7 @@ def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[s
     return {"wrong_units": units, "missing_sensors": missing, "unused_columns": unused}, lines
 
 
-def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
+def worth(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate."""
     summary: dict[str, Any] = {}
     lines: list[str] = []
@@ -45,9 +49,7 @@ def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     return summary | about, lines + more
 
 
-def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    from sunspin.telemetry.quality import panel_quality, reasons
-
+def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     quality = panel_quality(craft, samples)
     why = reasons(quality)
     silent, missed = quality["dead"].values, quality["missed"].values
@@ -77,20 +79,18 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
-    from sunspin.telemetry.sun import signals
-
+def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
     floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
     return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)
 
 
-def intervals(samples: Any) -> np.ndarray:
+def intervals(samples: xr.Dataset) -> np.ndarray:
     """Intervals (s) between the samples whose time is in order; late and repeated frames are no samples."""
     latest = np.unique(np.maximum.accumulate(samples["time"].values))
     return np.diff(latest)
 
 
-def _sampling(samples: Any) -> tuple[dict[str, Any], list[str]]:
+def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     gaps = intervals(samples)
     if len(gaps) < 2:
         return {}, ["  too few samples to tell a rate"]
