@@ -78,10 +78,15 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
 
 
 def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
+    """How many faces (n) are lit, panels of one face counting once; with channels how many inputs."""
     from sunspin.telemetry.sun import signals
 
     floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
-    return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)
+    lit = np.nan_to_num(signals(samples)) > floor
+    if craft.channels:
+        return lit.sum(axis=1)
+    _, face = np.unique(np.round([panel.normal_B for panel in craft.panels], 6) + 0.0, axis=0, return_inverse=True)
+    return (lit.astype(int) @ np.eye(face.max() + 1, dtype=int)[face.ravel()] > 0).sum(axis=1)
 
 
 def intervals(samples: Any) -> np.ndarray:
