@@ -92,6 +92,20 @@ def test_thousandths_read_as_wholes(satellite, factor):
     assert "1000 times" in str(found) and "scale" in str(found)
 
 
+@pytest.mark.parametrize("key", ["scale", "voltage_scale"])
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_of_currents_with_voltages_either_may_be_in_the_wrong_unit(tmp_path, key, factor):
+    """The product tells that one is, and not which: no value is put into anybody's mouth."""
+    made = satellites.six_faces(tmp_path, np.random.default_rng(1))
+    lines = made.telemetry.read_text().splitlines()
+    path = tmp_path / "volts.csv"
+    path.write_text("\n".join([f"{lines[0]},bus", *(f"{line},1.0" for line in lines[1:])]))
+    text = with_scale(made.vehicle.read_text()).replace("[telemetry]", '[telemetry]\nvoltage_column = "bus"\nvoltage_scale = 1.0')
+    assert judged(text, path) == []
+    (found,) = judged(changed(text, "telemetry", key, factor), path)
+    assert found.key == "scale or voltage_scale" and found.value is None and "check scale or voltage_scale" in str(found)
+
+
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
 def test_the_wrong_unit_stands_where_reading_would_say_that_no_panel_is_lit(satellite, factor):
     vehicle = parse_vehicle(changed(with_scale(satellite.vehicle.read_text()), "telemetry", "scale", factor), "v.toml")

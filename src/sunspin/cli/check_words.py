@@ -15,9 +15,9 @@ def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[s
     from sunspin.telemetry.units import wrong_units
     from sunspin.vehicle.file import line_of, vehicle_text
 
-    units = []
-    for wrong in wrong_units(craft, samples):
-        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0])
+    units, found = [], wrong_units(craft, samples)
+    for wrong in found:
+        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0].split(",")[0])
         units.append(str(wrong) if stands is None else wrong.at(f", line {stands[0]} ({stands[1][:60]}),"))
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
@@ -25,16 +25,19 @@ def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[s
     lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
     lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
-    return {"wrong_units": units, "missing_sensors": missing, "unused_columns": unused}, lines
+    misread = any(wrong.table == "telemetry" and wrong.key.startswith("scale") for wrong in found)
+    return {"wrong_units": units, "panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}, lines
 
 
-def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate."""
+def worth(craft: Any, samples: Any, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate; of panels `misread`, in a
+    wrong unit, no lines on what their numbers would mean."""
     summary: dict[str, Any] = {}
     lines: list[str] = []
     if "panel" in samples.coords:
         about, lines = _panels(craft, samples)
         summary |= about
+        lines = [f"  {n:6d}  {text}" for text, n in about["worth"].items()] if misread else lines
     sensors = {"sun_sensor_B": "Sun sensors", "gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "attitude",
                "wheel_speed_rad_s": "wheel speeds"}
     there = {label: int(np.isfinite(samples[name].values).all(axis=1).sum()) for name, label in sensors.items() if name in samples}

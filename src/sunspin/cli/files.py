@@ -16,6 +16,8 @@ from sunspin.cli.orbit import about_orbit, orbit_options
 HEALTH_SAMPLES = 3000
 """Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
 
+NOT_READ = "  directions, gains and lit faces say nothing while the readings are in a wrong unit; `--json` has them"
+
 TEMPLATES = ("vehicle.toml", "telemetry.csv")
 
 
@@ -161,8 +163,8 @@ def _about_telemetry(craft: Any, path: Path, vehicle: str) -> tuple[Any, dict[st
     summary, lines = summary | about, lines + more
     if "panel" in samples.coords:
         about, more = _about_panels(craft, samples)
-        summary, lines = summary | about, lines + more
-    about, more = worth(craft, samples)
+        summary, lines = summary | about, lines + ([NOT_READ] if summary["panels_misread"] else more)
+    about, more = worth(craft, samples, summary["panels_misread"])
     return samples, summary | about, lines + more
 
 

@@ -134,6 +134,7 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     ratio = float(np.median(_brightness(vehicle, bright, directions(vehicle, bright)[0])))
     if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, bright, directions)):
         return None
+    key = "scale or voltage_scale" if form.has_voltages else "scale"
     step = round(np.log10(ratio) / 3)
     exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
     times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
@@ -141,7 +142,8 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     stated = f"{float(vehicle.input_gains.max()):.3g} {unit}"
     what = f"the brightest samples read about {times} times {more} than the stated full signal of a panel ({stated}): a wrong unit"
     factor = 1000.0**-step if exact else 1 / ratio
-    return WrongUnit(what, "telemetry", "scale", float(f"{form.scale * factor:.6g}") if exact else None)
+    known = exact and not form.has_voltages  # else currents or voltages may be at fault
+    return WrongUnit(what, "telemetry", key, float(f"{form.scale * factor:.6g}") if known else None)
 
 
 def _against_noise(
@@ -156,4 +158,5 @@ def _against_noise(
     if not _sunlit(vehicle, _brightest(known, largest), directions):
         return None
     what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {low[0]} ({above[low[0]]:g} {unit})"
-    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"scale or {low[0]}")
+    scales = "scale, voltage_scale" if form.has_voltages else "scale"
+    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"{scales} or {low[0]}")
