@@ -38,6 +38,13 @@ Noise in the dark has 0.45 to 0.97; cut off at zero, its misfit alone looks like
 
 LEAST_SAMPLES = 5
 
+SHUFFLES = 99
+"""Of noise in the dark no panel knows of the others. Sunlight must fit better than each of so many orders of the same readings
+among panels, as noise does in one file of a hundred, whatever its size: of few samples the numbers above say too little."""
+
+SHUFFLED = 40
+"""Samples, of the brightest, of which this is asked."""
+
 
 class WrongUnit(NamedTuple):
     """What the readings show, and the key of the vehicle file to change: its table, its name, the value it should have (None: not
@@ -82,13 +89,37 @@ def _brightness(vehicle: Vehicle, bright: np.ndarray, sun: np.ndarray) -> np.nda
     return (bright * model).sum(axis=1) / np.maximum((model**2).sum(axis=1), 1e-300)
 
 
-def _sunlit(vehicle: Vehicle, bright: np.ndarray, brightness: np.ndarray, misfit: np.ndarray) -> bool:
+def _sunlit(vehicle: Vehicle, bright: np.ndarray, directions: Solver) -> bool:
     """Whether the Sun made these readings: panels agree on a direction, and samples on how bright it is; noise in the dark does not
     let them."""
     two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
-    low, middle, high = np.quantile(brightness, [0.1, 0.5, 0.9])
+    sun, misfit = directions(vehicle, bright)
+    low, middle, high = np.quantile(_brightness(vehicle, bright, sun), [0.1, 0.5, 0.9])
     agree = float(np.median(misfit)) < FITS and high - low < STEADY * middle
-    return len(vehicle.inputs) > 3 and bool(two) and len(np.unique(bright)) >= DISTINCT and bool(agree)
+    several = len(vehicle.inputs) > 3 and bool(two) and len(np.unique(bright)) >= DISTINCT
+    return bool(several and agree) and _in_order(vehicle, bright[:SHUFFLED], directions)
+
+
+def _in_order(vehicle: Vehicle, bright: np.ndarray, directions: Solver) -> bool:
+    """Whether readings (n, n_panel) fit one Sun better as they stand than in any of many random orders among the panels: of noise
+    that is alike in the readings' unit, and of noise alike in parts of each panel's gain."""
+    rng = np.random.default_rng(0)
+    for unit in (1.0, vehicle.input_gains):
+        turned = rng.permuted(np.tile(bright / unit, (SHUFFLES, 1)), axis=1) * unit
+        every = np.concatenate([bright, turned])
+        sun, misfit = directions(vehicle, every)
+        off = _unlike(_brightness(vehicle, every, sun), misfit, len(bright))
+        if off[0] >= off[1:].min():
+            return False
+    return True
+
+
+def _unlike(brightness: np.ndarray, misfit: np.ndarray, size: int) -> np.ndarray:
+    """By how much sets of `size` samples (sets x size) miss one Sun, which panels and samples see alike."""
+    bright = brightness.reshape(-1, size)
+    middle = np.median(bright, axis=1, keepdims=True)
+    apart = (bright / np.where(middle > 0, middle, 1.0) - 1) ** 2
+    return np.mean(np.minimum(misfit.reshape(-1, size) ** 2 + apart, 1.0), axis=1)
 
 
 def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> WrongUnit | None:
@@ -100,11 +131,10 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     if 1 / BEYOND < share < BEYOND:
         return None
     bright = _brightest(known, largest)
-    sun, misfit = directions(vehicle, bright)
-    brightness = _brightness(vehicle, bright, sun)
-    ratio = float(np.median(brightness))
-    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, bright, brightness, misfit)):
+    ratio = float(np.median(_brightness(vehicle, bright, directions(vehicle, bright)[0])))
+    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, bright, directions)):
         return None
+    key = "scale or voltage_scale" if form.has_voltages else "scale"
     step = round(np.log10(ratio) / 3)
     exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
     times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
@@ -112,7 +142,8 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     stated = f"{float(vehicle.input_gains.max()):.3g} {unit}"
     what = f"the brightest samples read about {times} times {more} than the stated full signal of a panel ({stated}): a wrong unit"
     factor = 1000.0**-step if exact else 1 / ratio
-    return WrongUnit(what, "telemetry", "scale", float(f"{form.scale * factor:.6g}") if exact else None)
+    sure = exact and not form.has_voltages  # else currents or voltages may be at fault
+    return WrongUnit(what, "telemetry", key, float(f"{form.scale * factor:.6g}") if sure else None)
 
 
 def _against_noise(
@@ -124,9 +155,8 @@ def _against_noise(
     low = [key for key, limit in above.items() if limit is not None and full < limit]
     if not low:
         return None
-    bright = _brightest(known, largest)
-    sun, misfit = directions(vehicle, bright)
-    if not _sunlit(vehicle, bright, _brightness(vehicle, bright, sun), misfit):
+    if not _sunlit(vehicle, _brightest(known, largest), directions):
         return None
     what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {low[0]} ({above[low[0]]:g} {unit})"
-    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"scale or {low[0]}")
+    scales = "scale, voltage_scale" if form.has_voltages else "scale"
+    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"{scales} or {low[0]}")
