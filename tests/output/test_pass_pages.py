@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.figures import _connected, _passes_together, save, sun_directions_figure
+from sunspin.output.figures import _passes_together, save, sun_directions_figure
 from sunspin.output.figures.rates import rates_figure, sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
 from sunspin.output.kinds.rate_words import rate_at
@@ -133,16 +133,6 @@ def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
     exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
     np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
     assert dense(result.drop_vars("curve_pass_of")) == []
-
-
-def test_no_line_joins_directions_whose_way_is_not_known():
-    _, samples = tumble(40, 10.0)
-    sun = ss.sun_directions(CUBE, samples)
-    slow = sun.assign(sun_B=(("time", "axis"), np.tile([0.6, 0.0, 0.8], (40, 1))))
-    assert len(_connected(samples["time"].values / 3600, slow)) == 1
-    jumps = slow.copy(deep=True)
-    jumps["sun_B"].values[::2] = [-0.6, 0.0, 0.8]
-    assert _connected(samples["time"].values / 3600, jumps) == []
 
 
 @pytest.mark.parametrize("passes", [2, 5, 30])

@@ -71,7 +71,7 @@ def test_twenty_rows_of_sunlight_are_enough_to_name_a_wrong_unit(make, tmp_path)
         power = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
         power = np.clip(power + 0.01 * vehicle.input_gains * rng.normal(size=power.shape), 0.0, None)
         named += panel_unit(vehicle, 1e-3 * power, best_directions) is not None
-    assert named >= 18
+    assert named >= (14 if make is satellites.four_faces else 19)  # of two lit panels every other order fits
 
 
 def with_scale(text: str) -> str:

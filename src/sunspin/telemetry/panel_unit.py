@@ -31,19 +31,14 @@ DISTINCT, LIT_SHARE = 10, 0.2
 """Sunlight has at least so many different readings, and usually two panels above this share of the largest: counts of noise have
 not."""
 
-STEADY = 0.43
-"""Width of the middle 80 % of the brightest samples' brightness, over the median, up to which the Sun made them. Sunlight is as
-bright in one sample as in the next: with the Earth's light or a tenth of noise the width is 0.05 to 0.3, of four faces up to 0.41.
-Noise in the dark has 0.45 to 0.97; cut off at zero, its misfit alone looks like the Sun's in every second file."""
-
 LEAST_SAMPLES = 5
 
 SHUFFLES = 99
-"""Of noise in the dark no panel knows of the others. Sunlight must fit better than each of so many orders of the same readings
-among panels, as noise does in one file of a hundred, whatever its size: of few samples the numbers above say too little."""
+"""Of noise in the dark no panel knows of the others. Sunlight must fit better than each of so many random orders of its readings
+among the panels, which noise does in one file of a hundred, however small."""
 
-SHUFFLED = 40
-"""Samples, of the brightest, of which this is asked."""
+SHUFFLED, BRIGHT_SHARE = 60, 0.3
+"""Samples of which this is asked, at most: the brightest of those above this part of what is bright."""
 
 
 class WrongUnit(NamedTuple):
@@ -89,37 +84,30 @@ def _brightness(vehicle: Vehicle, bright: np.ndarray, sun: np.ndarray) -> np.nda
     return (bright * model).sum(axis=1) / np.maximum((model**2).sum(axis=1), 1e-300)
 
 
-def _sunlit(vehicle: Vehicle, bright: np.ndarray, directions: Solver) -> bool:
-    """Whether the Sun made these readings: panels agree on a direction, and samples on how bright it is; noise in the dark does not
-    let them."""
+def _sunlit(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> bool:
+    """Whether the Sun made the brightest of these readings: their panels agree on a direction, which is the order's doing."""
+    bright = _brightest(known, largest)
     two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
-    sun, misfit = directions(vehicle, bright)
-    low, middle, high = np.quantile(_brightness(vehicle, bright, sun), [0.1, 0.5, 0.9])
-    agree = float(np.median(misfit)) < FITS and high - low < STEADY * middle
-    several = len(vehicle.inputs) > 3 and bool(two) and len(np.unique(bright)) >= DISTINCT
-    return bool(several and agree) and _in_order(vehicle, bright[:SHUFFLED], directions)
+    if len(vehicle.inputs) <= 3 or not two or len(np.unique(bright)) < DISTINCT:
+        return False
+    if not float(np.median(directions(vehicle, bright)[1])) < FITS:
+        return False
+    order = np.argsort(-largest, kind="stable")[:SHUFFLED]
+    seen = known[order[largest[order] > BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))]]
+    return _in_order(vehicle, np.maximum(seen, 0.0), directions)
 
 
-def _in_order(vehicle: Vehicle, bright: np.ndarray, directions: Solver) -> bool:
-    """Whether readings (n, n_panel) fit one Sun better as they stand than in any of many random orders among the panels: of noise
-    that is alike in the readings' unit, and of noise alike in parts of each panel's gain."""
-    rng = np.random.default_rng(0)
-    for unit in (1.0, vehicle.input_gains):
-        turned = rng.permuted(np.tile(bright / unit, (SHUFFLES, 1)), axis=1) * unit
-        every = np.concatenate([bright, turned])
-        sun, misfit = directions(vehicle, every)
-        off = _unlike(_brightness(vehicle, every, sun), misfit, len(bright))
-        if off[0] >= off[1:].min():
+def _in_order(vehicle: Vehicle, seen: np.ndarray, directions: Solver) -> bool:
+    """Whether readings (n, n_panel) fit directions better as they stand than in any of many random orders among the panels, with noise
+    that is alike in the readings' unit and with noise alike in parts of each panel's gain."""
+    rng, gains = np.random.default_rng(0), vehicle.input_gains
+    for unit in (np.ones_like(gains), gains)[: 1 if np.ptp(gains) == 0 else 2]:
+        shuffled = rng.permuted(np.tile(seen / unit, (SHUFFLES, 1)), axis=1) * unit
+        misfit = directions(vehicle, np.concatenate([seen, shuffled]))[1].reshape(-1, len(seen))
+        off = np.mean(misfit**2, axis=1)
+        if not off[0] < off[1:].min():
             return False
     return True
-
-
-def _unlike(brightness: np.ndarray, misfit: np.ndarray, size: int) -> np.ndarray:
-    """By how much sets of `size` samples (sets x size) miss one Sun, which panels and samples see alike."""
-    bright = brightness.reshape(-1, size)
-    middle = np.median(bright, axis=1, keepdims=True)
-    apart = (bright / np.where(middle > 0, middle, 1.0) - 1) ** 2
-    return np.mean(np.minimum(misfit.reshape(-1, size) ** 2 + apart, 1.0), axis=1)
 
 
 def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> WrongUnit | None:
@@ -132,7 +120,7 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
         return None
     bright = _brightest(known, largest)
     ratio = float(np.median(_brightness(vehicle, bright, directions(vehicle, bright)[0])))
-    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, bright, directions)):
+    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, known, largest, directions)):
         return None
     key = "scale or voltage_scale" if form.has_voltages else "scale"
     step = round(np.log10(ratio) / 3)
@@ -155,7 +143,7 @@ def _against_noise(
     low = [key for key, limit in above.items() if limit is not None and full < limit]
     if not low:
         return None
-    if not _sunlit(vehicle, _brightest(known, largest), directions):
+    if not _sunlit(vehicle, known, largest, directions):
         return None
     what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {low[0]} ({above[low[0]]:g} {unit})"
     scales = "scale, voltage_scale" if form.has_voltages else "scale"
