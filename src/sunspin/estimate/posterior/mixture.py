@@ -36,9 +36,26 @@ class Sheet:
         return cls([*range(softs, 5), *bright], along, [*soft, *(5 + i for i in moving)])
 
     @property
+    def softs(self) -> int:
+        """How many are soft."""
+        return sum(i < 5 for i in self.along)
+
+    @property
     def terms(self) -> int:
         """How many monomials there are."""
-        return len(self.along) + len(self.bending) * (len(self.bending) + 1) // 2
+        return len(self.along) + len(self.products)
+
+    @property
+    def products(self) -> list[tuple[int, int]]:
+        """The pairs of coordinates whose products bend it, in the order of `monomials`."""
+        return [(one, other) for i, one in enumerate(self.bending) for other in self.bending[i:]]
+
+    def lent(self, other: Sheet, bend: np.ndarray) -> np.ndarray:
+        """The products' part (pairs, q) of the bend (M, q) of a sheet without some of the unknowns; these bend nothing."""
+        row = {pair: i for i, pair in enumerate(self.products)}
+        found = np.zeros((len(row), len(self.stiff)))
+        found[[row[pair] for pair in other.products]] = bend[len(other.along) :]
+        return found
 
 
 @dataclass(frozen=True)
