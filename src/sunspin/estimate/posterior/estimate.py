@@ -45,7 +45,7 @@ from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
 
-DIRECTION_ERROR = 1e-6
+DIRECTION_ERROR = 1e-5
 """Error of directions (rad) in the likelihood."""
 
 EDGE = 0.97
@@ -191,19 +191,23 @@ def posterior(
 
 
 def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, first: Sampled | None = None) -> list[Sampled]:
-    """The posteriors under hypotheses, about their modes; beside that under the `first`, from which torques take the bends."""
+    """The posteriors under hypotheses, about their modes; the others than the `first` have their bends from it."""
     made = []
     for one in every:
-        lent = None if first is None or not one.likelihood.model.frame else first.drawn.bent
-        least = -np.inf if first is None else first.drawn.evidence - one.log_prior + np.log(LOST)
-        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, lent, least)
+        bent, least = None, -np.inf
+        if first is not None:
+            pairs = zip(first.hypothesis.likelihood.model.unknowns, one.likelihood.model.unknowns, strict=False)
+            bent = first.drawn.bent.counted_in(np.array([wider.sigma / own.sigma for own, wider in pairs]))
+            least = first.drawn.evidence - one.log_prior + np.log(LOST)
+        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, bent, least)
         made.append(Sampled(one, draws))
     return made
 
 
 def _tried(stated: Hypothesis, seed: int, search: Search, chosen: Plan, scale: float, most_deg: float) -> list[Sampled]:
     """The model as stated and the others, sampled; those with a torque from a search of their own where there is cause."""
-    (first,), every = _sampled([stated], seed, search, 1.0), list(others(stated, search, most_deg))
+    (first,) = _sampled([stated], seed, search, 1.0)
+    every = list(others(first, search, most_deg))
     tried = [first, *_sampled(likely(stated, every), seed, search, OTHERS_DRAWS, first)]
     checked = _together(tried[:1], seed, CHECKED)[2]
     fits = checked.p > ASKED_P and abs(checked.noise_sigmas) < ASKED_NOISE and mixed(tried).weight[0] > ASKED_WEIGHT

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
@@ -89,6 +89,15 @@ class Mixture:
         columns = ("basis", "bend", "mean", "covariance", "weight")
         every = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
         return cls(centre=State.joined([part.centre for part in parts]), sheet=parts[0].sheet, **every)
+
+    def counted_in(self, units: np.ndarray) -> Mixture:
+        """The same where u (k) is counted in units so many times as large."""
+        size = np.concatenate([np.ones(5), units])
+        terms = np.concatenate([size[self.sheet.along], [size[i] * size[j] for i, j in self.sheet.products]])
+        bend = self.bend * terms[:, None] / size[self.sheet.stiff]
+        centre = replace(self.centre, u=self.centre.u / units)
+        covariance = self.covariance / (size[:, None] * size)
+        return replace(self, centre=centre, bend=bend, mean=self.mean / size, covariance=covariance)
 
     def coordinates(self, state: State, m: int) -> np.ndarray:
         """Bent coordinates (n, D) of states about component m."""

@@ -312,9 +312,11 @@ class Search:
             return self.refined(likelihood, state, hits, trace, notes)
         return distinct(*self._curved(likelihood, state, hits), trace, notes)
 
-    def _curved(self, likelihood: Likelihood, state: State, hits: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    def _curved(
+        self, likelihood: Likelihood, state: State, hits: np.ndarray, levels: Levels = LAST_LEVELS
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Fits to all samples with their curvatures, and how many starts came together in each."""
-        found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", every=True, curved=True)
+        found = self.fit(replace(likelihood, direction_error=1e-6), state, levels, "all samples", every=True, curved=True)
         found["share"] = np.full(len(found["cost"]), likelihood.model.share)
         return found, np.tile(hits, len(found["cost"]) // len(hits))
 
@@ -327,7 +329,7 @@ class Search:
         state, hits = self._hopeful(likelihood, state, hits, fitted[-1])
         for share in reversed(fitted):
             sized = replace(likelihood, model=replace(likelihood.model, share=share))
-            found, starts = self._curved(sized, state, hits)
+            found, starts = self._curved(sized, state, hits, LAST_LEVELS[1:])
             state = State(found["omega"], found["sun"], found["u"]).take(slice(len(state)))
             found["cost"] += 3 * np.log(share)  # the prior's height: a small torque is no wonder where small ones are expected
             parts.append((found, starts))

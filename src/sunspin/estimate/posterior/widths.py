@@ -93,9 +93,10 @@ class Weigh:
 class Sample:
     """Draws of the last round with their log weights (not normalised), log-likelihood, region, and how good they are.
 
-    `region` (n) counts from 0 by falling weight; `of_component` (m) is that of each component; `effective`: as many draws of the
+    `region` (n) counts from 0 by falling weight; `of_mode` (modes) is that of each mode; `effective`: as many draws of the
     posterior itself; `tail`: Pareto's k of the largest weights, above 0.7 not to be trusted; `evidence` (log);
-    `trace` (rounds, 3): log evidence, effective share, k.
+    `trace` (rounds, 3): log evidence, effective share, k. `bent`: the components about modes, bent along their ridges, and
+    `ridge` (modes): on which of them each lies.
     """
 
     state: State
@@ -108,7 +109,8 @@ class Sample:
     tail: float
     evidence: float
     trace: np.ndarray
-    bent: Mixture | None = None
+    bent: Mixture
+    ridge: np.ndarray
 
 
 def sample(
@@ -128,6 +130,7 @@ def sample(
         if tracks[-1].good is not None:
             break
     worth = np.array([track.share for track in tracks])
+    best = int(np.argmax(worth))
     last, trace = tracks[-1].good, [row for track in tracks for row in track.trace]
     if last is None:
         blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
@@ -138,7 +141,7 @@ def sample(
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
         last.state, last.log_weight, last.log_likelihood, label, share, of_component[tracks[0].of_mode], last.effective, last.tail,
-        last.evidence, np.array(trace), tracks[int(np.argmax(worth))].first,
+        last.evidence, np.array(trace), tracks[best].first, tracks[best].of_mode,
     )  # fmt: skip
 
 
