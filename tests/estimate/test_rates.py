@@ -102,7 +102,7 @@ def test_a_gyro_decides_between_aliases_and_narrows_the_rate(evenly_spaced):
     craft = replace(craft, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
     gyro = run["omega_B"].values + 5e-4 * np.random.default_rng(2).normal(size=(6, 3))
     both = ss.rates(craft, data.assign(gyro_B=(("time", "axis"), gyro)), acceleration_noise=1e-4, max_rate_rad_s=0.16)
-    assert both["weight"].values[0, 0] > 0.9
+    assert both["weight"].values[0, 0] > 0.9 and (errors(both, run) ** 2).mean() < 4.0
     assert np.all(both["omega_sigma_all_B"].values[0] < alone["omega_sigma_all_B"].values[0])
     assert both.attrs["gyro_used"] == 1 and alone.attrs["gyro_used"] == 0
 
