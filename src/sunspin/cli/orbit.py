@@ -104,7 +104,7 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
         side = "behind" if hours > 0 else "ahead of"
         lines.append(f"  they would fit if the telemetry's clock were {abs(hours)} h {side} UTC")
     if found.sign_turned:
-        lines.append("  the magnetometer reads the field with the opposite sign")
+        lines.append("  the magnetometer reads the field with the opposite sign: turn its `matrix` round")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]
