@@ -166,7 +166,8 @@ def _in_orbit(
         raise InputError(sentence("the elements do not fit the telemetry, which cannot be calibrated with them", got=got, do=do))
     if check.sign_turned:
         what = "the magnetometer reads the field with the opposite sign, as its angle to the Sun shows, and is not calibrated so"
-        raise InputError(sentence(what, do="turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"))
+        do = "turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"
+        raise InputError(sentence(what, do=do))
     notes.append(f"orbit: {check.verdict.value}")
     start = start_of(check, orbit)
     if start is None or not seen.has_field.any():
