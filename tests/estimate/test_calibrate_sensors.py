@@ -101,6 +101,16 @@ def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):
         calibrated(few(), monkeypatch, Verdict.REFUSED)
 
 
+def test_a_field_of_the_wrong_sign_is_not_calibrated(monkeypatch):
+    check = OrbitCheck(0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), sign_turned=True)
+    monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
+    twin = few()
+    data = twin.telemetry.drop_vars(["power_W", "panel"])
+    orbit = in_orbit(parse_elements("\n".join(twin.elements), "twin"), data.attrs["epoch_utc"], data["time"].values)
+    with pytest.raises(ss.InputError, match="reads the field with the opposite sign.* turn its `matrix`"):
+        ss.calibrate_sensors(twin.vehicle, data, orbit)
+
+
 def test_without_an_orbit_only_the_panels_are_calibrated():
     twin = few()
     found = ss.calibrate_sensors(twin.vehicle, twin.telemetry)

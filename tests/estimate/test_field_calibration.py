@@ -58,10 +58,13 @@ def test_a_reading_is_no_better_than_its_strength():
     field = 3e-5 * np.array([[1.0, 0, 0], [0, 0.6, 0.8], [0, 1, 0], [0, 0, 1]])
     reading = 1e9 * field * np.array([1.0, 1.4, 0.8, np.nan])[:, None]
     noise = np.hypot(5e-7, MODEL_SIGMA_T)
-    sigma = calibration.sigma_T(reading, field)
+    sigma = calibration.sigma_T(reading, field, np.zeros((4, 3)))
     np.testing.assert_allclose(sigma, [noise, 1.2e-5, 6e-6, noise], rtol=1e-9)
     errors = np.zeros((13, 13))
-    errors[0, 0] = 1e-9  # of the matrix's first element: the strength along x says nothing about the noise
+    errors[0, 0] = 1e-9  # of the matrix's first element
     vague = replace(calibration, errors=errors)
-    shown = vague.sigma_T(1.2 * reading[:1], field[:1])
-    assert noise <= shown[0] < 1.1 * noise
+    assert vague.sigma_T(1.2 * reading[:1], field[:1], np.zeros((1, 3)))[0] < 1.1 * noise  # it explains the strength along x
+    errors = np.zeros((13, 13))
+    errors[12, 12] = 1.0  # of the place, a sigma of which changes the strength by 7 uT
+    far = replace(calibration, errors=errors)
+    assert far.sigma_T(1.2 * reading[:1], field[:1], 0.23 * field[:1])[0] == noise

@@ -160,6 +160,8 @@ class Orbit:
         when = self.instants(t_s)
         days = max(min(abs(one.days_to(jd)) for one in self.elements) for jd in (when.jd + when.fraction)[[0, -1]])
         known = f"the place along the track is known to some {self.shift_sigma_s:.0f} s"
+        if self.shift_sigma_s > self.elements[0].period_s / 4:
+            known = "nothing is known of the place along the track; get elements of the days of the telemetry"
         return [] if days < OLD_DAYS else [f"the elements are {days:.0f} days from the telemetry: {known}"]
 
 

@@ -77,7 +77,7 @@ def calibrate_sensors(vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | No
     Raises
     ------
     InputError
-        Where the elements do not fit the telemetry, or it has no sensor that can be calibrated.
+        Where the elements do not fit the telemetry, the field is read with the opposite sign, or no sensor can be calibrated.
     """
     keys: list[Key] = []
     notes: list[str] = []
@@ -164,6 +164,10 @@ def _in_orbit(
         do = "give the right elements, or calibrate without any"
         got = f"{check.better} of {check.copies} orbits at random predict better"
         raise InputError(sentence("the elements do not fit the telemetry, which cannot be calibrated with them", got=got, do=do))
+    if check.sign_turned:
+        what = "the magnetometer reads the field with the opposite sign, as its angle to the Sun shows, and is not calibrated so"
+        do = "turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"
+        raise InputError(sentence(what, do=do))
     notes.append(f"orbit: {check.verdict.value}")
     start = start_of(check, orbit)
     if start is None or not seen.has_field.any():

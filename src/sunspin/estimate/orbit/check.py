@@ -121,7 +121,8 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     enough = max(np.isfinite(seen.field).all(axis=1).sum(), np.isfinite(seen.light).sum()) >= FEWEST
     verdict = Verdict.REFUSED if better > BETTER or times > TIMES else Verdict.FITS
     verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
-    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
+    lowest = min(fit.cost.min() for fit in ([own, *fits] if verdict is Verdict.REFUSED else [own]))
+    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), float(lowest))
     if verdict is Verdict.FITS:
         return _with_sun_sensors(answer, orbit, vehicle, telemetry)
     return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, min(fit.cost.min() for fit in [own, *fits])))
@@ -209,8 +210,9 @@ def _as_predict(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen:
 
 def _answer(
     orbit: Orbit, seen: Seen, grid: _Grid, here: Predicted, own: Fits, verdict: Verdict, rank: tuple[int, float],
-    beside: tuple[float, float],
+    beside: tuple[float, float], lowest: float,
 ) -> OrbitCheck:
+    """What is told of a verdict; `lowest`: the cost that a field of the opposite sign must be clearly below to be named."""
     shift, sigma, at_border = _shift(orbit, seen, grid, own)
     k = int(own.cost.argmin())
     dark, shadow = seen.light == 0, here.lit[k] < 0.5
@@ -218,8 +220,8 @@ def _answer(
     calibrated = bool(np.isfinite(own.calibration[k]).all())
     strength, angle = _left(seen, here.take([k]), own.calibration[k]) if calibrated else (np.nan, np.nan)
     opposite = fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
-    sign_turned = bool(opposite.cost[0] < own.cost[k] - CLEARLY)
-    sign_turned |= calibrated and _mirrored(seen, here.take([k]), own.calibration[k])
+    sign_turned = bool(opposite.cost[0] < lowest - CLEARLY)
+    sign_turned |= verdict is not Verdict.REFUSED and calibrated and _mirrored(seen, here.take([k]), own.calibration[k])
     return OrbitCheck(
         drift_s_day=orbit.drift_s_day, drift_sigma_s_day=orbit.drift_sigma_s_day,
         verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0], turn_times=beside[1],

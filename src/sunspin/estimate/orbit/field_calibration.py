@@ -50,15 +50,21 @@ class FieldCalibration:
         by_matrix = np.einsum("eij,nj->nei", self.errors[:, :9].reshape(-1, 3, 3), reading)
         return by_matrix - self.errors[None, :, 9:12]
 
-    def sigma_T(self, reading: np.ndarray, field_N: np.ndarray) -> np.ndarray:
-        """One sigma (n) of each component of readings (n, 3) where the field is `field_N` (n, 3) T. The strength needs no attitude,
-        so it is known before any fit of the motion how far it is off: a reading is taken for no better in any direction."""
+    def along(self, field_along_N: np.ndarray) -> np.ndarray:
+        """What one sigma of each error changes in the orbit's field (n, 13, 3), of which one along the track is (n, 3) T."""
+        return self.errors[:, 12:] * field_along_N[:, None]
+
+    def sigma_T(self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray) -> np.ndarray:
+        """One sigma (n) of each component of readings (n, 3) where the field is `field_N` (n, 3) T, and one sigma along the track
+        changes it by (n, 3) T. The strength needs no attitude, so how far it is off is known before any fit of the motion: a
+        reading is taken for no better in any direction, beyond what the errors of this calibration may be."""
         field = self.field(reading)
-        size = np.linalg.norm(field, axis=1)
-        open_T = np.sqrt((np.einsum("nei,ni->ne", self.columns(reading), field / size[:, None]) ** 2).sum(axis=1))
+        size, strength = np.linalg.norm(field, axis=1), np.linalg.norm(field_N, axis=1)
+        own = np.einsum("nei,ni->ne", self.columns(reading), field / size[:, None])
+        place = np.einsum("nei,ni->ne", self.along(field_along_N), field_N / strength[:, None])
         noise = np.hypot(self.noise_T, MODEL_SIGMA_T)
-        off = np.abs(size - np.linalg.norm(field_N, axis=1))
-        return noise * np.fmax(off / np.hypot(noise, open_T), 1.0)
+        expected = np.sqrt(noise**2 + ((own - place) ** 2).sum(axis=1))
+        return noise * np.fmax(np.abs(size - strength) / expected, 1.0)
 
 
 def field_calibration(

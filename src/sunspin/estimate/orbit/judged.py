@@ -63,6 +63,13 @@ def drifting(found: OrbitCheck) -> str:
     return f" in the middle of the file, {found.drift_s_day:+.1f} +- {found.drift_sigma_s_day:.1f} s a day"
 
 
+def clock_off(found: OrbitCheck) -> str:
+    """What clock would make elements fit that do not, in words; empty where none would."""
+    hours = round(found.clock_behind_s / 3600)
+    side = "behind" if hours > 0 else "ahead of"
+    return f"they would fit if the telemetry's clock were {abs(hours)} h {side} UTC" if hours else ""
+
+
 def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Orbit | None, OrbitCheck, str]:
     """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit.check`), and what follows, in words.
 
@@ -73,7 +80,8 @@ def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple
     sign = "; THE MAGNETOMETER READS THE FIELD WITH THE OPPOSITE SIGN: turn its `matrix` round" if found.sign_turned else ""
     if found.verdict is Verdict.REFUSED:
         why = found.verdict.value.split(":")[0]
-        return None, found, f"the orbit is NOT USED: {why} (`sunspin check` with the same elements says more)"
+        clock = f"; {off}" if (off := clock_off(found)) else ""
+        return None, found, f"the orbit is NOT USED: {why}{clock} (`sunspin check` with the same elements says more)"
     if found.verdict is Verdict.UNDECIDED:
         sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
         along = f"{orbit.shift_s:+.0f} +- {sigma:.0f} s along the track"

@@ -57,6 +57,9 @@ ROUNDING = 1e-12
 """The same as a part of all information, where a trial is far off and the information huge."""
 
 INNER, ROUNDS, STEPS, TOLERANCE = 4, 12, 12, 0.01
+WORSE = 1.3
+"""A fit that leaves so many times more of the field's strength than its start rests in another minimum."""
+
 STEADY = 0.01
 """Scatters and unknowns are fitted in turn until those change by less than this part."""
 
@@ -195,14 +198,14 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
 
 def by_sun_sensors(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start: Start) -> Calibration | None:
     """The calibration of a file whose Sun sensors may be off, from a start; None where it has none, too few samples show them
-    and the field, or the fit is no better than its start."""
+    and the field, or the fit is clearly worse than its start."""
     if "sun_sensor_angle" not in telemetry or not vehicle.sensors.sun_sensors:
         return None
     seen = readings(vehicle, telemetry)
     if seen.has_field.sum() + (seen.has_field & seen.has_sun).sum() < FEWEST:
         return None
     made = fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
-    return made if made.strength[1] < start.left_T else None
+    return made if made.strength[1] < WORSE * start.left_T else None
 
 
 def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model, _State]:

@@ -74,8 +74,8 @@ class Magnetometer(PairTerm):
         if one is None or here.field_N is None or here.field_along_N is None:
             return self
         read = self.field_B
-        along = one.errors[:, 12:] * here.field_along_N[:, None]
-        known = KnownField(read, one.field(read), one.sigma_T(read, here.field_N), here.field_N, one.columns(read), along)
+        sigma, along = one.sigma_T(read, here.field_N, here.field_along_N), one.along(here.field_along_N)
+        known = KnownField(read, one.field(read), sigma, here.field_N, one.columns(read), along)
         own = np.sqrt(np.nanmedian((known.own_B**2).sum(axis=(1, 2))) / 3)  # a zero turns with the body: neighbours differ by it
         return replace(self, sigma=float(np.hypot(one.noise_T, own)), zero_B=np.zeros((0, 3)), known=known)
 

@@ -11,7 +11,7 @@ import xarray as xr
 from sunspin.environment.elements import nearest
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
-from sunspin.estimate.orbit.judged import drifting, judged_orbit, orbit_of
+from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -77,11 +77,10 @@ def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
 
 def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     lines = [f"Orbit of {_named(one)}: {found.verdict.value}", *(f"  {note}" for note in notes)]
-    if hours := round(found.clock_behind_s / 3600):
-        side = "behind" if hours > 0 else "ahead of"
-        lines.append(f"  they would fit if the telemetry's clock were {abs(hours)} h {side} UTC")
+    if off := clock_off(found):
+        lines.append(f"  {off}")
     if found.sign_turned:
-        lines.append("  the magnetometer reads the field with the opposite sign")
+        lines.append("  the magnetometer reads the field with the opposite sign: turn its `matrix` round")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]
