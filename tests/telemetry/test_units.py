@@ -48,7 +48,7 @@ def test_a_file_of_the_shadow_alone_is_in_no_wrong_unit(tmp_path, seed):
     assert panel_unit(vehicle, np.clip(noise, 0.0, None), best_directions) is None
 
 
-@pytest.mark.parametrize("rows", [8, 20, 60])
+@pytest.mark.parametrize("rows", [8, 20])
 @pytest.mark.parametrize("make", MAKERS)
 def test_of_a_hundred_small_files_of_the_shadow_at_most_one_is_in_a_wrong_unit(make, rows, tmp_path):
     """Whatever their size, cut off at zero or not, with noise alike for all panels or with their gains."""
@@ -97,7 +97,7 @@ def test_thousandths_read_as_wholes(satellite, factor):
 def test_of_currents_with_voltages_either_may_be_in_the_wrong_unit(tmp_path, key, factor):
     """The product tells that one is, and not which: no value is put into anybody's mouth."""
     made = satellites.six_faces(tmp_path, np.random.default_rng(1))
-    lines = made.telemetry.read_text().splitlines()
+    lines = [line for line in made.telemetry.read_text().splitlines() if not line.startswith("#")]
     path = tmp_path / "volts.csv"
     path.write_text("\n".join([f"{lines[0]},bus", *(f"{line},1.0" for line in lines[1:])]))
     text = with_scale(made.vehicle.read_text()).replace("[telemetry]", '[telemetry]\nvoltage_column = "bus"\nvoltage_scale = 1.0')
