@@ -98,8 +98,8 @@ def _sunlit(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions
 
 
 def _in_order(vehicle: Vehicle, seen: np.ndarray, directions: Solver) -> bool:
-    """Whether readings (n, n_panel) fit directions better as they stand than in any of many random orders among the panels, with noise
-    that is alike in the readings' unit and with noise alike in parts of each panel's gain."""
+    """Whether readings (n, n_panel) fit directions better as they stand than in each of many random orders among the panels: with
+    noise that is alike in the readings' unit, and with noise alike in parts of each panel's gain."""
     rng, gains = np.random.default_rng(0), vehicle.input_gains
     for unit in (np.ones_like(gains), gains)[: 1 if np.ptp(gains) == 0 else 2]:
         shuffled = rng.permuted(np.tile(seen / unit, (SHUFFLES, 1)), axis=1) * unit
