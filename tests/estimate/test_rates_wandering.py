@@ -40,14 +40,19 @@ def swinging(by_rad):
     return np.array(made)
 
 
-def test_all_ways_of_a_body_that_swings_much_are_those_of_unrelated_directions_and_at_rest_one():
-    o = seen(swinging(0.3) @ unit(np.random.default_rng(1)), 0.3)
-    everywhere = np.repeat(facing(sphere(EVERYWHERE))[:, None], len(o), axis=1)
-    cost = normal(o.of_sun[0], Seen(everywhere, np.zeros((EVERYWHERE, len(o), 3))))[2]
-    still = np.log(np.exp(-cost.sum(axis=1)).mean())
-    wild = o.of_sun[0].unrelated(o.t_s)
-    # at rest the harmonics see no more than their degree: what they leave out of readings this wide is little
-    np.testing.assert_allclose(log_evidence(o, np.array([1e-6, 10.0])), [still, wild], atol=0.05)
+def test_all_ways_are_those_of_a_filter_by_legendre_polynomials():
+    """And of a body that swings beyond all bounds those of unrelated directions."""
+    o, by = seen(swinging(0.3)[:4] @ unit(np.random.default_rng(1)), 0.3), np.array([0.3, 1e3]) / np.sqrt(60.0)
+    grid = sphere(EVERYWHERE)
+    cost = normal(o.of_sun[0], Seen(np.repeat(facing(grid)[:, None], 4, axis=1), np.zeros((EVERYWHERE, 4, 3))))[2]
+    l, cosine = np.arange(40), np.linspace(-1, 1, 4001)
+    heat = np.polynomial.legendre.legval(cosine, (2 * l + 1) * np.exp(-l * (l + 1) * 0.3**2 / 2))
+    spread = np.interp(grid @ grid.T, cosine, heat) / EVERYWHERE
+    density = np.exp(-cost[:, 0])
+    for k in range(1, 4):
+        density = (spread @ density) * np.exp(-cost[:, k])
+    unrelated = np.log(np.exp(-cost).mean(axis=0)).sum()
+    np.testing.assert_allclose(log_evidence(o, by), [np.log(density.mean()), unrelated], atol=0.01)
 
 
 def test_the_direction_spreads_as_heat_does():

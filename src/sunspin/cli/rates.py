@@ -38,7 +38,7 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
               "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
               "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
               "says so and is never decided.")
-@click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side, two passes each at "
+@click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side, four passes each at "
               "least; default one per core. The result does not depend on it.")
 @period_option("The motions of its pass are weighted by it, and what it decides is said.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")

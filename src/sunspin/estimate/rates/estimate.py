@@ -59,6 +59,9 @@ NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE = 0.3, 0.75, 0.4
 MUCH_MORE = 1.5
 """A search that was cut short begins anew where it may take so many times more."""
 
+PASSES_EACH = 4
+"""Of a process, at least: it takes as long to begin as a pass or two."""
+
 ROUND = 8
 """Passes after which it is asked whether the effort is spent: a number of its own, so that workers change nothing."""
 
@@ -133,7 +136,7 @@ def rates(
         seconds: :mod:`sunspin.estimate.effort`); infinite: whatever is needed. Where it does not suffice the best so far is kept,
         `search_complete` is false and the verdict says that the search was cut short.
     workers : int
-        Processes that estimate passes side by side, two passes each at least; the result does not depend on it. A script that asks
+        Processes that estimate passes side by side, four passes each at least; the result does not depend on it. A script that asks
         for more than one needs `if __name__ == "__main__":`.
     progress : bool
         Show what is being done, and how long it will take at most.
@@ -218,8 +221,8 @@ def rates(
 
 
 def _useful(workers: int, parts: list[np.ndarray], torques: Sequence[Torque]) -> int:
-    """Processes of use: two passes each, and none where torques bring an environment, which stays in this one."""
-    return 1 if torques else min(worker_count(workers), len(parts) // 2)
+    """Processes of use, and none where torques bring an environment, which stays in this one."""
+    return 1 if torques else min(worker_count(workers), len(parts) // PASSES_EACH)
 
 
 def _searched(
