@@ -21,7 +21,7 @@ from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.noise import falling
 from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
-from sunspin.estimate.rates.smooth import TURN_PRIOR, Intervals, log_noise
+from sunspin.estimate.rates.smooth import TURN_PRIOR, Intervals, cost_limit, log_noise
 from sunspin.estimate.rates.state import Track
 from sunspin.estimate.rates.wandering import about_most, log_evidence
 from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque, sizes
@@ -355,12 +355,15 @@ def _swinging(stated: Trial) -> Iterator[Trial]:
 
 
 def _wandering(stated: Trial) -> Iterator[Trial]:
-    """A swinging about a rate near zero, all ways of the attitude counted: where nothing but the Sun is seen."""
+    """A swinging about a rate near zero, all its ways counted: where nothing but the Sun is seen, and the model as stated
+    fits. Where it does not, that is said already, and wrong wiring would pass for a swinging."""
     one, o = stated.hypothesis, stated.hypothesis.fitted()
     if not o.of_sun or any(term.present().any() for term in (*o.of_state, *o.of_pairs)):
         return
     wander = np.array(WANDERS) / np.sqrt(float(np.median(np.diff(o.t_s))))
     begin = stated.take(np.array([np.argmax(stated.log_evidence)]))
+    if begin.fit.track.cost[0] > cost_limit(o):
+        return
     # the sum takes the place of the attitudes' Gaussian, that of the rate stays; the turn about the Sun has no prior there
     wanted = stated.best - HOPELESS - np.log(2 * TURN_PRIOR) - 3 * np.log(one.motion.rate_prior) - one.debt
     if about_most(o, begin.fit.seen, wander).max() + ROUGHLY * len(o) < wanted:
