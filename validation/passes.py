@@ -31,6 +31,7 @@ KINDS = {
     "right model": 24, "steady torque": 8, "step of the rate": 8, "jitter": 12, "columns exchanged": 12, "stop and go": 8,
     "prior given back": 12, "strong torque in the body": 6, "strong torque in space": 6, "slews": 6, "time tags": 8,
     "few samples": 40, "few samples, bad readings": 40, "slow": 12, "60 s apart": 12,
+    "even, sampled as jitter": 12,
 }  # fmt: skip
 """Kind of pass -> how many."""
 
@@ -153,6 +154,14 @@ def jitter(rng: np.random.Generator) -> Made:
     return seen(normals, rates[at], attitude[at], at.astype(float), rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
 
 
+def even(rng: np.random.Generator) -> Made:
+    """A body that turns as its moments have it, seen by such panels at such intervals as one that swings."""
+    normals = np.array([unit(rng) for _ in range(9)])
+    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    motion = spin(np.radians(rng.uniform(0.2, 2.5)) * unit(rng), t)
+    return seen(normals, *motion, t, rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
+
+
 def exchanged(made: Made, rng: np.random.Generator) -> Made:
     """The same with the columns of two panels exchanged."""
     a, b = rng.choice(len(FACES), 2, replace=False)
@@ -215,7 +224,7 @@ def make(kind: str, seed: int, i: int) -> Made:
         "jitter": jitter, "stop and go": stop_and_go, "prior given back": given_back, "slews": lambda r: tumbling(r, slews),
         "strong torque in the body": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=True)),
         "strong torque in space": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=False)),
-        "few samples": few, "slow": lambda r: tumbling(r, deg_s=(0.02, 0.3)),
+        "few samples": few, "even, sampled as jitter": even, "slow": lambda r: tumbling(r, deg_s=(0.02, 0.3)),
         "60 s apart": lambda r: tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
     }  # fmt: skip
     made = makers[base](rng)

@@ -69,7 +69,7 @@ def motions(sun):
     best of the even turns."""
     o, rng = seen(sun, 0.3), np.random.default_rng(4)
     rate = RATE_MAX * rng.uniform(size=(100, 1)) * np.array([unit(rng) for _ in range(100)])
-    first = facing(o.of_sun[0].directions(0)[0])
+    first = facing(o.of_sun[0].direction_B[0])
     turned = Rotation.from_rotvec((-rate[:, None] * o.t_s[:, None]).reshape(-1, 3)).as_matrix().reshape(100, len(o), 3, 3)
     one = Hypothesis(AS_STATED, o, np.arange(len(o)), Motion(BODY, 5e-7, RATE_MAX / 2))
     fit = with_common(one.fitted(), Track(turned @ first, np.repeat(rate[:, None], len(o), axis=1)), one.motion, None)

@@ -34,8 +34,8 @@ def harmonics() -> tuple[np.ndarray, np.ndarray]:
 def log_evidence(o: Observations, wander: np.ndarray) -> np.ndarray:
     """Log (s) of the mean likelihood of the Sun's readings over all ways of a body that wanders by `wander` (s), rad s^-0.5 about
     each axis, and has no rate beside; its first attitude may be any. Likelihoods are in the measure of the terms' costs."""
-    everywhere = np.repeat(facing(sphere(EVERYWHERE))[:, None], len(o), axis=1)
-    cost = sum(normal(term, Seen(everywhere, np.zeros((EVERYWHERE, len(o), 3))))[2] for term in o.of_sun)
+    everywhere = Seen(np.repeat(facing(sphere(EVERYWHERE))[:, None], len(o), axis=1), np.zeros((EVERYWHERE, len(o), 3)))
+    cost = np.sum([normal(term, everywhere)[2] for term in o.of_sun], axis=0)
     least = cost.min(axis=0)
     values, order = harmonics()
     density, total = np.ones((EVERYWHERE, len(wander))), np.full(len(wander), -least.sum())
