@@ -54,7 +54,8 @@ def test_the_result_does_not_depend_on_the_workers():
     each_pass = [spin(np.radians([1.0, -0.5, 0.8]), part) for part in np.split(t, 8)]
     omega, attitude = (np.concatenate(parts) for parts in zip(*each_pass, strict=True))
     made = seen(FACES, omega, attitude, t, 0.01, np.random.default_rng(3))
-    one, two = (ss.rates(made.vehicle, made.telemetry, max_rate_rad_s=0.03, acceleration_noise=1e-5, workers=workers) for workers in (1, 2))
+    setting = {"max_rate_rad_s": 0.03, "acceleration_noise": 1e-5}
+    one, two = (ss.rates(made.vehicle, made.telemetry, workers=workers, **setting) for workers in (1, 2))
     assert one.sizes["pass_id"] == 8
     xr.testing.assert_identical(one.drop_attrs(), two.drop_attrs())
     assert one.attrs["verdict"] == two.attrs["verdict"] and one.attrs["effort"] == two.attrs["effort"]
