@@ -27,7 +27,6 @@ from sunspin.estimate.rates.wandering import about_most, log_evidence
 from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque, sizes
 from sunspin.estimate.terms.term import MotionTerm, PairTerm, StateTerm, SunTerm, normal
 from sunspin.estimate.terms.unsteady import RateStep, Swinging
-from sunspin.solve.linear import bordered
 from sunspin.solve.rotations import smallest_turn, turn_between
 
 MODES, LIGHTEST, MORE_MODES = 2, 0.02, 5
@@ -131,14 +130,6 @@ def _tried(one: Hypothesis, begin: Trial) -> Trial:
     return weighed(one, fit)
 
 
-def _promised(one: Hypothesis, begin: Trial) -> Trial:
-    """The same with one step and no fit, as good as the readings answer linearly: a quick test whether a fit is worth it."""
-    fit = again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, 0, CLOSE)
-    (_, step), gain = bordered(fit.system, np.zeros(len(fit.error)))
-    trial = weighed(one, fit if step is None else fit._replace(error=fit.error + step))
-    return trial._replace(log_evidence=trial.log_evidence + gain)
-
-
 def _quieter(begin: Trial, rungs: list[float]) -> Iterator[Trial]:
     """A trial, and it under ever less of other torques, as long as that is no worse."""
     yield begin
@@ -157,11 +148,7 @@ def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
     tried = sizes(float(np.ptp(stated.o.t_s)))
     for frame in ("B", "N"):
         term = SteadyTorque(tried[-1], frame, stated.motion.body.inertia)
-        wide = stated.beside("", term)
-        each = (replace(wide, motion=replace(stated.motion, noise=noise)) for noise in (stated.motion.noise, *rungs))
-        if max(float(_over_sizes(_promised(one, start), tried)[1].max()) for one in each) < start.best - HOPELESS:
-            continue
-        trials = [(trial, *_over_sizes(trial, tried)) for trial in _quieter(_tried(wide, start), rungs)]
+        trials = [(trial, *_over_sizes(trial, tried)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
         trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
         k = int(np.argmax(evidence))
         size = int(np.argmax(gains[:, k]))
@@ -267,10 +254,8 @@ def _defects(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
 def _stronger(start: Trial) -> Iterator[Trial]:
     one, begin = start.hypothesis, start
     for factor in STRONGER:
-        stronger = replace(one, what=TORQUES_STRONGER, motion=replace(one.motion, noise=factor * one.motion.noise))
-        if _promised(stronger, begin).best < start.best - HOPELESS:
-            return
-        begin = _tried(stronger, begin)
+        motion = replace(one.motion, noise=factor * one.motion.noise)
+        begin = _tried(replace(one, what=TORQUES_STRONGER, motion=motion), begin)
         yield begin
         if begin.best < start.best - HOPELESS:
             return
@@ -340,14 +325,11 @@ def _swinging(stated: Trial) -> Iterator[Trial]:
     begin = stated.take(order[:MORE_MODES])
     t_s = one.o.t_s[one.kept]
     usual = float(np.median(np.diff(t_s)))
-    aliased = np.any(np.linalg.norm(begin.fit.track.omega[0, :-1], axis=1) * np.diff(t_s) > ALIASED)
-    if aliased:
+    if np.any(np.linalg.norm(begin.fit.track.omega[0, :-1], axis=1) * np.diff(t_s) > ALIASED):
         begin = _joined(begin, _slowest(begin.fit.track.take(slice(1)), t_s))
     for angle in SWINGS:
-        last, swinging = begin.best, one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual)), OTHER_MODES)
-        if not aliased and _promised(swinging, begin).best < min(last, stated.best - HOPELESS):
-            return
-        begin = _tried(swinging, begin)
+        last = begin.best
+        begin = _tried(one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual)), OTHER_MODES), begin)
         begin = begin.take(distinct_index(begin.fit.track, t_s))
         yield begin
         if begin.best < min(last, stated.best - HOPELESS):
