@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 import sunspin as ss
 from sunspin.output.kinds import KINDS
+from sunspin.philae.coverage import shipped
 
 NO_FIGURE = {"impact", "lines", "calibration"}
 
@@ -67,6 +68,7 @@ MADE = {
     "scan": scan,
     "lines": lambda: ss.fit_lines(np.random.default_rng(1).normal(size=(30, 3)), 2),
     "outcomes": outcomes,
+    "coverage": lambda: shipped(ss.load_case("philae")),
 }
 """Kind -> how a public function makes it, small."""
 

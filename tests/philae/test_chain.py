@@ -38,9 +38,10 @@ def found(quick):
 
 def truth_of(omega, found):
     """Smaller and larger angle of the momentum (rad) and the speed at the touchdown of a known motion."""
-    states = found.chain.rebound.states(np.array([omega]))
+    sun = np.array(rb.twin_file(CASE)["sun_B"])  # what the panels show is some degrees away from it
+    states = replace(found.chain.rebound.states(np.array([omega])), sun_B=sun[None])
     theta, alpha, _ = rb.momentum_angles(CASE.vehicle, states)
-    back = ss.propagate(CASE.vehicle, omega, rb.first_sun(CASE), 865.0, [0.0, -found.chain.rebound.lead_s])
+    back = ss.propagate(CASE.vehicle, omega, sun, 865.0, [0.0, -found.chain.rebound.lead_s])
     return min(theta[0], alpha[0]), max(theta[0], alpha[0]), float(np.linalg.norm(back["omega_B"].values[-1]))
 
 
