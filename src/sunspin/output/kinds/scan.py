@@ -10,6 +10,7 @@ import xarray as xr
 
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_note, vector
+from sunspin.output.text import counted
 
 DIMS = ("omega_x", "omega_y", "omega_z")
 DEFAULT_FACTOR = 1.1
@@ -41,7 +42,7 @@ def scan_summary(scan: Any) -> Summary:
     against = f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
     lines = [
         f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {vector(best)} rad/s; "
-        f"{len(points)} points " + (f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}")
+        f"{counted(len(points), 'point')} " + (f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}")
     ]
     if isinstance(scan, xr.Dataset) and "point" in scan:
         told = lines_summary(scan)
