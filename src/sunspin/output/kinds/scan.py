@@ -40,9 +40,10 @@ def scan_summary(scan: Any) -> Summary:
         "near_minimum_points": len(points),
     }  # fmt: skip
     against = f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
+    near = f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}"
     lines = [
         f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {vector(best)} rad/s; "
-        f"{counted(len(points), 'point')} " + (f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}")
+        f"{counted(len(points), 'point')} {near}"
     ]
     if isinstance(scan, xr.Dataset) and "point" in scan:
         told = lines_summary(scan)
