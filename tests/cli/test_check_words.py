@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sunspin.cli.check_words import _lit
+from sunspin.output.check.samples import _lit
 from sunspin.output.kinds.seen import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle.file import parse_vehicle

@@ -256,7 +256,7 @@ class Vehicle(Part):
         """
         return self._response(self.inputs if self.channels else ())
 
-    def panels_in(self, phase: str | None = None) -> PanelResponse:
+    def panels_in(self) -> PanelResponse:
         """The same of the panels themselves, whatever input they are on: for drawings."""
         return self._response(())
 

@@ -94,7 +94,7 @@ def in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observa
     sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
     about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
     result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
-        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s,
+        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s, orbit_drift_s_day=local.orbit.drift_s_day,
         orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
     )  # fmt: skip
     if o.freed().field_N is None:

@@ -38,7 +38,7 @@ FINER = 2
 HATCHES = ("", "//", "..", "xx")
 
 
-def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure:
+def sun_height_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
     """Densities of r_z between collision and landing, one per strategy, area 1, bars of one standard error (paper, Fig. 13)."""
     figure = Figure(figsize=(7.5, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -55,7 +55,7 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure
     axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis")
     axes.set_ylabel("probability density")
     axes.legend(title="wheel", loc="upper left", frameon=False)
-    axes.set_title(title or "Height of the Sun between collision and second touchdown")
+    axes.set_title("Height of the Sun between collision and second touchdown")
     return figure
 
 

@@ -5,16 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import xarray as xr
+
+from sunspin.telemetry.quality import panel_quality, reasons
+from sunspin.telemetry.sun import signals
+from sunspin.telemetry.units import wrong_units
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.file import line_of, vehicle_text
 
 SHOWN = 30
 """Columns listed by name."""
 
 
-def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
+def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
-    from sunspin.telemetry.units import wrong_units
-    from sunspin.vehicle.file import line_of, vehicle_text
-
     units, found = [], wrong_units(craft, samples)
     for wrong in found:
         stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0].split(",")[0])
@@ -29,7 +33,7 @@ def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[s
     return {"wrong_units": units, "panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}, lines
 
 
-def worth(craft: Any, samples: Any, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
+def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate; of panels `misread`, in a
     wrong unit, no lines on what their numbers would mean."""
     summary: dict[str, Any] = {}
@@ -48,9 +52,7 @@ def worth(craft: Any, samples: Any, misread: bool = False) -> tuple[dict[str, An
     return summary | about, lines + more
 
 
-def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    from sunspin.telemetry.quality import panel_quality, reasons
-
+def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     quality = panel_quality(craft, samples)
     why = reasons(quality)
     silent, missed = quality["dead"].values, quality["missed"].values
@@ -80,10 +82,8 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
+def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
     """How many faces (n) are lit, panels of one face counting once; with channels how many inputs."""
-    from sunspin.telemetry.sun import signals
-
     floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
     lit = np.nan_to_num(signals(samples)) > floor
     if craft.channels:
@@ -92,13 +92,13 @@ def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
     return (lit.astype(int) @ np.eye(face.max() + 1, dtype=int)[face.ravel()] > 0).sum(axis=1)
 
 
-def intervals(samples: Any) -> np.ndarray:
+def intervals(samples: xr.Dataset) -> np.ndarray:
     """Intervals (s) between the samples whose time is in order; late and repeated frames are no samples."""
     latest = np.unique(np.maximum.accumulate(samples["time"].values))
     return np.diff(latest)
 
 
-def _sampling(samples: Any) -> tuple[dict[str, Any], list[str]]:
+def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     gaps = intervals(samples)
     if len(gaps) < 2:
         return {}, ["  too few samples to tell a rate"]
