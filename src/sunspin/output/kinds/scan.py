@@ -70,6 +70,6 @@ def scan_drawings(scan: Any, _: Beside) -> Iterator[Drawing]:
     yield Drawing(
         "scan", lambda: scan_figure(volume, points),
         f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: all {len(points)} motions {near}: any of them may be the true one."
+        f"The smallest {metric} over ωz. Circles: the {counted(len(points), 'motion')} {near}; any may be the true one."
         + synthetic_note(scan),
     )  # fmt: skip
