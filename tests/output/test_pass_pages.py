@@ -15,7 +15,7 @@ from sunspin.output.figures import _passes_together, save, sun_directions_figure
 from sunspin.output.figures.rates import rates_figure, sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
 from sunspin.output.kinds.rate_words import rate_at
-from sunspin.output.report import measured, orbit
+from sunspin.output.report import measured, orbit, posterior, sphere
 from sunspin.output.report.other import unknown
 from sunspin.output.report.passes import dense
 from sunspin.output.report.read import Results
@@ -133,6 +133,41 @@ def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
     exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
     np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
     assert dense(result.drop_vars("curve_pass_of")) == []
+
+
+@pytest.mark.parametrize("passes", [1, 2, 30])
+def test_without_a_motion_powers_are_shown_pass_by_pass(passes, tmp_path):
+    """On one axis passes 95 minutes apart would be specks beside emptiness."""
+    _, samples = tumble(20, 30.0)
+    samples = xr.concat([samples.assign_coords(time=samples["time"].values + 5700 * k) for k in range(passes)], "time")
+    samples.attrs["epoch_utc"] = "2026-01-01T00:00:00Z"
+    (plot,) = measured.powers(Results(tmp_path, "sun", {}, {"telemetry": samples})).items
+    views = [] if passes == 1 else [f"Pass at 2026-01-{1 + k * 5700 // 86400:02d}" for k in range(passes)][:12]
+    assert len(plot.views) == (len(views) + 1 if views else 0)
+    assert all(view["label"].startswith(text) for view, text in zip(plot.views, views, strict=False))
+    for view in plot.views[:-1]:
+        assert 570 <= np.ptp(view["range"]) / 1000 < 600
+
+
+def test_a_posteriors_summary_has_a_place_for_each_of_its_entries(tmp_path):
+    widths = [{"prior": "max_rate_rad_s", "factor": 2.0, "told": False, "effective": 0.0},
+              {"prior": "inertia", "factor": 0.5, "told": True, "word": "unique", "weight": 1.0, "shift": 0.36, "width": 0.89}]
+    summary = {"hypotheses": {"as stated": 0.65, "a steady torque in body axes": 0.35}, "prior_widths": widths}  # fmt: skip
+    results = Results(tmp_path, "posterior", summary)
+    assert unknown(results) is None
+    weights, table = posterior._hypotheses(results), posterior._widths(results)
+    assert weights.rows == [["as stated", "0.65"], ["a steady torque in body axes", "0.35"]]
+    assert table.rows[0] == ["max rate rad s", "2", "not told by these draws", "", ""]
+    assert table.rows[1] == ["inertia", "0.5", "unique", "0.36", "0.89"]
+    for odd in (3, None, [3], [{"factor": "x"}], {"a": []}):  # of somebody else's folder
+        results = Results(tmp_path, "posterior", {"hypotheses": odd, "prior_widths": odd})
+        assert posterior._hypotheses(results) is None and posterior._widths(results) is None
+
+
+def test_panels_of_one_face_have_one_label_on_the_sphere(tmp_path):
+    twice = replace(CUBE, panels=(*CUBE.panels, Panel("second", FACES["+Y"], 5.0)), telemetry=TelemetryForm(noise=0.05))
+    (drawn,) = sphere._normals(Results(tmp_path, "sun", {}, {}, twice))
+    assert len(drawn["text"]) == 6 and "+Y, second" in drawn["text"]
 
 
 @pytest.mark.parametrize("passes", [2, 5, 30])

@@ -10,6 +10,7 @@ import xarray as xr
 
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_note, vector
+from sunspin.output.text import counted
 
 DIMS = ("omega_x", "omega_y", "omega_z")
 DEFAULT_FACTOR = 1.1
@@ -39,9 +40,10 @@ def scan_summary(scan: Any) -> Summary:
         "near_minimum_points": len(points),
     }  # fmt: skip
     against = f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
+    near = f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}"
     lines = [
         f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {vector(best)} rad/s; "
-        f"{len(points)} points " + (f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}")
+        f"{counted(len(points), 'point')} {near}"
     ]
     if isinstance(scan, xr.Dataset) and "point" in scan:
         told = lines_summary(scan)
@@ -68,6 +70,6 @@ def scan_drawings(scan: Any, _: Beside) -> Iterator[Drawing]:
     yield Drawing(
         "scan", lambda: scan_figure(volume, points),
         f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: all {len(points)} motions {near}: any of them may be the true one."
+        f"The smallest {metric} over ωz. Circles: the {counted(len(points), 'motion')} {near}; any may be the true one."
         + synthetic_note(scan),
     )  # fmt: skip

@@ -127,7 +127,7 @@ def _scan(results: Results) -> list[str]:
     told = [
         f"Of {counted(int(s['rows']), 'simulated motion')} {worst} begins at {number_text(s['best_omega_B'], 3)} rad/s, with "
         f"{s['metric'].upper() if s['metric'] == 'emd' else 'E'} {s['minimum']:.4f} (0: its Sun stands as the panels saw it).",
-        f"{counted(int(s['near_minimum_points']), 'motion')} fit nearly as well; this set alone is no confidence region, and a "
+        f"Motions that fit nearly as well: {int(s['near_minimum_points'])}; this set alone is no confidence region, and a "
         "threshold that makes it one has to be calibrated on data of known truth.",
     ]
     lines = s.get("lines")

@@ -21,6 +21,7 @@ from sunspin.output.report.section import (
     packed,
     thin,
     time_axis,
+    utc_text,
 )
 from sunspin.output.text import capital
 from sunspin.telemetry.quality import USED, panel_quality
@@ -38,6 +39,9 @@ FINEST = 10
 
 LATER_STEP = 3
 """After the first minutes every so many-th instant of a motion is drawn: nobody can read more."""
+
+PAUSE, MOST_STRETCHES = 10, 12
+"""Usual steps between samples after which another stretch begins, and how many of the longest have a view of their own."""
 
 WINDOW_S = 900.0
 """A tumbling body turns some sixty times in it: as much as can be read at once."""
@@ -86,6 +90,9 @@ def powers(results: Results) -> Section | None:
     ]  # fmt: skip
     for view in views:
         view["show"] = [*view["show"], *dots]
+    modelled = bool(views)
+    if not modelled:
+        views = _stretches(t, dots, epoch)
     if views:
         views.append({"label": "Samples only, the whole file", "show": dots, "range": instants([t[0], t[-1]], epoch), "text": ""})
     top = 1.1 * float(np.nanmax(measured)) if np.isfinite(measured).any() else 1.0
@@ -102,7 +109,7 @@ def powers(results: Results) -> Section | None:
         )
         + ". "
     )
-    if views:
+    if modelled:
         caption += (
             "Line: what the chosen motion makes of the panels' normals, with one common factor fitted to the samples and panels "
             "that count."
@@ -110,7 +117,7 @@ def powers(results: Results) -> Section | None:
     if lost.any():
         left = ", ".join(name for name, is_lost in zip(names, lost, strict=True) if is_lost)
         caption += f" Left out, as it never reads anything: {left} (crosses; grey line: what it would read if it worked)."
-    if results.command == "reproduce" and views:
+    if results.command == "reproduce" and modelled:
         caption += (
             " Different motions share how often the Sun stands how high, not when: only one motion can meet the dots one by one."
         )
@@ -118,12 +125,27 @@ def powers(results: Results) -> Section | None:
         "powers", data, layout,
         f"Signals of {len(names)} panels against time, measured as dots and modelled as lines; each panel rises and falls as it "
         "turns to the Sun and away.",
-        caption, 90 * len(names) + 110, views, "Modelled motion", numbers=_power_numbers(names, values, unit),
+        caption, 90 * len(names) + 110, views, "Modelled motion" if modelled else "Part of the file",
+        numbers=_power_numbers(names, values, unit),
         narrow={"margin": {"l": 48, "r": 12, "t": 30, "b": 50}, "font.size": 11},
     )  # fmt: skip
     seen = "synthetic" if results.synthetic else "measured"
     what = f"Panel {'powers' if unit == 'W' else 'signals'}, {seen}"
-    return Section("powers", what + (" and modelled" if views else ""), [], [plot])
+    return Section("powers", what + (" and modelled" if modelled else ""), [], [plot])
+
+
+def _stretches(t: np.ndarray, dots: list[int], epoch: str | None) -> list[dict[str, Any]]:
+    """A view of each stretch between long pauses, the longest few: on one axis they would be specks beside emptiness."""
+    steps = np.diff(t)
+    parts = np.split(t, np.flatnonzero(steps > PAUSE * np.median(steps)) + 1) if steps.size else []
+    longest = sorted((part for part in parts if part.size > 1), key=lambda part: -part.size)[:MOST_STRETCHES]
+    shown = sorted(longest, key=lambda part: float(part[0]))
+    margins = [0.01 * float(np.ptp(part)) for part in shown]
+    return [
+        {"label": f"Pass at {utc_text(float(part[0]), epoch, date=True)}", "show": dots, "text": "",
+         "range": instants([part[0] - margin, part[-1] + margin], epoch)}
+        for part, margin in zip(shown, margins, strict=True) if len(parts) > 1
+    ]  # fmt: skip
 
 
 def _left_out(results: Results, samples: xr.Dataset, names: list[str]) -> tuple[np.ndarray, np.ndarray]:

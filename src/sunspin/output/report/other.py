@@ -41,6 +41,7 @@ SEEN_OF = {
     "scan": {"metric", "rows", "minimum", "best_omega_B", "near_minimum_points", "lines"},
     "posterior": {
         "verdict", "verdict_word", "rate_rad_s", "modes", "passes", "p_value", "effective_draws", "pareto_k", "predicted",
+        "hypotheses", "prior_widths",
     },
 }
 """The same, for one command's summary."""

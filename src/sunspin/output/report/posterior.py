@@ -59,7 +59,8 @@ def section(results: Results) -> Section | None:
     draws = Draws.of(results)
     if draws is None:
         return None
-    tables = [_regions(draws, results), _believed(results), _judged(results), _predicted(results)]
+    tables = [_regions(draws, results), _believed(results), _judged(results), _hypotheses(results), _widths(results),
+              _predicted(results)]  # fmt: skip
     known = [table for table in tables if table is not None]
     return Section("posterior", "The posterior", [], [_cloud(draws), *drawn(results, "posterior"), *known])
 
@@ -107,6 +108,29 @@ def _judged(results: Results) -> Table | None:
     }
     rows = [[what, f"{s[key]:.3g}", limit] for key, (what, limit) in said.items() if isinstance(s.get(key), int | float)]
     return Table(["what", "value", "limit"], rows, "What the verdict rests on", closed=True) if rows else None
+
+
+def _hypotheses(results: Results) -> Table | None:
+    """What may move the body, by evidence."""
+    found = results.summary.get("hypotheses")
+    known = found.items() if isinstance(found, dict) else ()
+    rows = [[what, f"{weight:.2f}"] for what, weight in known if isinstance(weight, int | float)]
+    return Table(["model of the motion", "weight"], rows, "What may move the body; the draws of all are mixed") if rows else None
+
+
+def _widths(results: Results) -> Table | None:
+    """What the verdict owes to each prior."""
+    rows, found = [], results.summary.get("prior_widths")
+    for one in found if isinstance(found, list) else ():
+        if not (isinstance(one, dict) and isinstance(factor := one.get("factor"), int | float)):
+            continue
+        word, numbers = "not told by these draws", [""] * 2
+        if one.get("told"):
+            word = str(one.get("word", ""))
+            numbers = [f"{one[key]:.2f}" if isinstance(one.get(key), int | float) else "" for key in ("shift", "width")]
+        rows.append([str(one.get("prior", "")).replace("_", " "), f"{factor:g}", word, *numbers])
+    head = ["prior", "its width times", "verdict", "rate moves by (sigma)", "sigma of the rate times"]
+    return Table(head, rows, "The verdict under other widths of the priors", closed=True) if rows else None
 
 
 def _predicted(results: Results) -> Table | None:

@@ -101,11 +101,13 @@ def _sphere() -> list[dict[str, Any]]:
 def _normals(results: Results) -> list[dict[str, Any]]:
     if results.vehicle is None or not results.vehicle.panels:
         return []
-    normal = 1.12 * results.vehicle.panel_normals_B
+    face, of_face = np.unique(np.round(results.vehicle.panel_normals_B, 6) + 0.0, axis=0, return_inverse=True)
+    names = [", ".join(np.array(results.vehicle.panel_names)[of_face.ravel() == k]) for k in range(len(face))]
+    normal = 1.12 * face
     return [{
         "type": "scatter3d", "mode": "text", "x": packed(normal[:, 0]), "y": packed(normal[:, 1]), "z": packed(normal[:, 2]),
-        "text": [f"{name}" for name in results.vehicle.panel_names], "textfont": {"size": 13, "color": "@ink"}, "showlegend": False,
-        "hovertext": [f"panel {name}" for name in results.vehicle.panel_names], "hoverinfo": "text",
+        "text": names, "textfont": {"size": 13, "color": "@ink"}, "showlegend": False,
+        "hovertext": [f"panel {name}" for name in names], "hoverinfo": "text",
     }]  # fmt: skip
 
 
