@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import sunspin as ss
 from sunspin.output.figures import COLOURS
-from sunspin.output.figures.rates import chosen_passes, clock_text
+from sunspin.output.figures.rates import chosen_passes, clock_text, component
 
 
 def sun_and_rates_figure(currents: xr.Dataset, sensors: xr.Dataset, beacons: xr.Dataset, shift_s: float) -> Figure:
@@ -28,10 +28,7 @@ def sun_and_rates_figure(currents: xr.Dataset, sensors: xr.Dataset, beacons: xr.
         at = np.flatnonzero(sensors["pass_of"].values == number)
         t = sensors["time"].values[at]
         for k, axes in enumerate(grid[:, column]):
-            mean = np.degrees(sensors["omega_B"].values[at, k])
-            sigma = np.degrees(np.sqrt(sensors["omega_cov_B"].values[at, k, k]))
-            axes.fill_between((t - t[0]) / 60, mean - sigma, mean + sigma, color=COLOURS[k], alpha=0.25, lw=0)
-            axes.plot((t - t[0]) / 60, mean, ".-", color=COLOURS[k], ms=4, lw=1, label="Sun sensors, one sigma")
+            component(axes, sensors, number, k, "Sun sensors, one sigma")
             gyro = np.degrees(_gyro_at(sensors, beacons, number)[:, k])
             axes.plot((t - t[0]) / 60, gyro, "x", color=COLOURS[6], ms=5, label="gyro")
         grid[0, column].set_title(clock_text(sensors, t[0]), fontsize=8)

@@ -37,10 +37,12 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
               "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
               "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
               "says so and is never decided.")
+@click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side, four passes each at "
+              "least; default one per core. The result does not depend on it.")
 @period_option("The motions of its pass are weighted by it, and what it decides is said.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
-          no_wirings, elements, shift_sigma, no_orbit, effort, periods, without) -> None:  # fmt: skip
+          no_wirings, elements, shift_sigma, no_orbit, effort, workers, periods, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
@@ -57,6 +59,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
       sunspin rates vehicle.toml telemetry.csv --tle my.tle
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
+    from sunspin.compute.rows import worker_count
     from sunspin.estimate.rates.estimate import rates as run
     from sunspin.output.check.orbit import orbit_used
     from sunspin.output.check.samples import doubts
@@ -72,7 +75,7 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings, environment=orbit, calibration=calibration,
-        periods=evidence, effort=effort, progress=on_terminal(quiet),
+        periods=evidence, effort=effort, workers=worker_count(workers), progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)
     doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}

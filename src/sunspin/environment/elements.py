@@ -140,8 +140,8 @@ def nearest(found: tuple[Elements, ...], jd: float) -> Elements:
 def _lines(text: str, where: str) -> Iterator[Elements]:
     name, first = "", None
     for number, line in enumerate(text.splitlines(), 1):
-        line, at = line.rstrip(), f"{where}, line {number}"
-        if not line.strip() or line.startswith("#"):
+        line, at = line.strip(), f"{where}, line {number}"
+        if not line or line.startswith("#"):
             continue
         if first is None and line.startswith("2 ") and len(line) > 60:
             raise InputError(sentence("line 2 of the elements comes before line 1", do="exchange the two lines", where=at))

@@ -227,7 +227,7 @@ def _of_scan(result: Reproduction) -> list[str]:
         f"times it, and {part.lines_found} of the four printed lines come out of them"
     )
     if part.truth:
-        text += f". The true motion behind the synthetic telemetry reaches {part.truth['emd']:.4f}"
+        text += f". At the true rate behind the synthetic telemetry it is {part.truth['emd']:.4f}"
     chain = result.chain
     if chain is not None and chain.calibration is not None:
         level = f"{100 * chain.calibration.confidence:g} %"

@@ -21,6 +21,8 @@ from sunspin.vehicle.timeline import utc_after
 HEALTH_SAMPLES = 3000
 """Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
 
+NOT_READ = "  directions, gains and lit faces say nothing while the readings are in a wrong unit; `--json` has them"
+
 
 def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on a vehicle: its parts, what light tells of it, values without a source."""
@@ -85,8 +87,8 @@ def about_telemetry(craft: Vehicle, path: Path, vehicle: str) -> tuple[xr.Datase
     summary, lines = summary | about, lines + more
     if "panel" in samples.coords:
         about, more = _about_panels(craft, samples)
-        summary, lines = summary | about, lines + more
-    about, more = worth(craft, samples)
+        summary, lines = summary | about, lines + ([NOT_READ] if summary["panels_misread"] else more)
+    about, more = worth(craft, samples, summary["panels_misread"])
     return samples, summary | about, lines + more
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 from sunspin.environment.elements import nearest
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
-from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
+from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -39,7 +39,7 @@ def orbit_used(
     one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
     used, found, words = judged_orbit(orbit, craft, samples)
     summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
-    calibration = None if used is None else field_calibration(used, craft, samples)
+    calibration = None if used is None else field_calibration(used, craft, samples, found.made)
     return used, calibration, {"orbit": summary}, [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
 
 
@@ -63,7 +63,8 @@ def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
         "satellite": one.number, "name": one.name, "verdict": found.verdict.name.lower(), "copies": found.copies,
         "better_copies": found.better, "copies_expected_better_by_chance": found.mistaken,
         "node_turn_rad": found.turn_rad, "node_turn_times": found.turn_times,
-        "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border, "samples": found.samples,
+        "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border,
+        "drift_s_day": found.drift_s_day, "drift_sigma_s_day": found.drift_sigma_s_day, "samples": found.samples,
         "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
         "sign_turned": found.sign_turned,
         "clock_behind_s": found.clock_behind_s, "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0],
@@ -76,11 +77,10 @@ def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
 
 def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     lines = [f"Orbit of {_named(one)}: {found.verdict.value}", *(f"  {note}" for note in notes)]
-    if hours := round(found.clock_behind_s / 3600):
-        side = "behind" if hours > 0 else "ahead of"
-        lines.append(f"  they would fit if the telemetry's clock were {abs(hours)} h {side} UTC")
+    if off := clock_off(found):
+        lines.append(f"  {off}")
     if found.sign_turned:
-        lines.append("  the magnetometer reads the field with the opposite sign")
+        lines.append("  the magnetometer reads the field with the opposite sign: turn its `matrix` round")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]
@@ -90,7 +90,7 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
         lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
     both = " (with the clock: of both, the data determine the sum)"
-    lines.append(f"  shift along the track {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s{both}{border}")
+    lines.append(f"  shift along the track {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}")
     if np.isfinite(found.strength_residual_T):
         angle = np.degrees(found.angle_residual_rad)
         sun = f", of its angle to the Sun {angle:.1f} deg" if np.isfinite(angle) else ""

@@ -19,9 +19,9 @@ SHOWN = 30
 
 def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
-    units = []
-    for wrong in wrong_units(craft, samples):
-        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0])
+    units, found = [], wrong_units(craft, samples)
+    for wrong in found:
+        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0].split(",")[0])
         units.append(str(wrong) if stands is None else wrong.at(f", line {stands[0]} ({stands[1][:60]}),"))
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
@@ -29,16 +29,19 @@ def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> t
     lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
     lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
-    return {"wrong_units": units, "missing_sensors": missing, "unused_columns": unused}, lines
+    misread = any(wrong.table == "telemetry" and wrong.key.startswith("scale") for wrong in found)
+    return {"wrong_units": units, "panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}, lines
 
 
-def worth(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate."""
+def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate; of panels `misread`, in a
+    wrong unit, no lines on what their numbers would mean."""
     summary: dict[str, Any] = {}
     lines: list[str] = []
     if "panel" in samples.coords:
         about, lines = _panels(craft, samples)
         summary |= about
+        lines = [f"  {n:6d}  {text}" for text, n in about["worth"].items()] if misread else lines
     sensors = {"sun_sensor_B": "Sun sensors", "gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "attitude",
                "wheel_speed_rad_s": "wheel speeds"}
     there = {label: int(np.isfinite(samples[name].values).all(axis=1).sum()) for name, label in sensors.items() if name in samples}
@@ -80,8 +83,13 @@ def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[s
 
 
 def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
+    """How many faces (n) are lit, panels of one face counting once; with channels how many inputs."""
     floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
-    return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)
+    lit = np.nan_to_num(signals(samples)) > floor
+    if craft.channels:
+        return lit.sum(axis=1)
+    _, face = np.unique(np.round([panel.normal_B for panel in craft.panels], 6) + 0.0, axis=0, return_inverse=True)
+    return (lit.astype(int) @ np.eye(face.max() + 1, dtype=int)[face.ravel()] > 0).sum(axis=1)
 
 
 def intervals(samples: xr.Dataset) -> np.ndarray:
