@@ -146,7 +146,7 @@ def test_derivatives_are_those_of_another_step(reached):
     likelihood = Likelihood(replace(unknown, after_s=124.477), data, 1e-6)
     state = State(np.array([[0.18497558, 0.22550964, 0.11285405]]), moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
                   np.zeros((1, len(unknown.unknowns))))  # fmt: skip
-    _, _, _, jacobian = likelihood.linearised(state)
+    jacobian = likelihood.linearised(state).jacobian
     for j, step in ((0, 2e-8), (2, 2e-8), (3, 1e-6), (5 + unknown.moving[-1], 2e-6), (5 + unknown.moving[1], 2e-6)):
         ends = []
         for sign in (1, -1):

@@ -55,7 +55,7 @@ def test_a_field_that_is_three_sigma_off_costs_what_it_should(craft, telemetry):
 def test_derivatives_along_rate_and_release_of_the_wheel_are_those_of_differences(craft, telemetry):
     found, state = likelihood(craft, telemetry, {"wheel_off_s": 40.0, "wheel_off": 10.0}, [field(telemetry)])
     off = 5 + found.model.where("wheel_off")[0]
-    _, _, _, jacobian = found.linearised(state)
+    jacobian = found.linearised(state).jacobian
     assert np.abs(jacobian[0, -1, :5]).max() > 1  # the field tells something
     for j, step in ((0, 1e-6), (3, 1e-5), (off, 1e-3)):
         ends = []

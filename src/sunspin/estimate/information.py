@@ -38,7 +38,7 @@ class Information:
     def slopes(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives (K, P, D) of readings and (M, D) of other observations, times the root of the weight that each has."""
         likelihood = Likelihood(self.model, self.data)
-        _, raw, extra, jacobian = likelihood.linearised(self.state)
+        _, raw, extra, jacobian, _ = likelihood.linearised(self.state)
         _, sigma, weight = likelihood.weigh(raw, extra, likelihood.noise(self.state.u))
         scaled = np.sqrt(weight)[0, :, None] * jacobian[0] / sigma[0, :, None]
         count = self.data.value.size

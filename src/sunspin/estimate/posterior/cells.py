@@ -59,8 +59,8 @@ BLUR = 0.07
 SETTLED = 36.0
 """Misfit (sum of squares, CAP at most for each reading) up to which a settled start is kept."""
 
-STEPS = 8
-"""Steps of least squares on the interpolated attitudes."""
+STEPS, ARRIVED = 8, 2e-3
+"""Steps of least squares on the interpolated attitudes at most, and the step (of a cell, rad) that is the last."""
 
 APART = 0.3
 """rad at the samples tried: of starts nearer to each other one is kept."""
@@ -256,17 +256,20 @@ def _load(quaternions, rows, turn):
 
 
 @jit
-def _best_point(quaternions, at, sun, law, value, used, sigma):
+def _best_point(turns, at, sun, law, value, used, sigma):
     """The best point of the eighth of a cell that begins at `at`, and its misfit: infinite where none will do."""
     least, best = np.inf, at
-    if _against(quaternions, at + 0.25, sun, law, value, used, sigma, 1)[0] > LIMIT:
-        return best, least
     for point in range(8):
-        x = at + 0.25 * np.array([0.5 + (point >> 2 & 1), 0.5 + (point >> 1 & 1), 0.5 + (point & 1)])
-        short, misfit = _against(quaternions, x, sun, law, value, used, sigma, 0)
+        short, misfit = _against(turns[point], sun, law, value, used, sigma, 0)
         if short <= LIMIT and misfit < least:
-            least, best = misfit, x
+            least, best = misfit, _point(at, point)
     return best, least
+
+
+@jit
+def _point(at, point):
+    """The place of a point of the eighth of a cell that begins at `at`."""
+    return at + 0.25 * np.array([0.5 + (point >> 2 & 1), 0.5 + (point >> 1 & 1), 0.5 + (point & 1)])
 
 
 @jit
@@ -276,12 +279,21 @@ def look_through(cells, row_of, corners, turn, suns, law, value, used, here, her
     found = np.empty((room, 8))
     count = 0
     quaternions = np.empty((8, turn.shape[1], 4))
+    middle, turns = np.empty((turn.shape[1], 3, 3)), np.empty((8, turn.shape[1], 3, 3))
     for i in range(len(cells)):
         _load(quaternions, row_of[cells[i] + corners], turn)
         for eighth in range(8):
             at = np.array([(eighth >> 2 & 1) * 0.5, (eighth >> 1 & 1) * 0.5, (eighth & 1) * 0.5])
+            _rotations(quaternions, at + 0.25, middle)
+            turned = False
             for c in range(len(suns)):
-                best, least = _best_point(quaternions, at, suns[c, 0], law, value, used, sigma)
+                if _against(middle, suns[c, 0], law, value, used, sigma, 1)[0] > LIMIT:
+                    continue
+                if not turned:  # the same for all directions
+                    turned = True
+                    for point in range(8):
+                        _rotations(quaternions, _point(at, point), turns[point])
+                best, least = _best_point(turns, at, suns[c, 0], law, value, used, sigma)
                 if least == np.inf:
                     continue
                 x, step, misfit = _settle(quaternions, best, suns[c], law, value, used, here, here_used, sigma)
@@ -298,30 +310,37 @@ def look_through(cells, row_of, corners, turn, suns, law, value, used, here, her
 
 
 @jit
-def _turned(quaternions, m, x, vector, out):
-    """`vector` turned by the rotation interpolated at x (3, parts of the cell)."""
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    for corner in range(8):
-        w = (x[0] if corner & 4 else 1 - x[0]) * (x[1] if corner & 2 else 1 - x[1]) * (x[2] if corner & 1 else 1 - x[2])
-        a += w * quaternions[corner, m, 0]
-        b += w * quaternions[corner, m, 1]
-        c += w * quaternions[corner, m, 2]
-        d += w * quaternions[corner, m, 3]
-    size = max(a * a + b * b + c * c + d * d, 1e-9)
-    dot = a * vector[0] + b * vector[1] + c * vector[2]
-    s = d * d - a * a - b * b - c * c
-    out[0] = (s * vector[0] + 2 * dot * a + 2 * d * (b * vector[2] - c * vector[1])) / size
-    out[1] = (s * vector[1] + 2 * dot * b + 2 * d * (c * vector[0] - a * vector[2])) / size
-    out[2] = (s * vector[2] + 2 * dot * c + 2 * d * (a * vector[1] - b * vector[0])) / size
+def _rotations(quaternions, x, out):
+    """The rotations (m, 3, 3) interpolated at x (3, parts of the cell)."""
+    for m in range(len(out)):
+        a, b, c, d = 0.0, 0.0, 0.0, 0.0
+        for corner in range(8):
+            w = (x[0] if corner & 4 else 1 - x[0]) * (x[1] if corner & 2 else 1 - x[1]) * (x[2] if corner & 1 else 1 - x[2])
+            a += w * quaternions[corner, m, 0]
+            b += w * quaternions[corner, m, 1]
+            c += w * quaternions[corner, m, 2]
+            d += w * quaternions[corner, m, 3]
+        half = 2.0 / max(a * a + b * b + c * c + d * d, 1e-9)
+        out[m, 0, 0], out[m, 0, 1], out[m, 0, 2] = 1 - half * (b * b + c * c), half * (a * b - c * d), half * (a * c + b * d)
+        out[m, 1, 0], out[m, 1, 1], out[m, 1, 2] = half * (a * b + c * d), 1 - half * (a * a + c * c), half * (b * c - a * d)
+        out[m, 2, 0], out[m, 2, 1], out[m, 2, 2] = half * (a * c - b * d), half * (b * c + a * d), 1 - half * (a * a + b * b)
 
 
 @jit
-def _against(quaternions, x, sun, law, value, used, sigma, angle):
-    """What speaks against all directions within angle number `angle` of that of a point, in the worst sample; its own misfit."""
+def _times(turn, vector, out):
+    """`vector` turned by a rotation (3, 3)."""
+    for i in range(3):
+        out[i] = turn[i, 0] * vector[0] + turn[i, 1] * vector[1] + turn[i, 2] * vector[2]
+
+
+@jit
+def _against(turns, sun, law, value, used, sigma, angle):
+    """What speaks against all directions within angle number `angle` of that of a point with rotations `turns` (m, 3, 3), in the
+    worst sample; its own misfit, unless the former is beyond the limit."""
     worst, misfit = 0.0, 0.0
     r = np.empty(3)
-    for m in range(quaternions.shape[1]):
-        _turned(quaternions, m, x, sun, r)
+    for m in range(len(turns)):
+        _times(turns[m], sun, r)
         short = 0.0
         for j in range(len(law.gains)):
             if not used[m, j]:
@@ -334,6 +353,8 @@ def _against(quaternions, x, sun, law, value, used, sigma, angle):
                 short += min(beyond * beyond, CAP)
             misfit += min(((gain * share - value[m, j]) / sigma) ** 2, 1e6)
         worst = max(worst, short)
+        if worst > LIMIT:
+            break
     return worst, misfit
 
 
@@ -359,39 +380,62 @@ def _gather(normal, gradient, r, column, law, reading, counts, sigma):
 
 
 @jit
+def _solve(normal, gradient, move):
+    """The step of normal equations (5, 5), of which the lower half is given and overwritten, by Cholesky's factors."""
+    for i in range(5):
+        for j in range(i + 1):
+            value = normal[i, j]
+            for q in range(j):
+                value -= normal[i, q] * normal[j, q]
+            normal[i, j] = np.sqrt(value) if i == j else value / normal[j, j]
+    for i in range(5):
+        value = -gradient[i]
+        for q in range(i):
+            value -= normal[i, q] * move[q]
+        move[i] = value / normal[i, i]
+    for i in range(4, -1, -1):
+        for q in range(i + 1, 5):
+            move[i] -= normal[q, i] * move[q]
+        move[i] /= normal[i, i]
+
+
+@jit
 def _settle(quaternions, x, frame, law, value, used, here, here_used, sigma):
     """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit."""
     x, step, sun = x.copy(), np.zeros(2), frame[0].copy()
     r, other, column = np.empty(3), np.empty(3), np.empty((5, 3))
-    misfit = 0.0
+    turns = np.empty((4, quaternions.shape[1], 3, 3))  # at x, and moved along each axis
+    normal, gradient, move = np.empty((5, 5)), np.empty(5), np.empty(5)
+    misfit, arrived = 0.0, False
     for iteration in range(STEPS + 1):
-        normal, gradient = np.zeros((5, 5)), np.zeros(5)
+        normal[:], gradient[:] = 0.0, 0.0
         misfit = 0.0
+        _rotations(quaternions, x, turns[3])
+        for i in range(3):
+            x[i] += 1e-4
+            _rotations(quaternions, x, turns[i])
+            x[i] -= 1e-4
         for m in range(-1, quaternions.shape[1]):
             column[:] = 0.0
             if m < 0:
                 r[:] = sun
                 column[3], column[4] = frame[1], frame[2]
             else:
-                _turned(quaternions, m, x, sun, r)
+                _times(turns[3, m], sun, r)
                 for i in range(3):
-                    x[i] += 1e-4
-                    _turned(quaternions, m, x, sun, other)
-                    x[i] -= 1e-4
+                    _times(turns[i, m], sun, other)
                     column[i] = (other - r) / 1e-4
                 for i in range(2):
-                    _turned(quaternions, m, x, frame[1 + i], other)
-                    column[3 + i] = other
+                    _times(turns[3, m], frame[1 + i], column[3 + i])
             reading, counts = (here, here_used) if m < 0 else (value[m], used[m])
             misfit += _gather(normal, gradient, r, column, law, reading, counts, sigma)
-        if iteration == STEPS:
+        if iteration == STEPS or arrived:
             break
         for i in range(5):
             normal[i, i] += 1e-2 * normal[i, i] + 1e-3
-            for q in range(i):
-                normal[q, i] = normal[i, q]
-        move = -np.linalg.solve(normal, gradient)
+        _solve(normal, gradient, move)
         size = max(np.abs(move[:3]).max() / 0.25, np.abs(move[3:]).max() / 0.3, 1.0)
+        arrived = np.abs(move).max() < ARRIVED
         x += move[:3] / size
         step += move[3:] / size
         for i in range(3):

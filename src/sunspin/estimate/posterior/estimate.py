@@ -45,7 +45,7 @@ from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
 
-DIRECTION_ERROR = 1e-6
+DIRECTION_ERROR = 1e-5
 """Error of directions (rad) in the likelihood."""
 
 EDGE = 0.97
@@ -56,6 +56,9 @@ TAG_CHANCE = 0.05
 
 OTHERS_DRAWS = 0.5
 """Part of the draws under the model as stated that each other hypothesis gets, as long as the former holds its own."""
+
+LOST = 1e-3
+"""A hypothesis with this part of the evidence of the model as stated needs no good draws."""
 
 CHECKED = 400
 """Draws by which the model as stated is judged before others are searched for."""
@@ -162,7 +165,9 @@ def posterior(
     off = checked.tag_s if noticed else 0.0
     if off:
         there = replace(there, time_sigma_s=off)
-        tried = [_sampled(one.hypothesis.tagged(off), seed, search, OTHERS_DRAWS if i else 1.0) for i, one in enumerate(tried)]
+        again = [one.hypothesis.tagged(off) for one in tried]
+        tried = _sampled(again[:1], seed, search, 1.0)
+        tried += _sampled(again[1:], seed, search, OTHERS_DRAWS, tried[0])
         drawn, picked, checked = _together(tried, seed, draws)
         told["time_s"] = f"{off:.2g} s (from the residuals)"
     modes = _notes(modes, drawn)
@@ -185,21 +190,31 @@ def posterior(
     return tree
 
 
-def _sampled(one: Hypothesis, seed: int, search: Search, part: float = 1.0) -> Sampled:
-    """The posterior under a hypothesis, about its modes."""
-    return Sampled(one, sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part))
+def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, first: Sampled | None = None) -> list[Sampled]:
+    """The posteriors under hypotheses, about their modes; the others than the `first` have their bends from it."""
+    made = []
+    for one in every:
+        bent, least = None, -np.inf
+        if first is not None:
+            pairs = zip(first.hypothesis.likelihood.model.unknowns, one.likelihood.model.unknowns, strict=False)
+            bent = first.drawn.bent.counted_in(np.array([wider.sigma / own.sigma for own, wider in pairs]))
+            least = first.drawn.evidence - one.log_prior + np.log(LOST)
+        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, bent, least)
+        made.append(Sampled(one, draws))
+    return made
 
 
 def _tried(stated: Hypothesis, seed: int, search: Search, chosen: Plan, scale: float, most_deg: float) -> list[Sampled]:
     """The model as stated and the others, sampled; those with a torque from a search of their own where there is cause."""
-    first, every = _sampled(stated, seed, search), list(others(stated, search, most_deg))
-    tried = [first, *(_sampled(one, seed, search, OTHERS_DRAWS) for one in likely(stated, every))]
+    (first,) = _sampled([stated], seed, search, 1.0)
+    every = list(others(first, search, most_deg))
+    tried = [first, *_sampled(likely(stated, every), seed, search, OTHERS_DRAWS, first)]
     checked = _together(tried[:1], seed, CHECKED)[2]
     fits = checked.p > ASKED_P and abs(checked.noise_sigmas) < ASKED_NOISE and mixed(tried).weight[0] > ASKED_WEIGHT
     if fits or not most_deg:
         return tried
     every = [searched(one, search, chosen, scale) if one.likelihood.model.frame else one for one in every]
-    return [first, *(_sampled(one, seed, search) for one in likely(stated, every))]
+    return [first, *_sampled(likely(stated, every), seed, search, 1.0)]
 
 
 def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.ndarray, Check]:

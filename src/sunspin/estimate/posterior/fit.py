@@ -101,11 +101,14 @@ class Fit:
                 return left
             search.only(on)
         for factor, steps in others:
+            if self.curved:
+                search.refresh()
             search.go(factor, steps)
         if self.free is None:
             search.fit_noise(self.normal)
         if self.curved:
             for _ in range(2):
+                search.refresh()
                 search.fit_noise()
                 search.steps(2)
         found = self._told(search)
@@ -130,7 +133,11 @@ class _Search:
         self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
         self._prior = np.concatenate([np.zeros(5), likelihood.model.precision])
         self._factor = 1.0
-        self._system = self._linearised((state.omega, state.sun, state.u))
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Linearise anew at the present state, the derivatives that steps keep too."""
+        self._system, self._kept = self._seen_from(self.state)
 
     @property
     def objective(self) -> np.ndarray:
@@ -154,18 +161,21 @@ class _Search:
     def steps(self, count: int) -> None:
         """Steps of least squares, begun anew."""
         found = least_squares(
-            self._linearised, self._moved, dense, (self.state.omega, self.state.sun, self.state.u), steps=count,
+            self._linearised, self._moved, dense, (self.state.omega, self.state.sun, self.state.u, self._kept), steps=count,
             system=self._system, longest=self._longest, limit=self._limited,
         )  # fmt: skip
-        self.state, self._system = State(*found.state), found.system
+        self.state, self._system = State(*found.state[:3]), found.system
 
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
-        self.state, self._system = self.state.take(rows), take(self._system, rows)
+        self.state, self._system, self._kept = self.state.take(rows), take(self._system, rows), self._kept[rows]
 
     def _linearised(self, state: tuple[np.ndarray, ...]) -> Dense:
-        base, raw, extra, jacobian = self.likelihood.linearised(State(*state), self.still)
-        return self._weighed(state[2], raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1))
+        return self._seen_from(State(*state[:3]), state[3])[0]
+
+    def _seen_from(self, state: State, kept: np.ndarray | None = None) -> tuple[Dense, np.ndarray]:
+        base, raw, extra, jacobian, kept = self.likelihood.linearised(state, self.still, kept)
+        return self._weighed(state.u, raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1)), kept
 
     def _judge(self) -> None:
         """Weigh the same differences anew, under another noise."""
@@ -201,10 +211,10 @@ class _Search:
 
     def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         move = self._whole(step)
-        return state[0] + move[:, :3], moved(state[1], move[:, 3:5]), state[2] + move[:, 5:]
+        return state[0] + move[:, :3], moved(state[1], move[:, 3:5]), state[2] + move[:, 5:], state[3]
 
     def _limited(self, state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        return shortened(state[0], self.likelihood.model.max_rate), state[1], np.clip(state[2], -FAR, FAR)
+        return shortened(state[0], self.likelihood.model.max_rate), state[1], np.clip(state[2], -FAR, FAR), state[3]
 
     def fit_noise(self, few: bool = False) -> None:
         """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm.

@@ -71,12 +71,14 @@ class First(NamedTuple):
     steady: np.ndarray
 
 
-def others(stated: Hypothesis, search: Search, most_deg: float) -> Iterator[Hypothesis]:
-    """The other hypotheses, fitted from the modes of the model as stated."""
-    likelihood, modes = stated.likelihood, stated.modes
-    starts = (modes.state, modes.hits) if modes.beyond is None else (
-        State.joined([modes.state, modes.beyond[0]]), np.concatenate([modes.hits, modes.beyond[1]])
-    )  # fmt: skip
+def others(first: Sampled, search: Search, most_deg: float) -> Iterator[Hypothesis]:
+    """The other hypotheses, fitted from the best mode of each ridge under the model as stated, and from what fits worse than modes
+    do."""
+    likelihood, modes, ridge = first.hypothesis.likelihood, first.hypothesis.modes, first.drawn.ridge
+    best = np.unique(ridge, return_index=True)[1]
+    parts = [(modes.state.take(best), np.bincount(ridge, weights=modes.hits).astype(np.int64)[ridge[best]])]
+    parts += [] if modes.beyond is None else [modes.beyond]
+    starts = State.joined([part for part, _ in parts]), np.concatenate([hits for _, hits in parts])
 
     def under(model: Model, what: str, log_prior: float, state: State) -> Hypothesis:
         other = replace(likelihood, model=model)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -37,7 +38,7 @@ UNIT_STEP = 1e-4
 
 UNIT_STEP_S, LARGEST_UNIT_STEP = 2700.0, 3e-3
 
-DERIVATIVE_ERROR, ROUGH_ERROR = 1e-8, 1e-6
+DERIVATIVE_ERROR, ROUGH_ERROR = 1e-7, 1e-6
 """Error of directions (rad) in runs that are subtracted from each other, and while hypotheses are still searched for: a likelihood
 whose own error is `SEARCH_ERROR` is asked only where steps lead."""
 
@@ -59,11 +60,21 @@ class Prediction:
         part = slice(low, high)
         return Prediction(self.sun[part], self.rate[part], self.omega[part], self.at[part], self.fine[part])
 
-    def slope(self, base: Prediction, step: float) -> Prediction:
-        """The derivative from a run whose unknown was moved by `step`."""
-        pairs = ((self.sun, base.sun), (self.rate, base.rate), (self.omega, base.omega), (self.at, base.at))
-        sun, rate, omega, at = ((a - b) / step for a, b in pairs)
-        return Prediction(sun, rate, omega, at, self.fine & base.fine)
+    @property
+    def seen(self) -> np.ndarray:
+        """All that differences depend on (n, K + 2 others, 3): `sun`, `omega`, `at`."""
+        return np.concatenate([self.sun, self.omega, self.at], axis=1) if self.at.shape[1] else self.sun
+
+
+class Linearised(NamedTuple):
+    """Prediction, differences (n, R) measured less predicted, their added variance (n, R), their derivatives (n, R, D), and
+    those of what is seen of the motion by the unknowns that have runs of their own (n, moving, seen, 3)."""
+
+    prediction: Prediction
+    raw: np.ndarray
+    extra: np.ndarray
+    jacobian: np.ndarray
+    kept: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -204,13 +215,13 @@ class Likelihood:
         cost = np.where(used, np.logaddexp(stated, outlier) - total, 0.0).sum(axis=1)
         return cost, s, np.where(used, np.exp(good - total), 0.0)
 
-    def linearised(self, state: State, still: bool = False) -> tuple[Prediction, np.ndarray, np.ndarray, np.ndarray]:
-        """Prediction, differences (n, R), their added variance (n, R) and the derivatives of the former (n, R, D).
+    def linearised(self, state: State, still: bool = False, kept: np.ndarray | None = None) -> Linearised:
+        """The differences about states, and how they change.
 
         In the order rates (rad/s), direction (tangent, rad), u. By differences of runs, so that the jump at a wheel's stop is
         in them; the direction's from one run more, as r0 -> r(t) is a rotation and does not depend on r0 (unless torques do: then
-        from two). `still` leaves the
-        unknowns that need a run of their own as they are.
+        from two). `still` leaves the unknowns that need a run of their own as they are. What they change of a motion changes slowly
+        with the motion, and most runs are theirs: their derivatives (n, moving, seen, 3) found at a state near by may be `kept`.
         """
         n, model = len(state), self.model
         window = self.data.reach_s
@@ -223,28 +234,38 @@ class Likelihood:
             runs += [State(state.omega, moved(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u) for x in np.eye(2)]
         else:
             runs.append(State(state.omega, e1, state.u))
-        first = len(runs) - 1
-        runs += [State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i]) for i in moving]
+        first = len(runs)
+        if kept is None:
+            runs += [State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i]) for i in moving]
         every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         raw, extra = self.misfit(base, state.u)
-        moves = [p.slope(base, step) for p in parts[:3]]
+        seen = base.seen
+        moves = [(p.seen - seen) / step for p in parts[:3]]
         if model.turned:
-            moves += [p.slope(base, RATE_STEP) for p in parts[3:5]]
+            moves += [(p.seen - seen) / RATE_STEP for p in parts[3:5]]
         else:
-            turned, rest = parts[3], np.zeros_like(base.rate)
-            moves.append(Prediction(turned.sun, rest, np.zeros_like(base.omega), turned.at, base.fine))
-            moves.append(Prediction(np.cross(base.sun, turned.sun), rest, moves[3].omega, np.cross(base.at, turned.at), base.fine))
-        moves += [p.slope(base, own[i]) for p, i in zip(parts[first:], moving, strict=True)]
+            moves.append(parts[3].seen * self._is_direction)
+            moves.append(np.cross(seen, moves[3]))
+        if kept is None:
+            answers = [(p.seen - seen) / own[i] for p, i in zip(parts[first - 1 :], moving, strict=True)]
+            kept = np.stack(answers, axis=1) if answers else np.zeros((n, 0, *seen.shape[1:]))
         power = self.power(base.sun, state.u)
         counts = self.data.used & (self.data.lit | (power > self.data.threshold))  # not a dark panel that should be dark
-        columns = self._along(base, state.u, moves, counts)
+        columns = self._along(base, state.u, [*moves, *(kept[:, j] for j in range(len(moving)))], counts)
         own_run = iter(columns[5:])
         each = range(state.u.shape[1])
         changes = self._standing(base, state.u, power)
         columns = columns[:5] + [next(own_run) if i in moving else self._column(changes(i), counts) for i in each]
         jacobian = np.stack(columns, axis=-1)
-        return base, raw, extra, np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
+        jacobian = np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
+        return Linearised(base, raw, extra, jacobian, kept)
+
+    @cached_property
+    def _is_direction(self) -> np.ndarray:
+        """1 where a `Prediction.seen` is a direction to the Sun, 0 where it is a rate (seen, 1)."""
+        count, others = len(self.data), len(self.data.others)
+        return np.repeat([1.0, 0.0, 1.0], [count, others, others])[:, None]
 
     def _steps(self, window_s: float) -> np.ndarray:
         """Steps (k) of the differences in the further unknowns."""
@@ -252,14 +273,16 @@ class Likelihood:
         turned = [max(x.sigma * window_s**2 / 2, RATE_STEP) if x.kind == "steady_torque" else 0.0 for x in self.model.unknowns]
         return np.array([RATE_STEP / turn if turn else own for turn in turned])
 
-    def _along(self, base: Prediction, u: np.ndarray, moves: list[Prediction], counts: np.ndarray) -> list[np.ndarray]:
-        """Derivatives (n, R) of the differences along derivatives of the motion; `counts` (n, K, P): readings that change."""
-        found, gain, tilt = [], self.gain(u), self.tilt(u)
-        slopes = self.response.along(base.sun, [move.sun for move in moves], gain=gain, tilt=tilt)
+    def _along(self, base: Prediction, u: np.ndarray, moves: list[np.ndarray], counts: np.ndarray) -> list[np.ndarray]:
+        """Derivatives (n, R) of the differences along those of the motion (n, K + 2 others, 3); `counts` (n, K, P): readings that
+        change."""
+        found, gain, tilt, count, others = [], self.gain(u), self.tilt(u), len(self.data), self.data.others
+        slopes = self.response.along(base.sun, [move[:, :count] for move in moves], gain=gain, tilt=tilt)
         for move, slope in zip(moves, slopes, strict=True):
             columns = [np.where(counts, -slope, 0.0).reshape(len(u), -1)]
-            for i, o in enumerate(self.data.others):
-                columns.append(-o.slope(base.at[:, i], base.omega[:, i], move.at[:, i], move.omega[:, i]) / o.sigma)
+            for i, o in enumerate(others):
+                omega, at = move[:, count + i], move[:, count + len(others) + i]
+                columns.append(-o.slope(base.at[:, i], base.omega[:, i], at, omega) / o.sigma)
             found.append(np.concatenate(columns, axis=1))
         return found
 

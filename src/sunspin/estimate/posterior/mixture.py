@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
@@ -36,9 +36,26 @@ class Sheet:
         return cls([*range(softs, 5), *bright], along, [*soft, *(5 + i for i in moving)])
 
     @property
+    def softs(self) -> int:
+        """How many are soft."""
+        return sum(i < 5 for i in self.along)
+
+    @property
     def terms(self) -> int:
         """How many monomials there are."""
-        return len(self.along) + len(self.bending) * (len(self.bending) + 1) // 2
+        return len(self.along) + len(self.products)
+
+    @property
+    def products(self) -> list[tuple[int, int]]:
+        """The pairs of coordinates whose products bend it, in the order of `monomials`."""
+        return [(one, other) for i, one in enumerate(self.bending) for other in self.bending[i:]]
+
+    def lent(self, other: Sheet, bend: np.ndarray) -> np.ndarray:
+        """The products' part (pairs, q) of the bend (M, q) of a sheet without some of the unknowns; these bend nothing."""
+        row = {pair: i for i, pair in enumerate(self.products)}
+        found = np.zeros((len(row), len(self.stiff)))
+        found[[row[pair] for pair in other.products]] = bend[len(other.along) :]
+        return found
 
 
 @dataclass(frozen=True)
@@ -72,6 +89,15 @@ class Mixture:
         columns = ("basis", "bend", "mean", "covariance", "weight")
         every = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
         return cls(centre=State.joined([part.centre for part in parts]), sheet=parts[0].sheet, **every)
+
+    def counted_in(self, units: np.ndarray) -> Mixture:
+        """The same where u (k) is counted in units so many times as large."""
+        size = np.concatenate([np.ones(5), units])
+        terms = np.concatenate([size[self.sheet.along], [size[i] * size[j] for i, j in self.sheet.products]])
+        bend = self.bend * terms[:, None] / size[self.sheet.stiff]
+        centre = replace(self.centre, u=self.centre.u / units)
+        covariance = self.covariance / (size[:, None] * size)
+        return replace(self, centre=centre, bend=bend, mean=self.mean / size, covariance=covariance)
 
     def coordinates(self, state: State, m: int) -> np.ndarray:
         """Bent coordinates (n, D) of states about component m."""

@@ -17,7 +17,7 @@ from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
-from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
 from sunspin.estimate.posterior.model import Model, State, Unknown
 from sunspin.solve.least_squares import shortened
 
@@ -29,6 +29,9 @@ FEW = 5
 
 FIRST_LEVELS, LEVELS, LAST_LEVELS = ((3.0, 2), (1.0, 2)), ((3.0, 2), (1.0, 3)), ((2.0, 3), (1.0, 8))
 """(factor on the noise, steps) of least squares on the first samples, while the window grows, and on all samples."""
+
+HASTE_LEVELS, HASTE_SLACK = ((2.0, 3), (1.0, 3)), 20.0
+"""The same on all samples where it is asked which hypotheses may become modes, and by how much these may be worse than modes."""
 
 SLACK = 10.0
 """What a true motion's misfit may have beyond three sigmas of its expectation: one or two readings that are no good."""
@@ -76,6 +79,9 @@ BEYOND = 40
 
 SIZES_FITTED = (1, 3, 5)
 """Which of the sigmas of a steady torque fits are under, one after the other; what lies between is near enough."""
+
+LEAST_CHUNK = 64
+"""Rows that are worth a thread."""
 
 INSIDE = 0.95
 """Part of the largest rate at which modes begin that lie beyond it: draws about them stay inside."""
@@ -213,6 +219,7 @@ class Search:
         """All rows of a function, kept in a folder of its own."""
         store = None if self.store is None else self.store / f"{self.stage:02d}-{label.replace(' ', '-')}"
         self.stage += 1
+        chunk = min(chunk, max(LEAST_CHUNK, -(-function.n_rows // worker_count(self.workers))))  # work for all
         return ensemble(function, workers=self.workers, chunk=chunk, store=store, progress=self.progress, label=label)
 
     def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
@@ -220,7 +227,7 @@ class Search:
         near = data.take(chosen.tried)
         tried = replace(near, others=())
         # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
-        free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_untorqued(model))
+        free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_of_the_vehicle(model))
         grid = c.Attitudes(free, tried.t_s, chosen.edge)
         turn = self.run(grid, "grid of rates", 8192)["turn"]
         cells = c.Starts(grid, turn, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
@@ -305,9 +312,11 @@ class Search:
             return self.refined(likelihood, state, hits, trace, notes)
         return distinct(*self._curved(likelihood, state, hits), trace, notes)
 
-    def _curved(self, likelihood: Likelihood, state: State, hits: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    def _curved(
+        self, likelihood: Likelihood, state: State, hits: np.ndarray, levels: Levels = LAST_LEVELS
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Fits to all samples with their curvatures, and how many starts came together in each."""
-        found = self.fit(replace(likelihood, direction_error=1e-6), state, LAST_LEVELS, "all samples", every=True, curved=True)
+        found = self.fit(replace(likelihood, direction_error=1e-6), state, levels, "all samples", every=True, curved=True)
         found["share"] = np.full(len(found["cost"]), likelihood.model.share)
         return found, np.tile(hits, len(found["cost"]) // len(hits))
 
@@ -316,14 +325,23 @@ class Search:
         if not likelihood.model.frame:
             return distinct(*self._curved(likelihood, state, hits), trace, notes)
         parts, shares = [], likelihood.model.shares
-        for share in dict.fromkeys(shares[min(i, len(shares) - 1)] for i in SIZES_FITTED):
+        fitted = list(dict.fromkeys(shares[min(i, len(shares) - 1)] for i in SIZES_FITTED))
+        state, hits = self._hopeful(likelihood, state, hits, fitted[-1])
+        for share in reversed(fitted):
             sized = replace(likelihood, model=replace(likelihood.model, share=share))
-            found, starts = self._curved(sized, state, hits)
+            found, starts = self._curved(sized, state, hits, LAST_LEVELS[1:])
             state = State(found["omega"], found["sun"], found["u"]).take(slice(len(state)))
             found["cost"] += 3 * np.log(share)  # the prior's height: a small torque is no wonder where small ones are expected
             parts.append((found, starts))
         every = {name: np.concatenate([found[name] for found, _ in parts]) for name in parts[0][0]}
         return distinct(every, np.concatenate([starts for _, starts in parts]), trace, notes, len(parts))
+
+    def _hopeful(self, likelihood: Likelihood, state: State, hits: np.ndarray, share: float) -> tuple[State, np.ndarray]:
+        """The states that may become modes, fitted in haste under one sigma of a steady torque, and the starts that led to each."""
+        sized = replace(likelihood, direction_error=SEARCH_ERROR, model=replace(likelihood.model, share=share))
+        found = self.fit(sized, state, HASTE_LEVELS, "all samples in haste")
+        keep = found["cost"] < found["cost"].min() + DROP + HASTE_SLACK
+        return State(found["omega"], found["sun"], found["u"]).take(keep), hits[keep]
 
 
 def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes: list[str], times: int = 1) -> Modes:
@@ -382,8 +400,9 @@ def _widened(state: State, model: Model, kept: np.ndarray) -> State:
     return replace(state, u=u)
 
 
-def _untorqued(model: Model) -> tuple[Unknown, ...]:
-    return tuple(x for x in model.unknowns if x.kind not in ("turn", "steady_torque"))
+def _of_the_vehicle(model: Model) -> tuple[Unknown, ...]:
+    """Unknowns without which all motions are of the vehicle's own body: one for all runs faster than one for each."""
+    return tuple(x for x in model.unknowns if x.kind in ("wheel_speed", "wheel_off"))
 
 
 def _anything(model: Model, chosen: Plan) -> State:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
-from scipy.stats import genpareto
 
 from sunspin.estimate.posterior.fit import Fit, asked
 from sunspin.estimate.posterior.likelihood import Likelihood
@@ -34,6 +34,10 @@ WANTED = 3_000.0
 
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
+
+LENT, LENT_ROUNDS, LENT_SHARE = 0, 3, 0.1
+"""In the place of soft directions where bends are another model's; rounds in which such a mixture learns, and the share that is
+good enough: its hypothesis seldom has the most weight, and to find bends costs more than draws."""
 
 WIDER = 1.3
 """Factor on the covariances of Laplace's method at first."""
@@ -89,9 +93,10 @@ class Weigh:
 class Sample:
     """Draws of the last round with their log weights (not normalised), log-likelihood, region, and how good they are.
 
-    `region` (n) counts from 0 by falling weight; `of_component` (m) is that of each component; `effective`: as many draws of the
+    `region` (n) counts from 0 by falling weight; `of_mode` (modes) is that of each mode; `effective`: as many draws of the
     posterior itself; `tail`: Pareto's k of the largest weights, above 0.7 not to be trusted; `evidence` (log);
-    `trace` (rounds, 3): log evidence, effective share, k.
+    `trace` (rounds, 3): log evidence, effective share, k. `bent`: the components about modes, bent along their ridges, and
+    `ridge` (modes): on which of them each lies.
     """
 
     state: State
@@ -104,56 +109,76 @@ class Sample:
     tail: float
     evidence: float
     trace: np.ndarray
+    bent: Mixture
+    ridge: np.ndarray
 
 
-def sample(likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int, part: float = 1.0) -> Sample:
+def sample(
+    likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int, part: float = 1.0, bent: Mixture | None = None,
+    least: float = -np.inf,
+) -> Sample:  # fmt: skip
     """The posterior around the modes; `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
-    Where sheets with one soft direction do not become good, others with two are learnt too, and both propose.
+    Where sheets with one soft direction do not become good, others with two are learnt too, and both propose. `bent`: components
+    of the same motions under a model with fewer unknowns, whose bends are taken instead of found; where these do not become good
+    enough, sheets are learnt as otherwise. `least`: the log evidence below which nobody asks how good the draws are.
     """
     tracks: list[_Track] = []
-    for softs in SOFTS:
-        tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part))
-        if tracks[-1].share > GOOD_SHARE:
+    for softs in SOFTS if bent is None else (LENT, *SOFTS):
+        lent = bent if softs == LENT else None
+        tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part, lent, least))
+        if tracks[-1].good is not None:
             break
     worth = np.array([track.share for track in tracks])
-    blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
-    count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
-    last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
-    trace = [*(row for track in tracks for row in track.trace), [last.evidence, last.effective / count, last.tail]]
+    best = int(np.argmax(worth))
+    last, trace = tracks[-1].good, [row for track in tracks for row in track.trace]
+    if last is None:
+        blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
+        count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
+        last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
+        trace.append([last.evidence, last.effective / count, last.tail])
     label, of_component = regions(last.log_weight, last.parts, last.density)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
         last.state, last.log_weight, last.log_likelihood, label, share, of_component[tracks[0].of_mode], last.effective, last.tail,
-        last.evidence, np.array(trace),
+        last.evidence, np.array(trace), tracks[best].first, tracks[best].of_mode,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class _Track:
-    """What was learnt with sheets of one kind: a mixture, the component of each mode, the best share of draws, the trace."""
+    """What was learnt with sheets of one kind: a mixture, the component of each mode, the best share of draws, the trace, the
+    components that it began with, and the last round, if its draws are good."""
 
     mixture: Mixture
     of_mode: np.ndarray
     share: float
     trace: list[list[float]]
+    first: Mixture
+    good: _Round | None
 
 
-def _taught(likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int, part: float) -> _Track:
-    """Rounds of draws from which a mixture learns; its first components stand first in it."""
-    first, of_mode = _first(likelihood, modes, softs, seed, run, chunk)
+def _taught(
+    likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int, part: float, bent: Mixture | None,
+    least: float,
+) -> _Track:  # fmt: skip
+    """Rounds of draws from which a mixture learns; its first components stand first in it. `bent` and `least` as in `sample`."""
+    first, of_mode = _first(likelihood, modes, softs, seed, run, chunk, bent)
     mixture, tried, trace = first, [], []
-    begin, count = SOFTS.index(softs) * ROUNDS, int(part * DRAWS)
-    for turn in range(ROUNDS):
+    count, good = int(part * DRAWS), None
+    begin = (SOFTS.index(softs) if bent is None else len(SOFTS) + 1) * ROUNDS
+    rounds, wanted = (ROUNDS, GOOD_SHARE) if bent is None else (LENT_ROUNDS, LENT_SHARE)
+    for turn in range(rounds):
         made = _round(likelihood, mixture, count, seed, begin + turn, run, chunk)
         trace.append([made.evidence, made.effective / count, made.tail])
         tried.append((made.effective / count, mixture))
-        if made.effective > GOOD_SHARE * count:
+        if made.effective > wanted * count or (turn and max(row[0] for row in trace) < least):
+            good = made
             break
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
         mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
     share = max(share for share, _ in tried)
-    return _Track(tried[-1][1] if share > GOOD_SHARE else pooled(tried), of_mode, share, trace)
+    return _Track(pooled(tried) if good is None else mixture, of_mode, share, trace, first, good)
 
 
 def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
@@ -208,21 +233,42 @@ def pareto_tail(log_weight: np.ndarray) -> float:
     beyond = weight[-count:] - weight[-count - 1]
     if beyond[-1] <= 0 or beyond.mean() < 1e-12 * weight[-1]:
         return -1.0  # all alike
-    return float(genpareto.fit(beyond / beyond.mean(), floc=0)[0])
+    return _shape(beyond / beyond.mean())
+
+
+def _shape(x: np.ndarray) -> float:
+    """Shape k of the likeliest generalised Pareto law: with t = k / scale, k = mean log(1 + t x), which leaves t alone
+    to be sought (Grimshaw 1993)."""
+
+    def cost(at: float) -> float:
+        t = np.expm1(at) / x.max()
+        k = float(np.mean(np.log1p(t * x)))
+        return k + (np.log(k / t) if abs(at) > 1e-9 else float(np.log(x.mean())))
+
+    steps = np.concatenate([-np.geomspace(5.0, 1e-3, 40), np.geomspace(1e-3, 8.0, 40)])
+    best = int(np.argmin([cost(at) for at in steps]))
+    around = steps[max(best - 1, 0)], steps[min(best + 1, len(steps) - 1)]
+    at = minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-6}).x
+    return float(np.mean(np.log1p(np.expm1(at) / x.max() * x)))
 
 
 def _first(
-    likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int
+    likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int, bent: Mixture | None = None
 ) -> tuple[Mixture, np.ndarray]:
     """Components by Laplace's method, bent along their ridges; and the component that each mode belongs to.
 
-    Modes on the ridge of a better one are not given a component of their own.
+    Modes on the ridge of a better one are not given a component of their own. `bent` as in `sample`.
     """
-    model, d = likelihood.model, modes.hessian.shape[1]
+    model, d, reach = likelihood.model, modes.hessian.shape[1], likelihood.data.reach_s
     least = np.diag(np.concatenate([np.full(3, model.max_rate**-2), np.ones(2), np.zeros(d - 5)]))
     laplace = np.linalg.inv(modes.hessian + least)
-    sheet = Sheet.of(d, softs, model.moving, model.where("scale"))
-    parts = [_straight(0.5 * (c + c.T), likelihood.data.reach_s, sheet) for c in laplace]
+    laplace = 0.5 * (laplace + np.swapaxes(laplace, 1, 2))
+    sheet = Sheet.of(d, softs if bent is None else bent.sheet.softs, model.moving, model.where("scale"))
+    if bent is None:
+        parts = [_straight(c, _basis(c, reach), sheet) for c in laplace]
+    else:
+        near = [_nearest(bent.centre, modes.state.take([m]), reach) for m in range(len(laplace))]
+        parts = [_straight(c, bent.basis[k], sheet, bent, k) for c, k in zip(laplace, near, strict=True)]
     basis, bend, covariance = (np.array(every) for every in zip(*parts, strict=True))
     owner = np.arange(len(covariance))
     alike = np.ones(len(covariance))
@@ -233,7 +279,7 @@ def _first(
             if off @ np.linalg.solve(covariance[k], off) < ON_RIDGE * d:
                 owner[m] = k
                 break
-        if owner[m] == m:
+        if owner[m] == m and bent is None:
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, SOFTS.index(softs) * len(modes.objective) + m)))
             _follow_ridge(likelihood, mixture, m, rng, run, chunk)
     kept = np.flatnonzero(owner == np.arange(len(owner)))
@@ -270,24 +316,33 @@ def _over_sizes(model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.nda
     return found, np.array([one[1] for one in kept]), index
 
 
-def _straight(laplace: np.ndarray, reach_s: float, sheet: Sheet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Basis, linear bend and covariance in bent coordinates of one covariance (D, D).
+def _nearest(centre: State, one: State, reach_s: float) -> int:
+    """Which of the states (m) is the nearest to one by what they turn in `reach_s` and by direction."""
+    turn = np.linalg.norm(centre.omega - one.omega, axis=1) * reach_s
+    return int(np.argmin(turn**2 + np.sum((centre.sun - one.sun) ** 2, axis=1)))
 
-    With u held, the soft directions are those of largest variance, rates counted as what they turn in `reach_s`.
-    """
-    d = len(laplace)
+
+def _basis(laplace: np.ndarray, reach_s: float) -> np.ndarray:
+    """Basis (5, 5) of one covariance (D, D): with u held, directions by falling variance, rates as what they turn in `reach_s`."""
     size = np.diag([reach_s] * 3 + [1.0] * 2)
     slope = np.linalg.solve(laplace[5:, 5:], laplace[5:, :5]).T
     alone = size @ (laplace[:5, :5] - slope @ laplace[5:, :5]) @ size
-    values, vectors = np.linalg.eigh(0.5 * (alone + alone.T))
-    basis = vectors[:, ::-1].T @ size
-    whole = np.eye(d)
+    return np.linalg.eigh(0.5 * (alone + alone.T))[1][:, ::-1].T @ size
+
+
+def _straight(
+    laplace: np.ndarray, basis: np.ndarray, sheet: Sheet, bent: Mixture | None = None, k: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Basis, linear bend and covariance in bent coordinates of one covariance (D, D); products as in component `k` of `bent`."""
+    whole = np.eye(len(laplace))
     whole[:5, :5] = basis
     covariance = whole @ laplace @ whole.T
     along, stiff = sheet.along, sheet.stiff
     answer = np.linalg.solve(covariance[np.ix_(along, along)], covariance[np.ix_(along, stiff)])
     bend = np.zeros((sheet.terms, len(stiff)))
     bend[: len(along)] = answer
+    if bent is not None:
+        bend[len(along) :] = sheet.lent(bent.sheet, bent.bend[k])
     left = covariance[np.ix_(stiff, stiff)] - covariance[np.ix_(stiff, along)] @ answer
     covariance[stiff, :], covariance[:, stiff] = 0.0, 0.0
     covariance[np.ix_(stiff, stiff)] = 0.5 * (left + left.T)
@@ -381,5 +436,3 @@ def resampled(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.nd
     edges = np.cumsum(np.exp(log_weight - logsumexp(log_weight)))
     which = np.minimum(np.searchsorted(edges, (np.arange(n) + rng.random()) / n * edges[-1]), len(edges) - 1)
     return rng.permutation(which)
-
-

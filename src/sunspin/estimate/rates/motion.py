@@ -157,12 +157,16 @@ def _sphere(
     return matrix, rate(1.0)
 
 
-def steps_of(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
-    """Runge-Kutta steps (...) for intervals that begin at rates `omega` (..., 3)."""
+def angle_turned(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
+    """rad (...) by which body and rate turn at most in intervals `dt` (...) that begin at rates `omega` (..., 3)."""
     wheels = [nutation(body, part) for part in (ends.momentum, ends.momentum_end) if part is not None]
     swing = np.max(wheels, axis=0) if wheels else 0.0
-    angle = (np.linalg.norm(omega, axis=-1) + swing + body.swing()) * np.abs(dt)
-    return np.clip(np.ceil(angle / STEP_ANGLE), 2, MAX_STEPS).astype(np.int64)
+    return (np.linalg.norm(omega, axis=-1) + swing + body.swing()) * np.abs(dt)
+
+
+def steps_of(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
+    """Runge-Kutta steps (...) for intervals that begin at rates `omega` (..., 3)."""
+    return np.clip(np.ceil(angle_turned(body, omega, dt, ends) / STEP_ANGLE), 2, MAX_STEPS).astype(np.int64)
 
 
 def _runge_kutta(
