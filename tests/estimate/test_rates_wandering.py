@@ -82,7 +82,7 @@ def motions(sun):
 def test_a_swinging_is_not_taken_for_an_even_turn():
     what, omega, weight = motions(swinging(0.4) @ unit(np.random.default_rng(1)))
     assert what == SWINGS_QUICKLY and weight > 0.9
-    assert np.abs(omega).max() < np.radians(0.2)
+    assert np.abs(omega).max() < np.radians(0.5)  # four sigmas of the mean of such swings
 
 
 def test_an_even_turn_is_not_taken_for_a_swinging():
