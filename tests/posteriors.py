@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.posterior.model import State, model
+from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.vehicle import Vehicle
 
 
@@ -39,16 +40,16 @@ def tree_of(
 
 
 def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> tuple[xr.DataTree, State]:
-    """n draws about the truth of Philae's twin, rates scattered by `spread` rad/s, other unknowns by half a prior sigma of it."""
-    import sunspin as ss
+    """n draws about the truth of Philae's twin with panels as drawn, rates scattered by `spread` rad/s, other unknowns by half a
+    prior sigma of it."""
+    from philae_sun import AS_DRAWN as case
+    from philae_sun import FORMER_TRUTH
 
-    case = ss.load_case("philae")
     rng = np.random.default_rng(seed)
-    unknown, _ = model(case.vehicle, {}, 1.0)
-    truth = np.array([-0.27192695041611875, 0.07402801118755606, 0.08002021328194733])
-    sun = np.array([0.1959, 0.569, 0.7986])
+    unknown, _ = model(case.vehicle, AS_DRAWN, 1.0)
+    truth, sun = (np.array(FORMER_TRUTH[key]) for key in ("omega_B", "sun_B"))
     u = 0.5 * rng.standard_normal((n, len(unknown.unknowns))) * (spread > 0)
     u[:, unknown.where("scale")] = np.log(0.02)
     state = State(truth + spread * rng.standard_normal((n, 3)), np.tile(sun / np.linalg.norm(sun), (n, 1)), u)
     last = float(case.telemetry["time"].values[case.telemetry["phase"].values == "first_rebound"][-1])
-    return tree_of(case.vehicle, state, {}, 25200.0, last, 23, epoch_utc="2014-11-12T08:35:00Z"), state
+    return tree_of(case.vehicle, state, AS_DRAWN, 25200.0, last, 23, epoch_utc="2014-11-12T08:35:00Z"), state

@@ -37,6 +37,7 @@ from sunspin.estimate.posterior.fit import FILES
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model, rate_and_direction
 from sunspin.estimate.posterior.modes import standing
+from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Vehicle, load_vehicle
@@ -49,8 +50,9 @@ QUANTITIES = ("omega_x", "omega_y", "omega_z", "momentum", "theta", "alpha", "lo
 KNOWN = {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
 
 TURNED = {"tilt": float(np.radians(1.0)), "tilt_common": float(np.radians(5.0))}
-TILTS = {"tilted": {"tilt": float(np.radians(5.0))}, "turned": TURNED, "untold": TURNED}
-"""Sigmas by which panels stand off. Those of "turned" make E and Delta of Philae's descent as published."""
+TILTS = {"tilted": AS_DRAWN | {"tilt": float(np.radians(5.0))}, "turned": TURNED, "untold": TURNED}
+"""Sigmas by which panels stand off, whatever the vehicle's file says. Those of "turned" make E and Delta of Philae's descent as
+published."""
 
 JITTER_S = 6.0
 """Sample times are irregular by up to this."""
@@ -83,7 +85,7 @@ def make(
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate, "steady_torque": 0.0} | (KNOWN if kind == "known" else {})
-    priors |= TILTS.get(kind, {})
+    priors |= TILTS.get(kind, AS_DRAWN)
     scale = vehicle.require_noise() / (0.02 * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, priors, scale)
     truth = prior_truth(unknown, rng)
@@ -98,7 +100,7 @@ def make(
         truth = _at_first_tag(unknown, truth, float(telemetry["time"].values[0]) - float(t[0]))
     if kind == "untold":
         unknown, kept = standing(unknown)
-        truth, priors = replace(truth, u=truth.u[:, kept]), {key: value for key, value in priors.items() if key not in TURNED}
+        truth, priors = replace(truth, u=truth.u[:, kept]), priors | AS_DRAWN
     return telemetry, truth, unknown, priors
 
 

@@ -23,7 +23,6 @@ from sunspin.philae.twin_philae import CELL_W, keep_direction
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.synthetic import generator, noisy_power
-from sunspin.vehicle.response.panels import panel_power
 
 STILL = (0.0, 0.0, 0.0)
 TUMBLING = (0.35, -0.2, 0.15)
@@ -31,15 +30,14 @@ TUMBLING = (0.35, -0.2, 0.15)
 
 
 def with_motion(case: Case, omega_B: Any, wheel_mode: str = "coast", seed: int = 0, noise: float | None = None) -> xr.Dataset:
-    """The case's telemetry with the first rebound of a lander that turns at `omega_B` (rad/s) at its first sample."""
+    """The case's telemetry and panels, with the first rebound of a lander that turns at `omega_B` (rad/s) at its first sample."""
     data = case.telemetry.copy(deep=True)
     inside = np.flatnonzero(data["phase"].values == "first_rebound")
-    t = data["time"].values[inside]
-    run = propagate(
-        case.vehicle, omega_B, rb.first_sun(case), rb.nominal_speed(case.vehicle), t - t[0], wheel_mode=wheel_mode, rtol=1e-9
-    )
-    sun = run["sun_B"].values
-    exact = CELL_W * panel_power(case.vehicle, sun)
+    t, known = data["time"].values[inside], rb.twin_file(case)
+    speed = rb.nominal_speed(case.vehicle)
+    run = propagate(case.vehicle, omega_B, known["sun_B"], speed, t - t[0], wheel_mode=wheel_mode, rtol=1e-9)
+    sun, tilt = run["sun_B"].values, np.array(known["tilt_B_rad"]).reshape(-1, 3)
+    exact = CELL_W * case.vehicle.response_in().power(sun, tilt=tilt)
     sigma = case.vehicle.require_noise() if noise is None else noise
     power = noisy_power(case.vehicle, exact, sigma, generator(seed, 20))
     power[0] = keep_direction(case.vehicle, sun[0], exact[0], power[0])

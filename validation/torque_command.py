@@ -22,6 +22,7 @@ from sunspin.compute.campaign import kept, rows_folder
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.estimate import posterior
 from sunspin.estimate.posterior.model import model
+from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle, load_vehicle
 from validation.calibrate import prior_truth
@@ -82,7 +83,7 @@ def make(craft: Vehicle, level: str, seed: int, i: int) -> Made:
     own = craft is BOX
     interval, n = (float(np.exp(rng.uniform(*np.log(INTERVALS_S)))), SAMPLES) if own else (20.0, 16)
     t = interval * np.arange(n) + np.concatenate([[0.0], rng.uniform(-1, 1, n - 1)]) * interval / 4
-    priors = {"max_rate_rad_s": min(0.25, TURN / interval)}
+    priors = {"max_rate_rad_s": min(0.25, TURN / interval)} | AS_DRAWN
     scale = craft.require_noise() / (0.02 * float(craft.panel_gains.max()))
     unknown, _ = model(craft, priors, scale)
     truth = prior_truth(unknown, rng)

@@ -47,7 +47,7 @@ def test_no_arguments_show_the_help(sunspin):
 @pytest.mark.evidence("check", "modelled", "samples with a panel that reads nothing")
 def test_check_tells_which_panel_would_explain_impossible_patterns(sunspin):
     """The paper's own conclusion: after the second touchdown panel 1 was shaded."""
-    telemetry = Path(cli.__file__).parents[1] / "cases" / "philae" / "telemetry.csv"
+    telemetry = Path(__file__).parents[1] / "philae" / "panels_as_drawn.csv"
     code, out, _ = sunspin("check", "philae", telemetry, "--json")
     about = json.loads(out)["telemetry"]
     assert code == 0 and about["synthetic"] is True

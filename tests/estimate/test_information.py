@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import sunspin as ss
+from philae_sun import AS_DRAWN
 from posteriors import philae_draws
 from sunspin.base.errors import InputError
 from sunspin.estimate.information import Information, exact_readings, rate_volume, speed_sigma
@@ -70,7 +70,7 @@ def test_the_volume_is_that_of_an_ellipsoid_which_holds_ninety_percent():
 
 
 def test_what_each_observation_of_philaes_twin_contributes():
-    case, (tree, _) = ss.load_case("philae"), philae_draws(3)
+    case, (tree, _) = AS_DRAWN, philae_draws(3)
     table = contributions(case.vehicle, case.telemetry, tree, philae_extras(case.vehicle, tree))
     size = {line.what: line.volume for line in table}
     base = size.pop("everything")

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sunspin as ss
+from philae_sun import AS_DRAWN, FORMER_TRUTH
 from posteriors import philae_draws
 from sunspin.base.errors import InputError
+from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import intervals, predict
 from sunspin.landing.afterwards import predicted
@@ -22,7 +23,7 @@ TOUCHDOWN, COLLISION, LATER = 25143.98, 27900.0, 31800.0
 
 @pytest.fixture(scope="module")
 def craft():
-    return ss.load_case("philae").vehicle
+    return AS_DRAWN.vehicle
 
 
 @pytest.mark.evidence("posterior", "verified", "predictions against the reference propagator, through the stop and backward")
@@ -31,7 +32,7 @@ def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
     tree, state = philae_draws(3, 0.003)
     times = [TOUCHDOWN, 25200.0, 27000.0, LATER]
     found = predict(craft, tree, times)
-    unknown, _ = model(craft, {}, 1.0)
+    unknown, _ = model(craft, tilt.AS_DRAWN, 1.0)
     body = unknown.bodies(state.u)
     for i in range(3):
         wheel = replace(craft.wheels[0], friction=Friction(float(body.coulomb_N_m[i, 0]), float(body.viscous_N_m_s[i, 0])))
@@ -50,8 +51,7 @@ def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
 
 def test_the_twins_truth_before_and_after_its_collision(craft):
     """One draw at the truth: 16:20 is as in the twin's file, and what comes after is one of the three legs' many outcomes."""
-    case = ss.load_case("philae")
-    truth = tomllib.loads((case.folder / "twin_truth.toml").read_text("utf-8"))
+    truth = FORMER_TRUTH
     tree, _ = philae_draws(400)
     found = predicted(craft, tree, [COLLISION, LATER], seed=3)
     assert found["after_collision"].values.tolist() == [False, True] and "leg" in found.attrs["collision"]

@@ -32,6 +32,7 @@ from sunspin.estimate.posterior.data import Readings, readings
 from sunspin.estimate.posterior.model import Model, State, model, rate_and_direction
 from sunspin.estimate.posterior.modes import Plan, Search
 from sunspin.estimate.posterior.predict import run_to
+from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Panel, Vehicle
@@ -95,7 +96,7 @@ def with_more_panels(vehicle: Vehicle) -> Vehicle:
 def widths(vehicle: Vehicle, count: int = MOTIONS, seed: int = 0) -> Widths:
     """Laplace's widths of `count` motions for all periods, noises and sets of panels."""
     more = with_more_panels(vehicle)
-    unknown, _ = model(more, {"max_rate_rad_s": 2 * MAX_RATE}, 1.0)
+    unknown, _ = model(more, {"max_rate_rad_s": 2 * MAX_RATE} | AS_DRAWN, 1.0)
     finest = int(PERIODS_S[0])
     t = np.arange(0.0, WINDOW_S + 0.5 * finest, finest)
     full = float(vehicle.panel_gains.max())
@@ -147,7 +148,7 @@ def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, 
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, i)))
     scale = vehicle.require_noise() / (USUAL_NOISE * float(vehicle.panel_gains.max()))
-    unknown, _ = model(vehicle, {"max_rate_rad_s": 2.0}, scale)
+    unknown, _ = model(vehicle, {"max_rate_rad_s": 2.0} | AS_DRAWN, scale)
     state = motions(unknown, 1, ALIAS_RATE, int(rng.integers(2**31)))[0]
     t = np.arange(0.0, WINDOW_S + 1.0, period_s)
     jitter = rng.uniform(-IRREGULAR, IRREGULAR, len(t) - 1)

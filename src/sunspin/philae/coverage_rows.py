@@ -1,9 +1,9 @@
 """The paper's whole method on one twin after another: a truth, its samples, the scan, the set, its lines, the lower bound.
 
 A twin here is the first rebound alone. Its truth is drawn on the published lines or anywhere in the scanned box; the direction
-at the first sample is the published one, known without error as in the scan; sample times, noise and what the panels allow to
-reconstruct are those of the synthetic telemetry (:mod:`sunspin.philae.twin_philae`). The motions of the grid are run once for
-all twins (:mod:`sunspin.estimate.scan.table`).
+shown at the first sample is the published one, without noise as in the scan; sample times, noise and what the panels allow to
+reconstruct are those of the synthetic telemetry (:mod:`sunspin.philae.twin_philae`), and so is how far the panels stand off. The
+motions of the grid are run once for all twins (:mod:`sunspin.estimate.scan.table`).
 """
 
 from __future__ import annotations
@@ -24,20 +24,17 @@ from sunspin.estimate.scan.lines import distances, fit_lines, line_deviation, ma
 from sunspin.estimate.scan.rows import distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.philae import rebound as rb
-from sunspin.philae.twin_philae import CELL_W, keep_direction, rebound_times
+from sunspin.philae.twin_philae import CELL_W, MAX_DRAWS, drawn_panels, keep_direction, rebound_times
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.telemetry.synthetic import noisy_power
 from sunspin.vehicle.changes import Change
-from sunspin.vehicle.response.panels import panel_power
 
 PRIORS = ("lines", "grid")
 """Where truths are drawn: omega_z even over `rebound.LINE_RANGE` on one of the published lines, or even over the scanned box."""
 
 LEAST_TOLD = 8
 """Twins with fewer directions than this are drawn again: nobody would have fitted them."""
-
-MAX_DRAWS = 200
 
 LEVELS = np.round(np.arange(0.005, 0.1505, 0.001), 3)
 """Thresholds on EMD at which the size of the level set and its smallest speed are kept."""
@@ -202,12 +199,13 @@ def _draw_truth(case: Case, prior: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def samples_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The measured z components of a rebound with this rate at the first sample: times and noise as the landing's twin."""
+    """The measured z components of a rebound with this rate at the first sample: times, noise and panels as the landing's twin."""
     vehicle = case.vehicle
     t = rebound_times(case, rng)
-    run = propagate(vehicle, truth, rb.first_sun(case), rb.nominal_speed(vehicle), t - t[0], rtol=1e-9)
+    tilt, first = drawn_panels(vehicle, rb.first_sun(case), rng)
+    run = propagate(vehicle, truth, first, rb.nominal_speed(vehicle), t - t[0], rtol=1e-9)
     true = run["sun_B"].values
-    exact = CELL_W * panel_power(vehicle, true)
+    exact = CELL_W * vehicle.response_in().power(true, tilt=tilt)
     power = noisy_power(vehicle, exact, vehicle.telemetry.noise or 0.0, rng)
     power[0] = keep_direction(vehicle, true[0], exact[0], power[0])
     sun = sun_directions(vehicle, power)

@@ -71,12 +71,14 @@ def compute(
 
 
 def truth_emd(case: Case, measured_z: np.ndarray, weights: np.ndarray | None) -> dict[str, Any]:
-    """For a twin: its true rate at the first sample after touchdown and the EMD that the truth itself reaches."""
-    truth = rb.twin_truth(case)
-    if truth is None:
+    """For a twin: its true rate and Sun at the first sample after touchdown, and the EMD that a scan finds at this rate, from the
+    direction that the panels show."""
+    known = rb.twin_file(case)
+    if not known:
         return {}
-    z = rb.seen_z(case, truth)
-    return {"omega_B": truth, "emd": emd(z, measured_z, weights_b=weights), "z": z}
+    omega, sun = (np.array(known[key]) for key in ("omega_B", "sun_B"))
+    z = rb.seen_z(case, omega)
+    return {"omega_B": omega, "sun_B": sun, "emd": emd(z, measured_z, weights_b=weights), "z": z}
 
 
 def rows(result: LevelSet) -> list[Row]:
@@ -85,7 +87,7 @@ def rows(result: LevelSet) -> list[Row]:
     whose = "synthetic telemetry" if result.synthetic else "this telemetry"
     told = f"{len(near.points)} grid points below {near.factor} times the smallest"
     if truth:
-        told += f"; the truth of the synthetic telemetry reaches {truth['emd']:.4f}"
+        told += f"; at the true rate of the synthetic telemetry it is {truth['emd']:.4f}"
     count, runs = len(rb.published_lines(case)), int(near.emd.size)
     each = ", ".join(f"L{i + 1} {deviation['mean']:.3f}" for i, deviation in enumerate(near.deviation))
     each = f"mean distances of the fitted lines (rad/s): {each}" if each else "too few points in the set for four lines"

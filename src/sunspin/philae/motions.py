@@ -6,7 +6,7 @@ in which direction, is drawn once (`twin_philae.collision`) and the same for all
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,7 +74,8 @@ def chosen(chain: Chain, scan: LevelSet) -> dict[str, tuple[Rows, str]]:
     """Name -> (one state at the candidates' instant, why this one)."""
     rebound, found = chain.rebound, {}
     if scan.truth:
-        found["Truth"] = (rebound.states(scan.truth["omega_B"]), "the motion from which the synthetic telemetry was made")
+        start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
+        found["Truth"] = (start, "the motion from which the synthetic telemetry was made")
     best = int(np.argmin(scan.scan.emd))
     found["Best fit"] = (
         scan.scan.table.rows.start.take(np.array([best])),

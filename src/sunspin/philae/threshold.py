@@ -16,19 +16,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import binom
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.posterior.tilt import stated_sigma
+from sunspin.estimate.scan.coverage import holding
 from sunspin.estimate.scan.rows import BINS, distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
-from sunspin.philae.coverage import CONFIDENCE, check_confidence
-from sunspin.philae.twin_philae import behind, panel_turns
+from sunspin.philae.coverage import CONFIDENCE
+from sunspin.philae.twin_philae import drawn_panels
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
@@ -76,14 +75,8 @@ class Calibration:
         return len(self.ratio)
 
     def factor(self, confidence: float | None = None) -> tuple[float, float, float]:
-        """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval.
-
-        The order statistic ceil(c (n + 1)), whatever the distribution; interval from binomial order statistics.
-        """
-        confidence = self.confidence if confidence is None else confidence
-        at, values = check_confidence(self.n, confidence), np.sort(self.ratio)
-        low, high = binom.ppf([0.025, 0.975], self.n, confidence).astype(int)
-        return float(values[at]), float(values[max(low - 1, 0)]), float(values[min(high, self.n - 1)])
+        """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval."""
+        return holding(self.ratio, self.confidence if confidence is None else confidence)
 
     def share_as_large(self, emd_min: float) -> float:
         """Share of the synthetic rebounds whose smallest EMD is as large or larger."""
@@ -223,7 +216,7 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
     truth = np.array([rng.uniform(box[:, 0], box[:, 1]) for rng in generators])
     sun = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in generators])
-    sun, tilt, possible = _behind(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True), index, seed)
+    tilt, sun = _panels(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True), index, seed)
     states = rebound.states(truth)
     states = k.Rows(states.omega_B, sun, states.wheel_speed_rad_s)
     readable = _readable(rebound)
@@ -237,27 +230,18 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]
     told = is_reconstructed(seen["status"]).reshape(power.shape[:2])
     directions = seen["sun_B"].values.reshape(*power.shape[:2], 3)
     first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
-    for i in np.flatnonzero((run.outcome == k.Outcome.FINE) & possible):
+    for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
         times = rebound.t_s[np.concatenate([[rebound.first], later[told[i]]])]
         yield Alike(truth[i], np.concatenate([first, directions[i, told[i]]]), rb.target_weights(case, times))
 
 
-def _behind(
-    vehicle: Vehicle, shown_B: np.ndarray, index: np.ndarray, seed: int
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-    """Of rebounds `index` whose first direction is shown as `shown_B` (n, 3): the true one, turns (n, 1, n_panel, 3) of the panels
-    drawn with the sigmas of the vehicle's file, None where it has none, and whether there is such a direction (n)."""
-    sigmas = stated_sigma(vehicle)
+def _panels(vehicle: Vehicle, shown_B: np.ndarray, index: np.ndarray, seed: int) -> tuple[np.ndarray | None, np.ndarray]:
+    """Of rebounds `index` whose first direction is shown as `shown_B` (n, 3): turns (n, 1, n_panel, 3) of the panels, None where
+    the vehicle's file has no sigma of them, and the true first directions (n, 3)."""
     generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i), 1))) for i in index]
-    drawn = [panel_turns(vehicle, *sigmas, rng) for rng in generators]
-    tilt = np.array([one for one in drawn if one is not None])
-    sun, possible = shown_B.copy(), np.ones(len(index), dtype=bool)
-    for i, one in enumerate(tilt):
-        try:
-            sun[i] = behind(vehicle, shown_B[i], one)
-        except InputError:
-            possible[i] = False
-    return sun, tilt[:, None] if len(tilt) else None, possible
+    drawn = [drawn_panels(vehicle, shown, rng) for shown, rng in zip(shown_B, generators, strict=True)]
+    tilt = np.array([one for one, _ in drawn if one is not None])
+    return tilt[:, None] if len(tilt) else None, np.array([sun for _, sun in drawn])
 
 
 def to_json(found: Calibration) -> str:

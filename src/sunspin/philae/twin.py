@@ -70,19 +70,19 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
     parser.add_argument("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it")
     parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--tilt", type=float, default=0.0, help="sigma of each panel's normal to each side, degrees")
-    parser.add_argument("--turn", type=float, default=0.0, help="sigma of one turn of all panels about each axis, degrees")
-    parser.add_argument("--rest-seen", action="store_true", help="the first samples at rest give a direction")
+    parser.add_argument("--tilt", type=float, help="sigma of each panel's normal to each side, degrees; default: vehicle file's")
+    parser.add_argument("--turn", type=float, help="sigma of one turn of all panels about each axis, degrees; default: the same")
+    parser.add_argument("--rest-seen", action=argparse.BooleanOptionalAction, default=True,
+                        help="the first samples at rest give a direction (default)")  # fmt: skip
     parser.add_argument("--case", default="philae", choices=case_names())
     parser.add_argument("--force", action="store_true", help="replace existing files")
     given = parser.parse_args(arguments)
     case = load_case(given.case)
-    options: dict[str, Any] = {
-        "tilt_rad": float(np.radians(given.tilt)), "turned_rad": float(np.radians(given.turn)), "rest_seen": given.rest_seen,
-    }  # fmt: skip
-    asked = f" --tilt {given.tilt:g}" * bool(given.tilt) + f" --turn {given.turn:g}" * bool(given.turn)
-    asked += " --rest-seen" * given.rest_seen
-    telemetry = twin(case, seed=given.seed, **options)
+    turns = {name: value for name, value in (("tilt", given.tilt), ("turn", given.turn)) if value is not None}
+    asked = "".join(f" --{name} {value:g}" for name, value in turns.items()) + " --no-rest-seen" * (not given.rest_seen)
+    keys = {"tilt": "tilt_rad", "turn": "turned_rad"}
+    radians: dict[str, Any] = {keys[name]: float(np.radians(value)) for name, value in turns.items()}
+    telemetry = twin(case, seed=given.seed, rest_seen=given.rest_seen, **radians)
     comments = [
         f"synthetic: not measured; made by sunspin {version()} from published facts",
         f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed}{asked} {given.out.name}",
