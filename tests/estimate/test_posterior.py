@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import genpareto
 
 import sunspin as ss
 from sunspin.base.errors import InputError
@@ -15,7 +16,7 @@ from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
 from sunspin.estimate.posterior.verdict import Found, verdict
-from sunspin.estimate.posterior.widths import pareto_tail
+from sunspin.estimate.posterior.widths import _shape, pareto_tail
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -146,7 +147,8 @@ def test_derivatives_are_those_of_another_step(reached):
     likelihood = Likelihood(replace(unknown, after_s=124.477), data, 1e-6)
     state = State(np.array([[0.18497558, 0.22550964, 0.11285405]]), moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
                   np.zeros((1, len(unknown.unknowns))))  # fmt: skip
-    jacobian = likelihood.linearised(state).jacobian
+    jacobian, kept = likelihood.linearised(state)[3:]
+    np.testing.assert_array_equal(likelihood.linearised(state, kept=kept).jacobian, jacobian)  # what is kept stands for its runs
     for j, step in ((0, 2e-8), (2, 2e-8), (3, 1e-6), (5 + unknown.moving[-1], 2e-6), (5 + unknown.moving[1], 2e-6)):
         ends = []
         for sign in (1, -1):
@@ -165,6 +167,9 @@ def test_heavy_tails_are_noticed():
     assert pareto_tail(np.zeros(2000)) < 0
     assert pareto_tail(0.3 * rng.standard_normal(5000)) < 0.5
     assert pareto_tail(rng.exponential(1.0, 5000)) > 0.8  # weights with a Pareto tail of shape one
+    for shape in (-0.4, 0.0, 0.6):
+        x = genpareto.rvs(shape, size=300, random_state=rng)
+        assert _shape(x / x.mean()) == pytest.approx(genpareto.fit(x / x.mean(), floc=0)[0], abs=1e-3)
 
 
 def _found(**changes):

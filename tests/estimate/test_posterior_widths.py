@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.estimate.posterior.mixture import Mixture, Sheet
+from sunspin.estimate.posterior.mixture import Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import State
 from sunspin.estimate.posterior.widths import BLOCK, DEFENCE, pooled, regions
 from sunspin.solve.rotations import moved
@@ -73,6 +73,22 @@ def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
         return of.log_densities(state)[:, 0] + np.log(np.sinc(np.arccos(state.sun @ of.centre.sun[0]) / np.pi))
 
     np.testing.assert_allclose(in_the_chart(bent, other), in_the_chart(straight, one), rtol=0, atol=1e-7)
+
+
+def test_bends_are_lent_to_a_model_with_more_unknowns_and_to_one_that_counts_them_otherwise():
+    rng = np.random.default_rng(9)
+    narrow = mixture(9, 1)
+    narrow = replace(narrow, bend=rng.normal(0, 0.05, narrow.bend.shape))
+    wide = Sheet.of(6 + UNKNOWNS, softs=SHEET.softs, moving=(1, 2, UNKNOWNS), brightness=(0,))
+    bend = np.zeros((wide.terms, len(wide.stiff)))
+    bend[[wide.along.index(i) for i in SHEET.along]] = narrow.bend[0, : len(SHEET.along)]
+    bend[len(wide.along) :] = wide.lent(SHEET, narrow.bend[0])
+    x = rng.normal(size=(40, 5 + UNKNOWNS))
+    among_five = monomials(np.insert(x, 5 + UNKNOWNS, rng.normal(size=40), axis=1), wide)
+    np.testing.assert_allclose(among_five @ bend, monomials(x, SHEET) @ narrow.bend[0], atol=1e-12)
+    units, state = np.array([1.0, 5.0, 0.5, 2.0]), narrow.draw(30, rng)
+    other, counted = narrow.counted_in(units), replace(state, u=state.u / units)
+    np.testing.assert_allclose(other.log_densities(counted), narrow.log_densities(state) + np.log(units.prod()), rtol=1e-9)
 
 
 def test_components_that_share_draws_are_one_region():

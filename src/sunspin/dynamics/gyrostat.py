@@ -124,16 +124,23 @@ def direction_rate(direction: Direction, omega: Vector) -> tuple[Scalar, ...]:
 
 
 def rhs(
-    H: Vector, h: Vector, directions: Directions, p: Parameters, t_s: Scalar = 0, spin: Scalar = 0
+    H: Vector, h: Vector, directions: Directions, p: Parameters, t_s: Scalar = 0, spin: Scalar = 0, axis: Vector | None = None
 ) -> tuple[Vector, tuple[Scalar, ...], tuple[Scalar, ...]]:
     """Time derivatives in body axes of H, h and, one after the other, the directions with their turning rates.
 
     Paper eqs. (3), (4), (5), (7) in terms of momenta, and with torques from outside. Without those a `spin` in 1/(kg m2) may be
     given: the directions are then seen from axes that turn about H at the rate spin |H| besides. The share spin H of omega turns
-    them about H and leaves H alone, and what is left of omega is slower than omega; see :func:`spun`.
+    them about H and leaves H alone, and what is left of omega is slower than omega; see :func:`spun`. Where torques move H, an
+    `axis` in space that was H once stands for it: the first direction alone is seen from axes that turn about it, and its own
+    derivative comes last.
     """
     omega = body_rate(H, h, p)
     torques = tuple(wheel_torque(h_i, omega, wheel) for h_i, wheel in zip(h, p.wheels, strict=True))
+    if axis is not None:
+        left = tuple(omega[k] - spin * axis[k] for k in range(3))
+        sun, *others = directions.values()
+        rates = (x for direction in others for x in direction_rate(direction, omega))
+        return momentum_rate(H, omega, directions, p, t_s), torques, (*direction_rate(sun, left), *rates, *cross(axis, left))
     left = tuple(omega[k] - spin * H[k] for k in range(3)) if spin != 0 else omega
     moment = momentum_rate(H, left, directions, p, t_s)
     return moment, torques, tuple(x for direction in directions.values() for x in direction_rate(direction, left))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.series import Recurrence
-from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_carried, n_parameters, outside
+from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_carried, n_parameters, outside, spun
 from sunspin.vehicle.response.protocol import Literals
 
 if TYPE_CHECKING:
@@ -56,8 +56,18 @@ class Structure:
 
     @property
     def spin(self) -> sp.Expr:
-        """The share of H in omega that is taken out: none where torques turn H in space."""
-        return sp.Integer(0) if self.torques else sp.Symbol("spin")
+        """The share of H in omega that is taken out: none where torques turn H in space, unless an axis stands for it."""
+        return sp.Symbol("spin") if self.spun or not self.torques else sp.Integer(0)
+
+    @property
+    def spun(self) -> bool:
+        """Whether r turns about an axis of its own (:func:`sunspin.dynamics.torques.acting.spun`)."""
+        return spun(self.torques)
+
+    @property
+    def axis(self) -> int:
+        """Where in the state the vector begins about which r turns: H, or what stands for it."""
+        return self.layout.r + 6 if self.spun else 0
 
 
 @dataclass(frozen=True)
@@ -223,7 +233,15 @@ def momentum_names(structure: Structure) -> list[str]:
 def state_symbols(structure: Structure) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Symbol, ...], dict[str, g.Direction]]:
     """H, h, and the directions, that of the Sun first."""
     n, symbols = len(structure.axes), tuple(sp.Symbol(name) for name in state_names(structure))
-    return symbols[:3], symbols[3 : 3 + n], directions_of(structure.torques, symbols[3 + n :])
+    directions = directions_of(structure.torques, symbols[3 + n :])
+    if structure.spun:
+        directions = {name: g.Direction(direction.vector) for name, direction in directions.items()}
+    return symbols[:3], symbols[3 : 3 + n], directions
+
+
+def axis_symbols(structure: Structure) -> tuple[sp.Symbol, ...]:
+    """The vector about which r turns."""
+    return tuple(sp.Symbol(name) for name in state_names(structure)[structure.axis : structure.axis + 3])
 
 
 def load_parameters(structure: Structure, at: Callable[[str, int], str]) -> Iterator[str]:
@@ -241,7 +259,8 @@ def load_parameters(structure: Structure, at: Callable[[str, int], str]) -> Iter
 
 def recurrence(structure: Structure) -> Recurrence:
     """The Taylor coefficients of the motion, r seen from axes that turn about H."""
-    dH, dh, dr = g.rhs(*state_symbols(structure), parameter_symbols(structure), sp.Symbol(TIME), structure.spin)
+    axis = axis_symbols(structure) if structure.spun else None
+    dH, dh, dr = g.rhs(*state_symbols(structure), parameter_symbols(structure), sp.Symbol(TIME), structure.spin, axis)
     return Recurrence(state_names(structure), [*dH, *dh, *dr, *([sp.Integer(1)] if structure.torques else [])])
 
 
@@ -271,10 +290,16 @@ def step_one_body(structure: Structure, order: int) -> list[str]:
 def spin_one_body(structure: Structure) -> list[str]:
     """Turn r of the new state about its H."""
     layout = structure.layout
-    r = layout.new + layout.r
-    lines = [f"H{k} = w[{layout.new + k}]" for k in range(3)] + [f"r{k} = w[{r + k}]" for k in range(3)]
+    r, axis = layout.new + layout.r, layout.new + structure.axis
+    lines = [f"H{k} = w[{axis + k}]" for k in range(3)] + [f"r{k} = w[{r + k}]" for k in range(3)]
     turned = g.spun(sp.symbols("H0:3"), sp.symbols("r0:3"), *sp.symbols("cosine sine along"))
     return lines + assignments([f"w[{r + k}]" for k in range(3)], list(turned), "t")
+
+
+def about_body(structure: Structure) -> list[str]:
+    """Of the vector about which r, whose place is in `r`, turns: its square, and its product with r."""
+    x, y, z = (f"one[{structure.axis + k}]" for k in range(3))
+    return [f"square = {x} * {x} + {y} * {y} + {z} * {z}", f"along = {x} * one[r] + {y} * one[r + 1] + {z} * one[r + 2]"]
 
 
 def observe_one_body(structure: Structure) -> list[str]:

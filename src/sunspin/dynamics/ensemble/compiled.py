@@ -74,6 +74,8 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
         "                pass  # DEPOSIT_ALL": [],
         "    pass  # STEP_ONE": c.step_one_body(structure, EVENT_ORDER[structure.method]),
         "    pass  # SPIN_ONE": c.spin_one_body(structure),
+        "    pass  # ABOUT": c.about_body(structure),
+        "    pass  # ABOUT_NEW": [f"H, r = NEW{f' + {structure.axis}' if structure.axis else ''}, NEW + 3 + N_WHEELS"],
         "    pass  # OBSERVE_ONE": c.observe_one_body(structure),
         "    pass  # OMEGA_ONE": c.omega_body(structure),
         "    pass  # SPEEDS_ONE": c.speeds_body(structure),

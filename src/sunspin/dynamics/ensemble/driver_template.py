@@ -86,8 +86,7 @@ estimate = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract
 def load_turn(one, w, j):
     """By how much r turns about H up to each node of the step DT, because of the common share of omega."""
     r = 3 + N_WHEELS
-    square = one[0] * one[0] + one[1] * one[1] + one[2] * one[2]
-    along = one[0] * one[r] + one[1] * one[r + 1] + one[2] * one[r + 2]
+    pass  # ABOUT
     size = math.sqrt(square)
     for node in range(NODES):
         angle = one[COMMON] * size * one[DT] * (node + 1) / NODES

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
-from sunspin.dynamics.ensemble.codegen import TIME, Component, Structure, assignments, momentum_names, state_names, state_symbols
+from sunspin.dynamics.ensemble.codegen import (
+    TIME,
+    Component,
+    Structure,
+    assignments,
+    axis_symbols,
+    momentum_names,
+    state_names,
+    state_symbols,
+)
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -126,7 +135,7 @@ class Lanes:
         """Turn r about H by the common share of omega since the beginning of the step, up to a node (1 ..)."""
         names = ("cosine", "sine", "along")
         self.add(*(f"{name} = {self.row('S_TURN', 3 * (node - 1) + k)}" for k, name in enumerate(names)))
-        turned = g.spun(sp.symbols("H0:3"), sp.symbols("r0:3"), *sp.symbols(names))
+        turned = g.spun(axis_symbols(self.structure), sp.symbols("r0:3"), *sp.symbols(names))
         self.put(["x0", "x1", "x2"], list(turned))
 
     def first_node(self) -> None:

@@ -14,7 +14,7 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import principal
 from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.dynamics.torques.acting import needed, needed_around
+from sunspin.dynamics.torques.acting import needed, needed_around, spun
 from sunspin.vehicle import Vehicle
 
 
@@ -119,6 +119,8 @@ def work_array(
     work[:, layout.r : layout.r + 3] = rows.sun_B
     if acting.torques:
         work[:, layout.r + 3 : layout.n_state - 1] = rows.carried(acting, acting.own(bodies))
+        if spun(acting.torques):
+            work[:, layout.r + 6 : layout.r + 9] = work[:, :3]  # H as it is at the start
         work[:, layout.n_state - 1] = acting.start_s
         work[:, layout.torques : layout.count] = acting.values(bodies)
     own = np.arange(len(rows)) if len(modes) > 1 else np.zeros(len(rows), dtype=np.int64)

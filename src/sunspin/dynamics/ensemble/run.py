@@ -25,6 +25,7 @@ from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
 from sunspin.dynamics.ensemble.steps import SEGMENTS, UNEVEN, Scales, plan, segments
 from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
 from sunspin.dynamics.torques import NOTHING, Acting, Torque
+from sunspin.dynamics.torques.acting import spun
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.protocol import Counted
 
@@ -184,7 +185,7 @@ def run_rows(
     commands = check_commands(vehicle, wheel_mode)
     n, layout = len(rows), c.RowLayout.under(acting.torques, len(vehicle.wheels))
     modes = mode_table(vehicle, rows.bodies_of(vehicle), with_frames=bool(bins))
-    if acting.torques:
+    if acting.torques and not spun(acting.torques):
         modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
     work = work_array(vehicle, rows, commands, modes, acting)
     normals = np.zeros(0, np.float32) if mask is None else mask.numbers

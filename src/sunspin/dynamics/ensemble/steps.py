@@ -23,6 +23,7 @@ from sunspin.dynamics.ensemble.split_lanes import MAX_MAIN_ANGLE, MAX_SIDE_ANGLE
 from sunspin.dynamics.ensemble.tolerance import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.dynamics.torques.acting import spun
 from sunspin.solve.linear import extreme_eigenvalues
 from sunspin.vehicle import Vehicle
 
@@ -39,6 +40,9 @@ MAX_SLOW_ANGLE = 0.8
 CONVERGENCE = 1.2
 """rad that H may turn in body axes because of unequal moments before its series no longer converges: such motions are elliptic
 functions of time, with poles off the real axis."""
+
+CARRIED_ANGLE = 1.3
+"""rad that a torque which stands in space turns in body axes per step at most: it errs by 1e-7 of itself in a thousand steps."""
 
 SAFETY = 0.003
 """Share of the error that the laws may use up: motions near an unstable spin multiply what is left out."""
@@ -96,15 +100,16 @@ class Scales:
         smallest, largest = extreme_eigenvalues(self.inertias)
         return 1.0 / largest, 1.0 / smallest
 
-    def outside_rate(self, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """What torques from outside add to :meth:`uneven` and, as then no share of H is taken out, to the rest of the rates.
+    def outside_rate(self, duration_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What torques from outside add to :meth:`uneven` and, as then no share of H is taken out, to the rest of the rates; and
+        how fast those of them turn that are carried while it is.
 
         The largest torque, all through the run, makes H so much larger; a body swings under it at the root of its share of the
-        inertia; and directions turn.
+        inertia; and directions turn. Where an axis stands for H its share is taken out, but not that of what H is away from it.
         """
         still = np.zeros(len(self.rows))
         if not self.acting.torques:
-            return still, still
+            return still, still, still
         bodies = self.rows.bodies_of(self.vehicle)
         own = self.acting.own(bodies)
         torque = self.acting.largest(self.acting.values(bodies)) + np.linalg.norm(own, axis=-1)
@@ -113,8 +118,9 @@ class Scales:
         carried = self.rows.carried(self.acting, own).reshape(len(self.rows), -1, 2, 3)[:, :, 1]
         turning = np.linalg.norm(carried, axis=-1).max(axis=1, initial=0.0)
         swing = np.sqrt(torque * fast.max(axis=0))
-        common = 0.5 * (slow + fast).max(axis=0) * (self.momentum_size + gained)
-        return 0.5 * (fast - slow).max(axis=0) * gained + swing, common + turning + still
+        common = 0.5 * (slow + fast).max(axis=0)
+        whole, pushed = common * (self.momentum_size + gained), 0.5 * (fast - slow).max(axis=0) * gained + swing
+        return (pushed, common * gained + still, whole) if spun(self.acting.torques) else (pushed, whole + turning, still)
 
     @cached_property
     def responses(self) -> list[np.ndarray]:
@@ -141,13 +147,14 @@ def series_steps(scales: Scales, duration_s: float, accuracy: Accuracy) -> tuple
     u of unevenness like (u h / CONVERGENCE)^k; the error left out adds up over all steps. Between its ends s is taken to
     change in proportion to time.
     """
-    pushed, more = scales.outside_rate(duration_s)
+    pushed, more, carried = scales.outside_rate(duration_s)
     uneven = np.maximum(scales.uneven() + pushed, 1e-12)
     ends = [uneven + scales.wheel_rate(t) + more for t in (0.0, duration_s)]
     allowed = SAFETY * accuracy.direction_error / (0.5 * (ends[0] + ends[1]) * abs(duration_s))
     angle = (allowed * math.factorial(ORDER + 1)) ** (1 / ORDER) / SERIES_GROWTH ** (1 + 1 / ORDER)
     angle = np.minimum(angle, MAX_SLOW_ANGLE)
     shortest = uneven / (CONVERGENCE * np.minimum(allowed ** (1 / ORDER), 0.35))
+    shortest = np.maximum(shortest, carried / CARRIED_ANGLE)
     fast, slow = (np.maximum(choose(*ends) / angle, shortest) for choose in (np.maximum, np.minimum))
     return fast * abs(duration_s), slow / fast
 

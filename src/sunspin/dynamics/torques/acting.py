@@ -81,6 +81,12 @@ def needed_around(torques: Sequence[Torque]) -> tuple[str, ...]:
     return tuple(name for name in needed(torques) if name != OWN)
 
 
+def spun(torques: Sequence[Torque]) -> bool:
+    """Whether an ensemble's kernel may turn the Sun's direction about a vector in space, as it does about H without torques: the
+    momentum at the start, carried in the place of the turning rate of the only other vector, `OWN`, which stands."""
+    return needed(torques) == (OWN,)
+
+
 def n_carried(torques: Sequence[Torque]) -> int:
     return PER_DIRECTION * len(needed(torques))
 

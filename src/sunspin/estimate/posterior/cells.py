@@ -26,7 +26,8 @@ from sunspin.estimate.posterior.fit import asked
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response import cube, inside
-from sunspin.vehicle.response.inside import between, seen
+from sunspin.vehicle.response.cube import nodes
+from sunspin.vehicle.response.inside import between, nearest_node, seen
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere
 
@@ -40,6 +41,9 @@ AMPLIFIED = 1.15
 
 NEAR, FAR = 0.35, 0.65
 """rad for which a point stands: at a quarter of a cell's edge, and at the middle of an eighth."""
+
+NODES, NODE_RAD = 48, 0.02
+"""Cells along an edge of the cube of nodes at which readings are compared with directions, and how far one is from its node."""
 
 SCALE_SHARE = 0.08
 """Relative error of the brightness and of gains while starts are looked for."""
@@ -213,11 +217,12 @@ class Starts:
         """The starts, best first, and how many points of the grid settled there."""
         side = self.attitudes.side
         corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [side**2, side, 1]
-        law = self.attitudes.model.vehicle.response_in().inside((NEAR, FAR))
+        law = self.attitudes.model.vehicle.response_in().inside((NEAR + NODE_RAD, FAR + NODE_RAD))
+        law, readings = law._replace(gains=self.scale * law.gains), (self.data.value, self.data.used, self.data.sigma)
         frame = np.stack([self.suns, *tangents(self.suns)], axis=1)
         fixed = (
-            self.row_of, corners, self.turn, frame, law._replace(gains=self.scale * law.gains), self.data.value, self.data.used,
-            self.here, self.here_used, self.data.sigma,
+            self.row_of, corners, self.turn, frame, *told(nodes(NODES), law, *readings), law, *readings[:2],
+            self.here, self.here_used, readings[2],
         )  # fmt: skip
         pieces = np.array_split(self.cells, max(1, len(self.cells) // 5_000))
         with ThreadPoolExecutor(workers) as pool:
@@ -256,48 +261,60 @@ def _load(quaternions, rows, turn):
 
 
 @jit
-def _best_point(turns, at, sun, law, value, used, sigma):
-    """The best point of the eighth of a cell that begins at `at`, and its misfit: infinite where none will do."""
-    least, best = np.inf, at
+def _best_point(turns, sun, short, misfit):
+    """The best point of an eighth of a cell, and its misfit: infinite where none will do."""
+    least, best = np.inf, 0
     for point in range(8):
-        short, misfit = _against(turns[point], sun, law, value, used, sigma, 0)
-        if short <= LIMIT and misfit < least:
-            least, best = misfit, _point(at, point)
+        worst, total = _against(turns[point], sun, short, misfit)
+        if worst <= LIMIT and total < least:
+            least, best = total, point
     return best, least
 
 
 @jit
-def _point(at, point):
-    """The place of a point of the eighth of a cell that begins at `at`."""
-    return at + 0.25 * np.array([0.5 + (point >> 2 & 1), 0.5 + (point >> 1 & 1), 0.5 + (point & 1)])
+def _points():
+    """Places in a cell: points (8, 8, 3) by the eighth that they lie in, and the middles (8, 3) of these; the weights of either."""
+    points, middles = np.empty((8, 8, 3)), np.empty((8, 3))
+    of_points, of_middles = np.empty((8, 8, 8)), np.empty((8, 8))
+    for eighth in range(8):
+        for i in range(3):
+            at = 0.5 * (eighth >> (2 - i) & 1)
+            middles[eighth, i] = at + 0.25
+            for point in range(8):
+                points[eighth, point, i] = at + 0.25 * (0.5 + (point >> (2 - i) & 1))
+        _weights(middles[eighth], of_middles[eighth])
+        for point in range(8):
+            _weights(points[eighth, point], of_points[eighth, point])
+    return points, middles, of_points, of_middles
 
 
 @jit
-def look_through(cells, row_of, corners, turn, suns, law, value, used, here, here_used, sigma):
+def look_through(cells, row_of, corners, turn, suns, short, total, law, value, used, here, here_used, sigma):
     """The settled starts of cells, (n, 8): place, direction, x, y, z in the cell, two steps of the direction, misfit."""
     room = 1024
     found = np.empty((room, 8))
     count = 0
     quaternions = np.empty((8, turn.shape[1], 4))
     middle, turns = np.empty((turn.shape[1], 3, 3)), np.empty((8, turn.shape[1], 3, 3))
+    points, middles, of_points, of_middles = _points()
     for i in range(len(cells)):
         _load(quaternions, row_of[cells[i] + corners], turn)
         for eighth in range(8):
-            at = np.array([(eighth >> 2 & 1) * 0.5, (eighth >> 1 & 1) * 0.5, (eighth & 1) * 0.5])
-            _rotations(quaternions, at + 0.25, middle)
+            _rotations(quaternions, of_middles[eighth], middle)
             turned = False
             for c in range(len(suns)):
-                if _against(middle, suns[c, 0], law, value, used, sigma, 1)[0] > LIMIT:
+                if _against(middle, suns[c, 0], short[1], total)[0] > LIMIT:
                     continue
                 if not turned:  # the same for all directions
                     turned = True
                     for point in range(8):
-                        _rotations(quaternions, _point(at, point), turns[point])
-                best, least = _best_point(turns, at, suns[c, 0], law, value, used, sigma)
+                        _rotations(quaternions, of_points[eighth, point], turns[point])
+                best, least = _best_point(turns, suns[c, 0], short[0], total)
                 if least == np.inf:
                     continue
-                x, step, misfit = _settle(quaternions, best, suns[c], law, value, used, here, here_used, sigma)
-                if misfit <= SETTLED and np.abs(x - at - 0.25).max() < 0.5:
+                begin = points[eighth, best]
+                x, step, misfit = _settle(quaternions, begin, suns[c], law, value, used, here, here_used, sigma)
+                if misfit <= SETTLED and np.abs(x - middles[eighth]).max() < 0.5:
                     if count == room:
                         room *= 2
                         more = np.empty((room, 8))
@@ -310,12 +327,19 @@ def look_through(cells, row_of, corners, turn, suns, law, value, used, here, her
 
 
 @jit
-def _rotations(quaternions, x, out):
-    """The rotations (m, 3, 3) interpolated at x (3, parts of the cell)."""
+def _weights(x, out):
+    """How much each corner (8) counts at x (3, parts of the cell)."""
+    for corner in range(8):
+        out[corner] = (x[0] if corner & 4 else 1 - x[0]) * (x[1] if corner & 2 else 1 - x[1]) * (x[2] if corner & 1 else 1 - x[2])
+
+
+@jit
+def _rotations(quaternions, weights, out):
+    """The rotations (m, 3, 3) interpolated with the weights of the corners (8)."""
     for m in range(len(out)):
         a, b, c, d = 0.0, 0.0, 0.0, 0.0
         for corner in range(8):
-            w = (x[0] if corner & 4 else 1 - x[0]) * (x[1] if corner & 2 else 1 - x[1]) * (x[2] if corner & 1 else 1 - x[2])
+            w = weights[corner]
             a += w * quaternions[corner, m, 0]
             b += w * quaternions[corner, m, 1]
             c += w * quaternions[corner, m, 2]
@@ -334,28 +358,45 @@ def _times(turn, vector, out):
 
 
 @jit
-def _against(turns, sun, law, value, used, sigma, angle):
-    """What speaks against all directions within angle number `angle` of that of a point with rotations `turns` (m, 3, 3), in the
-    worst sample; its own misfit, unless the former is beyond the limit."""
-    worst, misfit = 0.0, 0.0
-    r = np.empty(3)
+def told(nodes, law, value, used, sigma):
+    """What speaks against all directions within each angle (2) of nodes (n, 3), for samples (m): (2, m, n); and what against the
+    nodes themselves (m, n)."""
+    count = len(law.turns)
+    short = np.zeros((count, len(value), len(nodes)), np.float32)
+    misfit = np.zeros((len(value), len(nodes)), np.float32)
+    for m in range(len(value)):
+        for i in range(len(nodes)):
+            x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
+            for j in range(len(law.gains)):
+                if not used[m, j]:
+                    continue
+                share, gain = seen(law, j, x, y, z)[0], law.gains[j]
+                misfit[m, i] += min(((gain * share - value[m, j]) / sigma) ** 2, 1e6)
+                for angle in range(count):
+                    low, high = between(law, angle, j, x, y, z)
+                    low, high = gain * low * (1 - SCALE_SHARE), gain * high * (1 + SCALE_SHARE)
+                    beyond = max(low - value[m, j], value[m, j] - high) / sigma - SIGMAS
+                    if beyond > 0:
+                        short[angle, m, i] += min(beyond * beyond, CAP)
+    return short, misfit
+
+
+@jit
+def _against(turns, sun, short, misfit):
+    """What speaks against all directions near that of a point with rotations `turns` (m, 3, 3), in the worst sample; its own
+    misfit, unless the former is beyond the limit. By tables `short`, `misfit` (m, n) of nodes."""
+    worst, total = 0.0, 0.0
     for m in range(len(turns)):
-        _times(turns[m], sun, r)
-        short = 0.0
-        for j in range(len(law.gains)):
-            if not used[m, j]:
-                continue
-            share, gain = seen(law, j, r[0], r[1], r[2])[0], law.gains[j]
-            low, high = between(law, angle, j, r[0], r[1], r[2])
-            low, high = gain * low * (1 - SCALE_SHARE), gain * high * (1 + SCALE_SHARE)
-            beyond = max(low - value[m, j], value[m, j] - high) / sigma - SIGMAS
-            if beyond > 0:
-                short += min(beyond * beyond, CAP)
-            misfit += min(((gain * share - value[m, j]) / sigma) ** 2, 1e6)
-        worst = max(worst, short)
+        t = turns[m]
+        x = t[0, 0] * sun[0] + t[0, 1] * sun[1] + t[0, 2] * sun[2]
+        y = t[1, 0] * sun[0] + t[1, 1] * sun[1] + t[1, 2] * sun[2]
+        z = t[2, 0] * sun[0] + t[2, 1] * sun[1] + t[2, 2] * sun[2]
+        node = nearest_node(NODES, x, y, z)
+        worst = max(worst, short[m, node])
         if worst > LIMIT:
             break
-    return worst, misfit
+        total += misfit[m, node]
+    return worst, total
 
 
 @jit
@@ -404,16 +445,18 @@ def _settle(quaternions, x, frame, law, value, used, here, here_used, sigma):
     """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit."""
     x, step, sun = x.copy(), np.zeros(2), frame[0].copy()
     r, other, column = np.empty(3), np.empty(3), np.empty((5, 3))
-    turns = np.empty((4, quaternions.shape[1], 3, 3))  # at x, and moved along each axis
+    turns, weights = np.empty((4, quaternions.shape[1], 3, 3)), np.empty(8)  # turns: moved along each axis, and at x
     normal, gradient, move = np.empty((5, 5)), np.empty(5), np.empty(5)
     misfit, arrived = 0.0, False
     for iteration in range(STEPS + 1):
         normal[:], gradient[:] = 0.0, 0.0
         misfit = 0.0
-        _rotations(quaternions, x, turns[3])
+        _weights(x, weights)
+        _rotations(quaternions, weights, turns[3])
         for i in range(3):
             x[i] += 1e-4
-            _rotations(quaternions, x, turns[i])
+            _weights(x, weights)
+            _rotations(quaternions, weights, turns[i])
             x[i] -= 1e-4
         for m in range(-1, quaternions.shape[1]):
             column[:] = 0.0

@@ -38,7 +38,7 @@ UNIT_STEP = 1e-4
 
 UNIT_STEP_S, LARGEST_UNIT_STEP = 2700.0, 3e-3
 
-DERIVATIVE_ERROR, ROUGH_ERROR = 1e-7, 1e-6
+DERIVATIVE_ERROR, ROUGH_ERROR = 1e-7, 1e-5
 """Error of directions (rad) in runs that are subtracted from each other, and while hypotheses are still searched for: a likelihood
 whose own error is `SEARCH_ERROR` is asked only where steps lead."""
 

@@ -35,7 +35,7 @@ WANTED = 3_000.0
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
 
-LENT, LENT_ROUNDS, LENT_SHARE = 0, 3, 0.1
+LENT, LENT_ROUNDS, LENT_SHARE = 0, 3, 0.15
 """In the place of soft directions where bends are another model's; rounds in which such a mixture learns, and the share that is
 good enough: its hypothesis seldom has the most weight, and to find bends costs more than draws."""
 

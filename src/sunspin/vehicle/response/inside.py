@@ -75,12 +75,12 @@ def between(law, angle, k, x, y, z):
         up = 1.0 if cosine > cos else cosine * cos + sine * sin
         down = -1.0 if cosine < -cos else cosine * cos - sine * sin
         return max(down, 0.0), max(up, 0.0)
-    node = _nearest(law.cap_size, x, y, z)
+    node = nearest_node(law.cap_size, x, y, z)
     return float(law.caps[angle, node, k, 0]), float(law.caps[angle, node, k, 1])
 
 
 @jit
-def _nearest(size, x, y, z):
+def nearest_node(size, x, y, z):
     at, u, v = place(size, x, y, z)
     return at + (size + 1 if u > 0.5 else 0) + (1 if v > 0.5 else 0)
 
@@ -90,7 +90,7 @@ def nearest(size, sun):
     """The numbers (n) of the nodes of a cube of `size` cells nearest to directions (n, 3)."""
     found = np.empty(len(sun), np.int64)
     for i in range(len(sun)):
-        found[i] = _nearest(size, sun[i, 0], sun[i, 1], sun[i, 2])
+        found[i] = nearest_node(size, sun[i, 0], sun[i, 1], sun[i, 2])
     return found
 
 
