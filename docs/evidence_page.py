@@ -62,14 +62,14 @@ def _mark(decorator: ast.expr) -> tuple[str, tuple[Any, ...]]:
 def capabilities() -> dict[str, str]:
     """What the public face can do, each with one line: functions of `sunspin` and commands of the command line."""
     import sunspin
-    from sunspin.cli.common import SUMMARIES
+    from sunspin.cli.common import COMMANDS
 
     able = {
         name: (inspect.getdoc(thing) or "").splitlines()[0]
         for name in sunspin.__all__
         if inspect.isfunction(thing := getattr(sunspin, name))
     }
-    return able | {name: line for name, line in SUMMARIES.items() if name.replace("-", "_") not in able}
+    return able | {name: one.summary for name, one in COMMANDS.items() if name.replace("-", "_") not in able}
 
 
 def page(file: str | None) -> str:

@@ -32,16 +32,15 @@ def commands() -> str:
     import click
 
     from sunspin.cli import cli
-    from sunspin.cli.common import COMMANDS, SECTIONS, SUMMARIES
+    from sunspin.cli.common import COMMANDS
 
     parts = ["# The command line", "", "Written by the commands' own `--help`.", ""]
     top = click.Context(cli, info_name="sunspin", max_content_width=100)
-    grouped = [name for names in SECTIONS.values() for name in names]
-    for name in [*grouped, *(name for name in COMMANDS if name not in grouped)]:
+    for name, listed in COMMANDS.items():
         command = cli.get_command(top, name)
         assert command is not None
         text = command.get_help(click.Context(command, info_name=name, parent=top, max_content_width=100, terminal_width=100))
-        parts += [f"## {name}", "", SUMMARIES[name], "", "```text", text, "```", ""]
+        parts += [f"## {name}", "", listed.summary, "", "```text", text, "```", ""]
     return "\n".join(parts)
 
 

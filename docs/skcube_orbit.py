@@ -13,8 +13,10 @@ import numpy as np
 import sunspin as ss
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
+from sunspin.estimate.orbit.check import start_of
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimate.orbit.sensors import by_sun_sensors
 
 VZLUSAT = """1 42790U 17036AB  17236.90928386  .00002510  00000-0  11640-3 0  9996
 2 42790  97.4437 295.9456 0012835  41.8426 318.3788 15.20921507  9461"""
@@ -37,6 +39,20 @@ def compared(result, gyro, part) -> np.ndarray:
     return np.array(rows)
 
 
+def by_parts(orbit, found, craft, telemetry, elements) -> None:
+    """The shift of halves and thirds of the file, each found by itself, beside that of the whole file drifting evenly."""
+    t, epoch = telemetry["time"].values, telemetry.attrs["epoch_utc"]
+    for count in (2, 3):
+        for part in np.array_split(np.arange(len(t)), count):
+            own = in_orbit(elements, epoch, t[part], shift_sigma_s=150.0)
+            made = by_sun_sensors(own, craft, telemetry.isel(time=part), start_of(found, own)._replace(left_T=np.inf))
+            expected = float(orbit.ahead_s(orbit.instants(t[part])).mean())
+            sigma = np.hypot(made.shift_sigma_s, float(orbit.ahead_sigma_s(orbit.instants([t[part].mean()]))[0]))
+            pull = (made.shift_s - expected) / sigma
+            print(f"  day {t[part].mean() / 86400:.1f}: {made.shift_s:+.0f} +- {made.shift_sigma_s:.0f} s alone, {expected:+.0f} s "
+                  f"by the whole file, {pull:+.1f} sigma apart")  # fmt: skip
+
+
 def main(folder: Path) -> None:
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(folder / "skcube" / "skcube_adcs.csv", craft)
@@ -44,9 +60,10 @@ def main(folder: Path) -> None:
     gyro, blind = data["gyro_B"], data.drop_vars("gyro_B")
     elements = parse_elements(VZLUSAT, "VZLUSAT-1")
     given = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=150.0)
-    orbit, _, words = judged_orbit(given, craft, blind)
+    orbit, found, words = judged_orbit(given, craft, blind)
     print(words)
-    calibration = field_calibration(orbit, craft, blind)
+    by_parts(orbit, found, craft, blind, elements)
+    calibration = field_calibration(orbit, craft, blind, found.made)
     zero = 1e6 * np.sqrt((calibration.errors[:, 9:12] ** 2).sum(axis=0))
     print(f"magnetometer: noise {1e6 * calibration.noise_T:.2f} uT, zero to {zero.round(2)} uT")
     free = blind.isel(time=(blind["time"].values > FREE_S) & (utc < np.datetime64("2017-06-28")))

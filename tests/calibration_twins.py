@@ -20,7 +20,7 @@ from strange_rates import campaign
 from strange_twins import FACES, unit
 from sunspin.compute.campaign import command
 from sunspin.environment.elements import parse_elements
-from sunspin.environment.orbit import in_orbit
+from sunspin.environment.orbit import drift_sigma_s_day, in_orbit
 from sunspin.estimate.calibrate.sensors import calibrate_sensors
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Disturbance, Gyro, Magnetometer, Sensors, SunSensor
@@ -36,13 +36,15 @@ SIZES = {"zero": 5000.0, "matrix": 0.05, "bias": 0.04, "scale": 0.05, "gain": 0.
 
 
 class Twin(NamedTuple):
-    """A vehicle whose file knows nothing of the errors, its telemetry, its elements, and what the file's keys should be."""
+    """A vehicle whose file knows nothing of the errors, its telemetry, its elements, what the file's keys should be, how far the
+    satellite is ahead of the elements in the middle (s), and what that gains in a day."""
 
     vehicle: Vehicle
     telemetry: xr.Dataset
     elements: tuple[str, str]
     shift_sigma_s: float
     truth: dict[str, np.ndarray]
+    along_track: tuple[float, float] = (0.0, 0.0)
 
 
 def side_of(face: np.ndarray, k: int) -> np.ndarray:
@@ -61,7 +63,8 @@ def make(seed: int, i: int, off: float = 1.0, gyro: bool = True) -> Twin:
     t = np.concatenate(passes)
     which = np.repeat(np.arange(8), [len(one) for one in passes])
     t = t - t[0]
-    sun, field, lit, _ = sky(given, begin, t, ahead)
+    drift = drift_sigma_s_day(sigma, begin / 86400) * np.random.default_rng([seed, i]).normal()
+    sun, field, lit, _ = sky(given, begin, t, ahead + drift * (t - t.mean()) / 86400)
     spin = np.radians(0.5 + 2.0 * rng.uniform(size=(8, 1))) * np.array([unit(rng) for _ in range(8)])
     start = Rotation.random(8, random_state=int(rng.integers(2**31)))
     body = Rotation.from_rotvec((t - t[np.searchsorted(which, which)])[:, None] * -spin[which]) * start[which]
@@ -105,7 +108,7 @@ def make(seed: int, i: int, off: float = 1.0, gyro: bool = True) -> Twin:
     }  # fmt: skip
     attrs = {"epoch_utc": (EPOCH + timedelta(seconds=begin)).isoformat() + "Z", "synthetic": 1, "file": "twin.csv"}
     data = xr.Dataset(variables, {"time": t, "panel": list(vehicle.panel_names)}, attrs)
-    return Twin(vehicle, data if gyro else data.drop_vars("gyro_B"), given, sigma, truth)
+    return Twin(vehicle, data if gyro else data.drop_vars("gyro_B"), given, sigma, truth, (ahead, drift))
 
 
 def deviations(twin: Twin, found: xr.Dataset) -> dict[str, list[float]]:
@@ -128,7 +131,12 @@ def judge(seed: int, i: int) -> dict[str, Any]:
     data = twin.telemetry
     elements = parse_elements("\n".join(twin.elements), "twin")
     orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=twin.shift_sigma_s)
-    return {what: deviations(twin, calibrate_sensors(twin.vehicle, data, orbit))}
+    found = calibrate_sensors(twin.vehicle, data, orbit)
+    along_track = {
+        f"orbit.{name}": [(found.attrs[name] - true) / found.attrs[name.replace("_s", "_sigma_s", 1)]]
+        for name, true in zip(("shift_s", "drift_s_day"), twin.along_track, strict=True)
+    }
+    return {what: deviations(twin, found) | along_track}
 
 
 def kind_of(name: str) -> str:

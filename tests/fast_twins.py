@@ -7,6 +7,7 @@ rate is told.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -84,12 +85,18 @@ def near(result: xr.Dataset, run: xr.Dataset, k: int = 0) -> np.ndarray:
     return (miss < np.maximum(5 * result["omega_sigma_B"].values[k], np.radians(0.1))).all(axis=1)
 
 
+@cache
+def found(kind: Kind, seed: int, i: int, **options) -> tuple[xr.Dataset, xr.Dataset]:
+    """What `rates` finds of twin i of a kind, and its true motion; to be read only."""
+    vehicle, data, run = twin(kind, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))))
+    return ss.rates(vehicle, data, **options), run
+
+
 def tally(kind: Kind, count: int, seed: int, **options) -> Tally:
     """What becomes of `count` twins of a kind."""
     listed = decided = wrong = refused = 0
     for i in range(count):
-        vehicle, data, run = twin(kind, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))))
-        result = ss.rates(vehicle, data, **options)
+        result, run = found(kind, seed, i, **options)
         true = near(result, run)
         weight = result["weight"].values[0]
         bad = result["cost"].values[0, 0] > result["cost_limit"].values[0]

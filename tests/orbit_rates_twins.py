@@ -170,13 +170,13 @@ def judge(seed: int, i: int) -> dict[str, Any]:
     the magnetometer alone."""
     vehicle, data, given, truth, about = make(seed, i)
     for name, by_deg in (("without", None), ("right", 0.0), ("2 deg", 2.0), ("field alone", 0.0)):
-        began, orbit, words = time.process_time(), None, ""
+        began, orbit, check, words = time.process_time(), None, None, ""
         if by_deg is not None:
             orbit, check, _ = judged_orbit(orbit_of(given, data, about, by_deg), vehicle, data)
             words = check.verdict.name
         if name == "field alone" and orbit is None:
             continue
-        calibration = None if orbit is None else field_calibration(orbit, vehicle, data)
+        calibration = None if orbit is None or check is None else field_calibration(orbit, vehicle, data, check.made)
         dropped = ["power_W", "panel"] if name == "field alone" else []
         about[name] = {"check": words, "passes": []}
         for begin in about["begin_s"][: 1 if dropped else None]:

@@ -11,13 +11,13 @@ import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli.changes import opened
 from sunspin.cli.common import Group
-from sunspin.cli.outcomes import _candidates, _scenario
 from sunspin.compute.identity import plain
 from sunspin.landing.outcomes import _own_scenario
-from sunspin.landing.scenario import case_scenario, paper_scenario
+from sunspin.landing.scenario import case_scenario, paper_scenario, scenario_of
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
 from sunspin.philae import study
+from sunspin.philae.starts import starts
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
 from sunspin.vehicle.changes import Change, changed, changes_of, settings
 from sunspin.vehicle.file import ChangedFile, VehicleFile, parse_vehicle, vehicle_table, vehicle_text
@@ -141,7 +141,7 @@ def test_what_was_found_for_another_body_is_not_kept():
     assert rb.moves_and_sees_alike(with_changes("leg[2].tip_B_m[0]+=0.1"), OWN)
     with pytest.raises(InputError, match="another body"):
         study._worth(study.Inputs(case, None))
-    assert study._worth(study.Inputs(ss.load_case("philae", ["collision.restitution=0.2"]), None))[1].twins
+    assert study._worth(study.Inputs(ss.load_case("philae", ["collision.restitution=0.2"]), None))[1].sizes["twin"] == 400
 
 
 def command(*words):
@@ -203,13 +203,13 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
     scan = volume.to_dataset().assign_attrs(vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere")
     write_netcdf(tmp_path / "scan.nc", scan)
     for sets, words in ((("wheel.speed_rad_s=833",), ""), ((), "of another body than this run's: philae, wheel.speed_rad_s = 833")):
-        points, whose = _candidates(opened("philae", sets), tmp_path / "scan.nc", 1.1, (), False)
+        points, whose = starts(opened("philae", sets).craft, [], tmp_path / "scan.nc", 1.1, False)
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
 
 def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
     craft = with_changes("wheel.speed_rad_s=833")
-    assert _scenario("philae", craft, {}, None).wheel_speed_rad_s == (833.0,)
+    assert scenario_of("philae", craft, {}).wheel_speed_rad_s == (833.0,)
     assert _own_scenario(craft).wheel_speed_rad_s == (833.0,) and _own_scenario(OWN).wheel_speed_rad_s == (865.0,)
     case = ss.load_case("philae", ["collision.restitution=0.2", "collision.damper=0.5", "study.lead_s=30"])
     found = case_scenario(case)

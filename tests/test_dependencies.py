@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
 import tomllib
@@ -12,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from sources import nodes
+from other_pythons import VERSIONS
+from sources import text
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
@@ -32,6 +32,8 @@ NOT_IMPORTED = {
 BROUGHT = {"pandas": "xarray", "markupsafe": "jinja2", "llvmlite": "numba"}
 """Imported here, and needed always by a declared one, which knows the version that it needs."""
 
+OWN = {"sunspin", "validation", "tests", "docs", "bench"}
+
 SHARE_ALIKE = re.compile(r"\b(A?GPL|GNU (Affero )?General Public)", re.IGNORECASE)
 
 
@@ -43,19 +45,17 @@ CORE = names(PROJECT["dependencies"])
 EXTRAS = {extra: names(wanted) for extra, wanted in PROJECT["optional-dependencies"].items()}
 
 
+IMPORT = re.compile(r"^ *(?:from|import) ([A-Za-z_]\w*)[\w.]*(?: import\b| as\b| *(?:#.*)?$)", re.MULTILINE)
+"""The first name of what a line imports; one of a module's own package begins with a dot."""
+
+
 @cache
 def imported(folder: Path) -> dict[str, set[str]]:
     """Third-party module -> files below a folder that import it."""
     found: dict[str, set[str]] = {}
     for path in folder.rglob("*.py"):
-        for node in nodes(path):
-            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom) and node.level == 0:
-                modules = [node.module or ""]
-            for module in modules:
-                top = module.split(".")[0]
-                if top not in sys.stdlib_module_names | {"sunspin", "validation", "tests", "docs", "bench"}:
-                    found.setdefault(top, set()).add(path.relative_to(ROOT).as_posix())
+        for top in set(IMPORT.findall(text(path))) - sys.stdlib_module_names - OWN:
+            found.setdefault(top, set()).add(path.relative_to(ROOT).as_posix())
     return found
 
 
@@ -118,3 +118,9 @@ def test_the_lock_fits_what_is_declared():
     assert len(locked) == len(set(locked))
     wanted = CORE | set().union(*(EXTRAS[extra] for extra in EXTRAS if extra != "gpu"))
     assert not wanted - set(locked)
+
+
+def test_versions_that_are_claimed_are_tried():
+    """Classifiers begin with the lowest version that may install it, and name none that `make test-all` would not try."""
+    claimed = [text.rpartition(" :: ")[2] for text in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", text)]
+    assert PROJECT["requires-python"] == f">={claimed[0]}" and set(claimed) <= set(VERSIONS)

@@ -84,6 +84,16 @@ def test_a_sigma_has_the_form_of_its_value(key):
         refused(with_sigma(sigma))
 
 
+def test_the_sigma_of_a_tensor_is_symmetric_as_the_tensor_is():
+    """Else one half of it would be read and the other ignored."""
+    rng = random.Random(3)
+    for _ in range(20):
+        sigma = [[0.1] * 3 for _ in range(3)]
+        i, j = rng.sample(range(3), 2)
+        sigma[i][j] = rng.choice([0.0, 0.2, 1e-3])
+        refused(made(inertia=f"{{value = {RIGHT['inertia']}, sigma = {sigma}}}"), "sigma of inertia_kg_m2 must be symmetric")
+
+
 def test_one_column_serves_one_panel_and_one_axis():
     refused(made(minus='"px"'), "px", "two panels")
     refused(made(x='"time"'), "time")

@@ -67,7 +67,7 @@ def field_nT(place: np.ndarray, sidereal: np.ndarray, when: datetime) -> np.ndar
                             up * np.cos(theta) - south * np.sin(theta)])  # fmt: skip
 
 
-def sky(given: tuple[str, str], begin: float, t: np.ndarray, ahead: float) -> tuple[np.ndarray, ...]:
+def sky(given: tuple[str, str], begin: float, t: np.ndarray, ahead: float | np.ndarray) -> tuple[np.ndarray, ...]:
     """Direction to the Sun (n, 3), field (n, 3) in nT, whether the Sun is up (n) and the ground below lit (n), at s from `begin`
     after the epoch, so many s ahead of the elements."""
     day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)

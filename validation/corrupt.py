@@ -21,7 +21,8 @@ from validation.pool import Verdict
 from validation.suite import Suite
 
 FORMATS = (
-    "telemetry.nc", "telemetry.parquet", "trajectory.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip", "report",
+    "telemetry.nc", "telemetry.parquet", "trajectory.nc", "rates.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip",
+    "report",
 )  # fmt: skip
 SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
 
@@ -36,6 +37,48 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
         fill = (b"\xff", b"\0", b"\x7f", b"\x01")[int(rng.integers(4))]
         data[at : at + size] = (fill * size)[: len(data[at : at + size])]
     return bytes(data)
+
+
+def mismatched(data: Any, rng: np.random.Generator) -> Any:
+    """A Dataset with one to three of its variables gone, cut short, of another type, or with numbers that are none."""
+    for name in rng.choice(sorted(data.variables), size=int(rng.integers(1, 4)), replace=False):
+        values, dims = data[name].values, data[name].dims
+        kind = int(rng.integers(5))
+        data = data.drop_vars(name)
+        if kind == 1:
+            values, dims = values[: len(values) // 2], (f"other_{name}", *dims[1:])
+        elif kind == 2:
+            values = np.full(values.shape, rng.choice([np.nan, np.inf, -1e300]))
+        elif kind == 3:
+            values = np.full(values.shape, "x")
+        elif kind == 4:
+            values = values[::-1] * 1e9
+        data = data if kind == 0 else data.assign({name: (dims, values)})
+    return data
+
+
+def made_rates() -> Any:
+    """A result of `rates` in small, with the curves between its samples."""
+    import xarray as xr
+
+    import sunspin as ss
+
+    craft = ss.Vehicle("cube", np.diag([0.02, 0.021, 0.01]))
+    times = (np.arange(0.0, 300.0, step) for step in (30.0, 3.0))
+    run, fine = (ss.propagate(craft, [0.01, 0.02, 0.03], [0.6, 0.0, 0.8], None, t) for t in times)
+    n, m = run.sizes["time"], fine.sizes["time"]
+    curve = {"curve_omega_B": "omega_B", "curve_omega_sigma_B": "omega_B", "curve_B_from_N": "B_from_N"}
+    return xr.Dataset(
+        {name: (run[name].dims, run[name].values) for name in ("omega_B", "B_from_N", "sun_B")}
+        | {name: (("curve_time", fine[of].dims[1]), fine[of].values) for name, of in curve.items()}
+        | {"pass_of": ("time", np.zeros(n, dtype=int)), "curve_pass_of": ("curve_time", np.zeros(m, dtype=int)),
+           "omega_cov_B": (("time", "axis", "axis2"), np.tile(1e-8 * np.eye(3), (n, 1, 1))),
+           "omega_sigma_all_B": (("pass_id", "axis"), np.full((1, 3), 1e-4)), "weight": (("pass_id", "mode"), [[1.0]]),
+           "omega_mean_B": (("pass_id", "mode", "axis"), np.full((1, 1, 3), 0.02)),
+           "omega_sigma_B": (("pass_id", "mode", "axis"), np.full((1, 1, 3), 1e-4))},
+        coords={"time": run["time"].values, "curve_time": fine["time"].values, "pass_id": [0]},
+        attrs={"kind": "rates", "epoch_utc": "2026-01-01T00:00:00Z", "source": "panels", "vehicle": "cube"},
+    )  # fmt: skip
 
 
 class Corrupt(Suite):
@@ -76,6 +119,12 @@ class Corrupt(Suite):
         self._bad("trajectory.nc", place, rng)
         form = str(rng.choice(["aem", "ck", "netcdf", "parquet"]))
         return self._told("export", place, "--epoch=2026-01-01T00:00:00Z", f"--format={form}", "--out", place / "out")
+
+    def try_rates_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
+        """A page is made of rates whose variables do not belong together: curves without a pass, of other lengths, not finite."""
+        shutil.copytree("stock/results", place / "results")
+        mismatched(self.good["rates"], rng).to_netcdf(place / "results" / "rates.nc", engine="h5netcdf")
+        return self._told("report", place / "results")
 
     def try_scan_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
         bad = self._bad("scan.nc", place, rng)
@@ -170,7 +219,7 @@ def make_files(home: Path) -> dict[str, Any]:
     content["trajectory.nc"] = Path("stock/results/trajectory.nc").read_bytes()
     content["kernel.bc"] = Path("kernels/sunspin.bc").read_bytes()
     content["frames.zip"] = Path("stock/frames.zip").read_bytes()
-    return content | {"rows": function, "result": result}
+    return content | {"rows": function, "result": result, "rates": made_rates()}
 
 
 def write_parquet(path: str, columns: dict[str, np.ndarray]) -> None:

@@ -30,7 +30,8 @@ CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
 KINDS = {
     "right model": 24, "steady torque": 8, "step of the rate": 8, "jitter": 12, "columns exchanged": 12, "stop and go": 8,
     "prior given back": 12, "strong torque in the body": 6, "strong torque in space": 6, "slews": 6, "time tags": 8,
-    "few samples": 40, "few samples, bad readings": 40,
+    "few samples": 40, "few samples, bad readings": 40, "slow": 12, "60 s apart": 12,
+    "even, sampled as jitter": 12,
 }  # fmt: skip
 """Kind of pass -> how many."""
 
@@ -95,10 +96,11 @@ def instants(rng: np.random.Generator, count: int, interval_s: float) -> np.ndar
     return np.concatenate([[0.0], np.cumsum(interval_s * rng.uniform(0.8, 1.2, count - 1))])
 
 
-def tumbling(rng: np.random.Generator, push: Callable[[np.random.Generator, float], Push] | None = None) -> Made:
-    """Six faces, 25 to 40 samples 5 to 15 s apart, 0.5 to 4 deg/s, noise of 0.5 to 3 %; a gyro on one in four."""
-    t = instants(rng, int(rng.integers(25, 41)), rng.uniform(5.0, 15.0))
-    start = np.radians(rng.uniform(0.5, 4.0)) * unit(rng)
+def tumbling(rng: np.random.Generator, push: Callable[[np.random.Generator, float], Push] | None = None,
+             deg_s: tuple[float, float] = (0.5, 4.0), apart_s: tuple[float, float] = (5.0, 15.0)) -> Made:  # fmt: skip
+    """Six faces, 25 to 40 samples so far apart, so fast, noise of 0.5 to 3 %; a gyro on one in four."""
+    t = instants(rng, int(rng.integers(25, 41)), rng.uniform(*apart_s))
+    start = np.radians(rng.uniform(*deg_s)) * unit(rng)
     noise, gyro = 10 ** rng.uniform(-2.3, -1.5), bool(rng.random() < 0.25)
     return seen(FACES, *spin(start, t, None if push is None else push(rng, t[-1])), t, noise, rng, gyro)
 
@@ -150,6 +152,14 @@ def jitter(rng: np.random.Generator) -> Made:
     attitude = np.array(list(accumulate(rates, lambda one, rate: Rotation.from_rotvec(-rate).as_matrix() @ one, initial=np.eye(3))))
     at = t.astype(int)
     return seen(normals, rates[at], attitude[at], at.astype(float), rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
+
+
+def even(rng: np.random.Generator) -> Made:
+    """A body that turns as its moments have it, seen by such panels at such intervals as one that swings."""
+    normals = np.array([unit(rng) for _ in range(9)])
+    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    motion = spin(np.radians(rng.uniform(0.2, 2.5)) * unit(rng), t)
+    return seen(normals, *motion, t, rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
 
 
 def exchanged(made: Made, rng: np.random.Generator) -> Made:
@@ -214,7 +224,8 @@ def make(kind: str, seed: int, i: int) -> Made:
         "jitter": jitter, "stop and go": stop_and_go, "prior given back": given_back, "slews": lambda r: tumbling(r, slews),
         "strong torque in the body": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=True)),
         "strong torque in space": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=False)),
-        "few samples": few,
+        "few samples": few, "even, sampled as jitter": even, "slow": lambda r: tumbling(r, deg_s=(0.02, 0.3)),
+        "60 s apart": lambda r: tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
     }  # fmt: skip
     made = makers[base](rng)
     spoilt = {"columns exchanged": exchanged, "time tags": badly_timed, "few samples, bad readings": misread}

@@ -12,6 +12,7 @@ import xarray as xr
 
 import sunspin as ss
 from docs.skcube_gyro import FREE_S, fit, pairs
+from sunspin.compute.rows import worker_count
 
 PAGE = Path(__file__).parents[1] / "docs" / "real-data.md"
 
@@ -64,7 +65,7 @@ def run(options: Any) -> int:
     gyros = of_other_days(craft, data)
     found = {}
     for name, without in SIDES.items():
-        found[name] = compared(craft, data, ss.rates(craft, data.drop_vars(without)), gyros)
+        found[name] = compared(craft, data, ss.rates(craft, data.drop_vars(without), workers=worker_count(None)), gyros)
         print(f"{name}: {len(found[name])} passes", flush=True)
     options.page.write_text(page(found, gyros), "utf-8")
     print(f"written: {options.page}")

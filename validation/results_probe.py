@@ -14,6 +14,7 @@ import os
 import re
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -116,16 +117,15 @@ def telemetry(seed: int, n: int = 12) -> tuple[ss.Vehicle, xr.Dataset]:
     return vehicle, ss.twin(vehicle, truth, seed=seed)
 
 
-def estimates(n: int) -> dict[str, Any]:
-    """Directions, rates and posteriors of simulated passes."""
-    found: dict[str, Any] = {}
-    for seed in range(n):
-        vehicle, data = telemetry(seed)
-        found[f"sun {seed}"] = of_dataset(ss.sun_directions(vehicle, data))
-        found[f"rates {seed}"] = of_dataset(ss.rates(vehicle, data, max_rate_rad_s=0.15))
-        tree = ss.posterior(vehicle, data, {"max_rate_rad_s": 0.12, "inertia": 0.0}, seed=seed)
-        found[f"posterior {seed}"] = [of_tree(tree), str(tree.attrs["verdict"])]
-    return found
+def estimates(seed: int) -> dict[str, Any]:
+    """Directions, rates and posterior of a simulated pass."""
+    vehicle, data = telemetry(seed)
+    tree = ss.posterior(vehicle, data, {"max_rate_rad_s": 0.12, "inertia": 0.0}, seed=seed)
+    return {
+        f"sun {seed}": of_dataset(ss.sun_directions(vehicle, data)),
+        f"rates {seed}": of_dataset(ss.rates(vehicle, data, max_rate_rad_s=0.15)),
+        f"posterior {seed}": [of_tree(tree), str(tree.attrs["verdict"])],
+    }
 
 
 def study(coarser: int) -> dict[str, Any]:
@@ -177,14 +177,19 @@ def without_places(value: Any) -> Any:
     return json.loads(re.sub(r"sunspin(\.[a-z_]+)+", "sunspin", text))
 
 
-def probe(passes: int, coarser: int) -> dict[str, Any]:
-    """All of it, computed in a folder of its own."""
+PARTS: dict[str, Callable[[int], dict[str, Any]]] = {
+    "kernels": lambda _: kernels(), "golden": lambda _: golden(), "face": lambda _: face(), "estimates": estimates, "study": study,
+}  # fmt: skip
+"""Name of a part -> its results, of a number: which pass, or how coarse a study."""
+
+
+def probe(part: str, n: int) -> dict[str, Any]:
+    """A part, computed in a folder of its own."""
     with tempfile.TemporaryDirectory() as home:
         os.chdir(home)  # nothing lies about that a call might find
-        found = kernels() | golden() | face() | estimates(passes) | study(coarser)
-    return without_places(found)
+        return without_places(PARTS[part](n))
 
 
 if __name__ == "__main__":
-    results = probe(*map(int, sys.argv[1:]))
+    results = probe(sys.argv[1], int(sys.argv[2]))
     print(json.dumps(results))

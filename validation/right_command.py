@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.cli.files import check
+from sunspin.cli.check import check
 from sunspin.cli.rates import rates
 from sunspin.compute.campaign import kept, rows_folder
 from sunspin.solve.rotations import seen_turned

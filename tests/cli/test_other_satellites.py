@@ -19,7 +19,7 @@ from sunspin import cli
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 MAKERS = {
-    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=30),
+    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=20),
     "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng, n=24),
     "wheel, MET, Parquet": lambda folder, rng: satellites.wheeled(folder, rng, n=20),
     "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(folder, rng, n=20, form="netcdf", speed=False),
@@ -145,12 +145,12 @@ def test_corrupted_results_are_refused_by_export(tmp_path):
     fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 1, "--out", tmp_path / "rates"))
     original = (tmp_path / "rates" / "rates.nc").read_bytes()
     refused = 0
-    for i in range(14):
+    for i, kind in enumerate(BYTES):
         bad = tmp_path / f"bad{i}"
         bad.mkdir()
-        (bad / "rates.nc").write_bytes(BYTES[i % len(BYTES)](original, np.random.default_rng(i)))
-        refused += fine_or_a_sentence(["export", bad, "--out", tmp_path / f"out{i}"], BYTES[i % len(BYTES)].__name__) == 2
-    assert refused > 5
+        (bad / "rates.nc").write_bytes(kind(original, np.random.default_rng(i)))
+        refused += fine_or_a_sentence(["export", bad, "--out", tmp_path / f"out{i}"], kind.__name__) == 2
+    assert refused > 3
 
 
 @pytest.mark.slow

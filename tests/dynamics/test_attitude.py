@@ -34,7 +34,7 @@ def euler(omega, dt, ends):
         return np.concatenate([np.cross(y[:3], rate) + INERTIA @ np.cross(DIPOLE, field), turning.ravel()])
 
     start = np.concatenate([INERTIA @ omega + ends.momentum, np.eye(3).ravel()])
-    y = solve_ivp(slope, (0, dt), start, rtol=1e-10, atol=1e-12).y[:, -1]
+    y = solve_ivp(slope, (0, dt), start, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
     return y[3:].reshape(3, 3), np.linalg.solve(INERTIA, y[:3] - ends.momentum_end)
 
 

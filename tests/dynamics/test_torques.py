@@ -170,7 +170,7 @@ def steady_by_scipy(inertia: np.ndarray, torques: np.ndarray, t_end: float) -> t
         turned = [-np.cross(omega, column) for column in matrix.T]
         return [*np.linalg.solve(inertia, torque - np.cross(omega, inertia @ omega)), *np.ravel(np.transpose(turned))]
 
-    end = solve_ivp(slope, (0, t_end), [*OMEGA, *np.eye(3).ravel()], rtol=1e-11, atol=1e-12).y[:, -1]
+    end = solve_ivp(slope, (0, t_end), [*OMEGA, *np.eye(3).ravel()], method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     return end[:3], end[3:].reshape(3, 3) @ SUN
 
 

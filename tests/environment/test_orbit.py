@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from datetime import datetime, timedelta
 from importlib import resources
 
@@ -188,6 +189,21 @@ def test_surroundings_follow_the_orbit_with_their_errors():
     np.testing.assert_allclose(moved.nadir_N[:-1], here.nadir_N[1:], atol=1e-6)
     late = in_orbit(elements, EPOCH, t, clock_s=20, shift_sigma_s=10).at(t)
     np.testing.assert_allclose(late.field_N[:-1], here.field_N[1:], atol=1e-12)
+
+
+def test_a_shift_that_drifts_is_known_less_well_far_from_the_middle():
+    elements = parse_elements(VZLUSAT, "case")
+    t = 86400 * np.array([0.0, 1.0, 2.0])
+    plain = in_orbit(elements, EPOCH, t, shift_s=-5.0, shift_sigma_s=10.0)
+    assert plain.drift_sigma_s_day == pytest.approx(np.hypot(0.2 + 0.02 * abs(elements[0].days_to(plain.middle_jd)), 1 / 3))
+    orbit = replace(plain, drift_s_day=20.0, drift_sigma_s_day=3.0)
+    when = orbit.instants(t)
+    np.testing.assert_allclose(orbit.ahead_s(when), [-25.0, -5.0, 15.0], atol=1e-4)
+    np.testing.assert_allclose(orbit.ahead_sigma_s(when) ** 2, [110.0, 101.0, 110.0], rtol=1e-6)
+    at = [replace(plain, shift_s=shift).states(when)[0][k] for k, shift in enumerate((-25.0, -5.0, 15.0))]
+    np.testing.assert_allclose(orbit.states(when)[0], at, atol=1.0)
+    turning = 360 / 5680 * orbit.ahead_sigma_s(when)
+    np.testing.assert_allclose(np.degrees(orbit.at(t).nadir_sigma_rad), turning, rtol=0.02)
 
 
 def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():

@@ -20,6 +20,7 @@ from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.calibrate import sensors as calibrate
 from sunspin.estimate.calibrate.gyro import fit_gyro
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict
+from sunspin.estimate.orbit.sensors import Calibration, _clusters
 from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
 
@@ -74,9 +75,40 @@ def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch
     assert "magnetometer.zero = [" in str(found.sunspin.summary())
 
 
+def test_a_fit_that_the_check_has_made_is_not_made_again(monkeypatch):
+    twin = few()
+    sigma = np.full(44, 1e-3)
+    made = Calibration(np.append(np.zeros(12), [7.0, 0.5, *np.zeros(30)]), np.diag(sigma**2), np.diag(sigma**2), np.eye(44), 3e-5,
+                       3e4, 6, 3e-7, 1.0, 1.0, np.zeros(2), np.zeros(2), {"field": 80, "field and Sun": 60})  # fmt: skip
+    check = OrbitCheck(0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), made=made)
+    monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
+    monkeypatch.delattr(calibrate, "fit_in_orbit")
+    data = twin.telemetry.drop_vars(["power_W", "panel"])
+    elements = parse_elements("\n".join(twin.elements), "twin")
+    orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=20.0)
+    found = ss.calibrate_sensors(twin.vehicle, data, orbit)
+    assert (found.attrs["shift_s"], found.attrs["drift_s_day"], found.attrs["drift_sigma_s_day"]) == (7.0, 0.5, 1e-3)
+    assert "+7.0 +- 0.0 s in the middle of the file, drifting by +0.5 +- 0.0 s a day" in str(found.sunspin.summary())
+
+
+def test_passes_are_cut_into_pieces_where_they_are_few():
+    assert len(set(_clusters(np.repeat(np.arange(8), 10)))) == 8
+    np.testing.assert_array_equal(_clusters(np.repeat([3, 5], [6, 3])), [0, 0, 1, 1, 2, 2, 3, 4, 5])
+
+
 def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):
     with pytest.raises(ss.InputError, match="the elements do not fit the telemetry, which cannot be calibrated with them"):
         calibrated(few(), monkeypatch, Verdict.REFUSED)
+
+
+def test_a_field_of_the_wrong_sign_is_not_calibrated(monkeypatch):
+    check = OrbitCheck(0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), sign_turned=True)
+    monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
+    twin = few()
+    data = twin.telemetry.drop_vars(["power_W", "panel"])
+    orbit = in_orbit(parse_elements("\n".join(twin.elements), "twin"), data.attrs["epoch_utc"], data["time"].values)
+    with pytest.raises(ss.InputError, match="reads the field with the opposite sign.* turn its `matrix`"):
+        ss.calibrate_sensors(twin.vehicle, data, orbit)
 
 
 def test_without_an_orbit_only_the_panels_are_calibrated():

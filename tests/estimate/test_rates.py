@@ -75,12 +75,16 @@ def test_a_wheel_is_part_of_the_motion():
     assert "NO motion fits" in without.attrs["verdict"] and "NO motion" not in result.attrs["verdict"]
 
 
-def test_evenly_spaced_samples_leave_aliases_and_they_are_listed():
-    rng = np.random.default_rng(1)
-    t = np.arange(6) * 40.0
-    data, run = twin(CUBE, [0.004, -0.003, 0.012], t, rng, noise=0.02)
-    sphere = replace(CUBE, inertia_kg_m2=None)
-    result = ss.rates(sphere, data, acceleration_noise=1e-4, max_rate_rad_s=0.16)
+@pytest.fixture(scope="module")
+def evenly_spaced():
+    """Rates of a body of unknown inertia from samples 40 s apart, the body, telemetry and true motion."""
+    data, run = twin(CUBE, [0.004, -0.003, 0.012], np.arange(6) * 40.0, np.random.default_rng(1), noise=0.02)
+    craft = replace(CUBE, inertia_kg_m2=None)
+    return ss.rates(craft, data, acceleration_noise=1e-4, max_rate_rad_s=0.16), craft, data, run
+
+
+def test_evenly_spaced_samples_leave_aliases_and_they_are_listed(evenly_spaced):
+    result, _, _, run = evenly_spaced
     weight = result["weight"].values[0]
     assert np.isfinite(weight).sum() >= 2
     assert np.nansum(weight) == pytest.approx(1.0, abs=0.02)
@@ -91,16 +95,14 @@ def test_evenly_spaced_samples_leave_aliases_and_they_are_listed():
 
 
 @pytest.mark.evidence("rates", "modelled", "a twin with a gyro")
-def test_a_gyro_decides_between_aliases_and_narrows_the_rate():
+def test_a_gyro_decides_between_aliases_and_narrows_the_rate(evenly_spaced):
     from sunspin.vehicle.sensors import Gyro, Sensors
 
-    rng = np.random.default_rng(2)
-    data, run = twin(CUBE, [0.01, -0.02, 0.012], np.arange(6) * 40.0, rng)
-    craft = replace(CUBE, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
-    gyro = run["omega_B"].values + 5e-4 * rng.normal(size=(6, 3))
-    both = ss.rates(craft, data.assign(gyro_B=(("time", "axis"), gyro)), acceleration_noise=2e-5, max_rate_rad_s=0.16)
-    alone = ss.rates(craft, data, acceleration_noise=2e-5, max_rate_rad_s=0.16)
-    assert both["weight"].values[0, 0] > 0.9
+    alone, craft, data, run = evenly_spaced
+    craft = replace(craft, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
+    gyro = run["omega_B"].values + 5e-4 * np.random.default_rng(2).normal(size=(6, 3))
+    both = ss.rates(craft, data.assign(gyro_B=(("time", "axis"), gyro)), acceleration_noise=1e-4, max_rate_rad_s=0.16)
+    assert both["weight"].values[0, 0] > 0.9 and (errors(both, run) ** 2).mean() < 4.0
     assert np.all(both["omega_sigma_all_B"].values[0] < alone["omega_sigma_all_B"].values[0])
     assert both.attrs["gyro_used"] == 1 and alone.attrs["gyro_used"] == 0
 

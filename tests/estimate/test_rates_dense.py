@@ -9,7 +9,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.estimate.rates.dense import Dense, bridge
+from sunspin.estimate.rates.dense import Dense, bridge, curve
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import MAX_SAMPLES, observations, thinned
 from sunspin.estimate.rates.smooth import whitening
@@ -59,6 +59,26 @@ def test_between_kept_samples_it_is_the_true_motion(pass_):
     np.testing.assert_allclose(found.sun_B[0], run["sun_B"].values, rtol=0, atol=2e-4)
     np.testing.assert_array_equal(found.omega[0, kept], omega[kept])
     assert np.all(np.linalg.eigvalsh(found.covariance[0][np.setdiff1d(every, kept)]) > 0)
+
+
+@pytest.mark.parametrize("every", [3, 6, 9])
+@pytest.mark.parametrize("wheel", [400.0, 0.0])
+def test_curves_between_samples_bend_as_the_motion_does(every, wheel, pass_):
+    """With samples up to 80 degrees of turn apart; straight lines between them are far off."""
+    _, _, o, _ = pass_
+    at = np.arange(0, 121, every)
+    craft = replace(CRAFT, wheels=(replace(WHEEL, speed_rad_s=wheel),))
+    o = replace(o.take(at), momentum=o.momentum[at] * (wheel > 0))
+    run = ss.propagate(craft, RATE, SUN, wheel, o.t_s)
+    track = Track(attitudes(run)[None], run["omega_B"].values[None], covariance=np.zeros((1, len(at), 6, 6)))
+    t, found = curve(o, track, Motion(Body.of(craft), NOISE, 0.1))
+    truth = ss.propagate(craft, RATE, SUN, wheel, t)
+    np.testing.assert_allclose(found.omega[0], truth["omega_B"].values, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(found.sun_B[0], truth["sun_B"].values, rtol=0, atol=1e-3)
+    straight = np.stack([np.interp(t, o.t_s, x) for x in run["omega_B"].values.T], axis=1)
+    assert np.abs(straight - truth["omega_B"].values).max() > 20 * np.abs(found.omega[0] - truth["omega_B"].values).max()
+    assert np.abs(np.diff(t) - (t[-1] - t[0]) / (len(t) - 1)).max() < 1e-9
+    assert np.all(np.einsum("nii->ni", found.covariance[0]) >= 0) and np.isfinite(found.covariance).all()
 
 
 def test_the_mean_answers_as_differences_say(pass_):
@@ -115,6 +135,8 @@ def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
     sigma = np.sqrt(np.einsum("nii->ni", found["omega_cov_B"].values))
     assert np.abs(off / sigma).max() < 4.5 and np.sqrt(np.mean((off / sigma) ** 2)) < 1.6
     mean = run["omega_B"].values.mean(axis=0)
+    between = ss.propagate(CRAFT, RATE, SUN, 400.0, found["curve_time"].values)["omega_B"].values
+    assert np.abs((found["curve_omega_B"].values - between) / found["curve_omega_sigma_B"].values).max() < 4.5
     pull = np.abs(found["omega_mean_B"].values[0, 0] - mean) / found["omega_sigma_B"].values[0, 0]
     reached("distance of the mean rate", pull, "sigmas", limit=4.0)
     assert pull.max() < 4.0 and found["omega_sigma_B"].values[0, 0].max() < 2e-3

@@ -34,7 +34,6 @@ def test_panel_powers_are_the_same_numbers_in_page_and_picture(user_runs, run):
 def test_the_first_picture_of_a_study_has_its_bands_scales_and_events(study):
     plot = overview.hero(read_results(study))
     figure = figure_of(plot)
-    figure.canvas.draw()
     assert [axes.get_yscale() for axes in figure.axes] == ["log", "log"]
     assert sum(len(axes.patches) for axes in figure.axes) == sum("fill" in trace for trace in plot.data)
     texts = {text.get_text() for axes in figure.axes for text in axes.texts}

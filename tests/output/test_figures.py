@@ -1,13 +1,15 @@
-"""Drawn figures: what a line connects."""
+"""Drawn figures: what a line connects, how far an error bar leads."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.output.figures import _connected, sun_directions_figure
+from sunspin.output.figures.outcomes import _error_of
 
 
 def directions(hours: list[float], known: list[int], phase: list[str] | None = None) -> xr.Dataset:
@@ -31,6 +33,22 @@ def directions(hours: list[float], known: list[int], phase: list[str] | None = N
 def test_a_line_connects_successive_directions_of_a_phase_and_crosses_no_pause(hours, known, phase, pieces):
     found = _connected(np.array(hours, dtype=float), directions(hours, known, phase))
     assert [piece.tolist() for piece in found] == pieces
+
+
+@pytest.mark.parametrize("turned", [10, 50, 70, 180])
+def test_no_line_connects_directions_so_far_apart_that_the_way_between_is_not_known(turned):
+    sun = directions(list(range(6)), list(range(6)))
+    sun["sun_B"].values[3:] = Rotation.from_euler("x", turned, degrees=True).apply([0.0, 0.6, 0.8])
+    found = [piece.tolist() for piece in _connected(np.arange(6.0), sun)]
+    assert found == ([[0, 1, 2, 3, 4, 5]] if turned < 60 else [[0, 1, 2], [3, 4, 5]])
+
+
+def test_no_error_bar_leads_out_of_the_range_of_a_probability():
+    rng = np.random.default_rng(0)
+    value, error = rng.uniform(size=200).round(1), rng.uniform(size=200)
+    low, high = _error_of("touch_leg", value, error)
+    assert np.all(value - low >= -1e-12) and np.all(value + high <= 1 + 1e-12) and np.all(np.stack([low, high]) >= 0)
+    assert np.array_equal(_error_of("leg_tip_speed", 9 * value, error), error)
 
 
 def test_the_figure_of_the_directions_draws_these_lines():

@@ -12,11 +12,12 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.output.figures import _passes_together, save, sun_directions_figure
-from sunspin.output.figures.rates import sources
+from sunspin.output.figures.rates import rates_figure, sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
 from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report import measured, orbit
 from sunspin.output.report.other import unknown
+from sunspin.output.report.passes import dense
 from sunspin.output.report.read import Results
 from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
@@ -100,6 +101,38 @@ def test_curves_bend_between_the_instants_of_a_motion():
     power, t = ss.panel_power(CUBE, exact["sun_B"].values), fine["time"].values
     chords = np.stack([np.interp(t, coarse["time"].values, column) for column in coarse["panel_signal"].values.T], axis=1)
     assert np.abs(fine["panel_signal"].values - power).max() < np.abs(chords - power).max() / 3
+
+
+def with_curve(result: xr.Dataset, omega=OMEGA) -> xr.Dataset:
+    """The same with the motion between its samples, and attitudes."""
+    t = np.linspace(0.0, result["time"].values[-1], 800)
+    coarse, fine = (ss.propagate(CUBE, omega, [0.6, 0.0, 0.8], None, at) for at in (result["time"].values, t))
+    rate = fine["omega_B"].values
+    return result.assign(
+        omega_B=coarse["omega_B"], B_from_N=coarse["B_from_N"], curve_omega_B=(("curve_time", "axis"), rate),
+        curve_omega_sigma_B=(("curve_time", "axis"), np.full(rate.shape, 1e-4)),
+        curve_B_from_N=(("curve_time", "quaternion"), fine["B_from_N"].values),
+        curve_pass_of=("curve_time", np.zeros(t.size, dtype=int)),
+    ).assign_coords(curve_time=t)  # fmt: skip
+
+
+def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
+    """No straight lines between samples, and no axis stretched to a zero that is out of sight."""
+    result, _ = tumble(20, 30.0)
+    result = with_curve(result)
+    figure = rates_figure(result)
+    for k, axes in enumerate(figure.axes[:3]):
+        curve, *_ = (line for line in axes.lines if len(line.get_xdata()) > 2 and line.get_linestyle() == "-")
+        np.testing.assert_allclose(np.asarray(curve.get_ydata()), np.degrees(result["curve_omega_B"].values[:, k]), rtol=1e-12)
+        low, high = axes.get_ylim()
+        assert np.ptp(np.asarray(curve.get_ydata())) > 0.5 * (high - low)
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert len(texts) == 2 and "between them" in texts[0] and "sigma" in texts[1]
+    title, run = dense(result)[0]
+    assert title == "Pass 1" and "equations of motion" in run.attrs["about"]
+    exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
+    np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
+    assert dense(result.drop_vars("curve_pass_of")) == []
 
 
 @pytest.mark.parametrize("passes", [2, 5, 30])

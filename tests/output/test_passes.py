@@ -8,6 +8,7 @@ import xarray as xr
 from sunspin.estimate.passes import PassMotions, table
 from sunspin.estimate.verdict import Misfit, answers
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
+from sunspin.vehicle.timeline import utc_after
 
 COLUMNS = [
     "pass_id", "utc_start", "utc_end", "samples", "mode", "weight", "decided", "unique", "informed_x", "informed_y", "informed_z",
@@ -39,6 +40,17 @@ def test_every_motion_is_a_row_with_the_columns_that_scripts_read(found, tmp_pat
     assert rows["utc_at"][0] == "2026-01-01T00:00:40.500000Z"
     for name in COLUMNS[15:]:
         np.testing.assert_allclose(rows[f"{name}_deg_s"], np.degrees(rows[name]), rtol=1e-8)
+
+
+@pytest.mark.parametrize("digits", [0, 1, 3])
+def test_a_time_is_rounded_and_not_the_seconds_since_the_epoch(digits):
+    """The part of a second at which the file begins must not appear in a time that is printed to the second."""
+    rng = np.random.default_rng(digits)
+    for seconds, begin in zip(1e4 * rng.uniform(size=50), rng.integers(1000, size=50), strict=True):
+        text = utc_after(float(seconds), f"2026-03-04T10:00:00.{begin:03d}Z", digits)
+        off = np.datetime64(text.removesuffix("Z"), "us") - np.datetime64(f"2026-03-04T10:00:00.{begin:03d}", "us")
+        assert abs(off / np.timedelta64(1, "s") - seconds) <= 0.5 * 10.0**-digits + 1e-6
+        assert digits or "." not in text
 
 
 def test_the_summary_has_the_same_names(found):

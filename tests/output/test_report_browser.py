@@ -279,7 +279,7 @@ def test_it_prints_with_its_pictures(browser, study):
 
 @pytest.mark.parametrize("name", ["simulate", *(pytest.param(name, marks=pytest.mark.long) for name in ("rates", "posterior"))])
 def test_a_users_run_with_a_hostile_name(browser, user_runs, name):
-    browser.open(user_runs[name] / "report.html")
+    browser.open(user_runs[name] / "report.html", 640, 480)  # the processor paints each pixel
     browser.js(TOP)
     browser.show(STAGE)
     assert browser.js("window.hacked === undefined") and browser.complaints() == []

@@ -82,7 +82,7 @@ def test_a_posterior_is_shown_with_its_best_motion_and_what_it_predicts(user_run
     assert np.abs(scale * modelled - samples.values).max() < 6 * 0.02  # of its noise, 0.02 W
 
 
-def test_the_command_names_the_page(user_runs):
-    done = CliRunner().invoke(cli, ["report", str(user_runs["sun"]), "--json"], catch_exceptions=False)
+def test_the_command_names_the_page(user_runs, framed):
+    done = CliRunner().invoke(cli, ["report", str(user_runs["scan"]), "--json"], catch_exceptions=False)
     said = json.loads(done.output)
     assert Path(said["report"]).stat().st_size == said["bytes"]

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 import sunspin as ss
 from sunspin.output.kinds import KINDS
+from sunspin.philae.coverage import shipped
 
 NO_FIGURE = {"impact", "lines", "calibration"}
 
@@ -67,12 +68,13 @@ MADE = {
     "scan": scan,
     "lines": lambda: ss.fit_lines(np.random.default_rng(1).normal(size=(30, 3)), 2),
     "outcomes": outcomes,
+    "coverage": lambda: shipped(ss.load_case("philae")),
 }
 """Kind -> how a public function makes it, small."""
 
 
 @pytest.mark.parametrize("kind", MADE)
-def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_path):
+def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_path, framed):
     result = MADE[kind]()
     assert result.attrs["kind"] == kind and result.attrs["sunspin_version"] == ss.__version__
     summary = result.sunspin.summary()
@@ -81,7 +83,7 @@ def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_p
         with pytest.raises(ss.InputError, match="has no figure; print its summary"):
             result.sunspin.plot()
     else:
-        assert isinstance(result.sunspin.plot(), Figure)
+        result.sunspin.plot().canvas.draw()
         with pytest.raises(ss.InputError, match="no figure of this name"):
             result.sunspin.plot("nonsense")
     folder = result.sunspin.save(tmp_path / "saved")
@@ -92,7 +94,7 @@ def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_p
     assert json.loads((folder / "summary.json").read_text("utf-8"))["version"] == ss.__version__
 
 
-def test_a_posterior_and_its_predictions(user_runs, tmp_path):
+def test_a_posterior_and_its_predictions(user_runs, tmp_path, framed):
     tree = xr.load_datatree(user_runs["posterior"] / "posterior.nc")
     assert tree.attrs["kind"] == "posterior" and tree["predictions"].attrs["kind"] == "predictions"
     summary = tree.sunspin.summary()

@@ -120,13 +120,13 @@ def test_a_telemetry_that_no_motion_makes_is_refused(quick):
     low = np.array([0.8, 0.5, 0.2])
     power = 0.02 * ss.panel_power(CASE.vehicle, low / np.linalg.norm(low))
     data["power_W"].values[later] = np.where(power > 0, power, 0.0)
-    one = chain_of(data, coarser=10)
+    one = chain_of(data, coarser=20)
     assert one.chain is None and "no motion of the model fits" in one.why
 
 
 @pytest.mark.long
 def test_the_published_lines_are_candidates_only_when_asked_for(found):
-    one = chain_of(controls.with_motion(CASE, controls.STILL), "published", coarser=10)
+    one = chain_of(controls.with_motion(CASE, controls.STILL), "published", coarser=20)
     assert one.chain.name == "published" and "whatever this telemetry says" in one.chain.chosen.about
     assert {row.chain for row in one.rows.values() if row.depends == "candidates"} == {"published"}
 
@@ -135,7 +135,7 @@ def test_the_published_lines_are_candidates_only_when_asked_for(found):
 def test_candidates_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
-    one = chain_of(None, str(path), coarser=10)
+    one = chain_of(None, str(path), coarser=20)
     assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
     assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
     for text, said in (("a,b\n1,2\n", "columns omega_x"), ("omega_x,omega_y,omega_z\n1,x,2\n", "columns omega_x"),
@@ -158,7 +158,7 @@ def test_right_files_are_not_accused(seed):
     """Of 20 seeds none was (docs/validation); three here."""
     from sunspin.philae.twin_philae import philae_twin
 
-    one = chain_of(philae_twin(seed), coarser=10)
+    one = chain_of(philae_twin(seed), coarser=20)
     assert one.carries.one_sun and one.carries.descent_order and one.chain is not None, (one.carries.first_line, one.why)
 
 

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from sunspin.cli import cli
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics.ensemble import Rows
 from sunspin.dynamics.propagate import propagate
+from sunspin.estimate.scan import coverage as lv
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
@@ -21,6 +22,7 @@ from sunspin.estimate.scan.volume import scan
 from sunspin.philae import coverage as wo
 from sunspin.philae import coverage_told, threshold
 from sunspin.philae import rebound as rb
+from sunspin.philae.coverage_results import Coverage
 from sunspin.philae.coverage_rows import LEAST_TOLD, TwinRows, draw_twin, samples_z, truth_distance
 from sunspin.telemetry.case import load_case
 
@@ -119,16 +121,16 @@ def test_wrong_setups_are_refused(wrong):
 
 def _twins(emd_truth, emd_min):
     n = len(emd_min)
-    twin = {name: np.ones(n) for name in wo.PER_TWIN} | {"emd_truth": emd_truth, "emd_min": emd_min}
+    twin = {name: np.ones(n) for name in lv.UNITS} | {"emd_truth": emd_truth, "emd_min": emd_min}
     table = {"at": np.array([1.0, 2.0, 3.0]), "count": np.ones((3, 3)), "speed": np.ones((3, 3)), "holds": np.array([1, n - 1, n])}
-    return wo.Twins("lines", twin, table, table)
+    return lv.Twins(twin, table, table)
 
 
 def test_shares_by_hand():
     """Wilson's interval of 0 of 10 ends at z^2 / (n + z^2) = 0.2775."""
-    low, high = wo.Share(0, 10).interval
+    low, high = lv.Share(0, 10).interval
     assert low == pytest.approx(0.0, abs=1e-12) and high == pytest.approx(0.27754, abs=1e-4)
-    assert wo.Share(5, 10).value == 0.5 and wo.Share(0, 0).interval == (0.0, 1.0)
+    assert lv.Share(5, 10).value == 0.5 and lv.Share(0, 0).interval == (0.0, 1.0)
 
 
 @pytest.mark.evidence("worth", "verified", "order statistics of 4,000 drawn studies")
@@ -151,7 +153,7 @@ def test_too_few_twins_are_refused():
     with pytest.raises(InputError, match="too few twins.*ask for more"):
         _twins(np.ones(10), np.ones(10)).threshold(0.95, False)
     with pytest.raises(InputError, match="between 0 and 1"):
-        wo.check_confidence(100, 1.0)
+        lv.check_confidence(100, 1.0)
 
 
 def test_the_bound_is_looked_up_from_where_it_holds_for_good():
@@ -163,17 +165,30 @@ def test_the_bound_is_looked_up_from_where_it_holds_for_good():
 @pytest.mark.evidence("worth", "modelled", "400 synthetic rebounds of known truth")
 def test_the_shipped_study_says_what_its_rows_say(reached):
     worth = wo.shipped(CASE)
-    assert worth.command == "sunspin worth --twins 400 --seed 0" and set(worth.twins) == {"lines", "grid"}
+    assert worth.attrs["command"] == "sunspin worth --twins 400 --seed 0" and set(lv.twins_of(worth)) == {"lines", "grid"}
     rows = {row.id: row for row in coverage_told.rows(CASE, worth)}
-    lines = worth.twins["lines"]
+    lines = lv.twins_of(worth)["lines"]
     assert rows["worth_truth_in_set"].ours == pytest.approx(np.mean(lines.ratio < 1.1))
     assert 0.01 < rows["worth_truth_in_set"].ours < 0.1 and 2.3 < rows["worth_factor_90"].ours < 3.0
     reached("truth within 1.1 times the smallest EMD", rows["worth_truth_in_set"].ours)
     assert all("synthetic" in row.note for row in rows.values() if "sunspin worth" in row.note)
-    again = wo.from_json(json.dumps(wo.to_json(worth)), "here")
-    assert wo.to_json(again) == wo.to_json(worth)
+    again = lv.from_json(json.dumps(lv.to_json(worth)), "here")
+    assert lv.to_json(again) == lv.to_json(worth)
     with pytest.raises(InputError, match="no result of `sunspin worth`"):
-        wo.from_json("{}", "here")
+        lv.from_json("{}", "here")
+
+
+def test_a_coverage_keeps_its_names_beside_its_variables():
+    """Scripts ask for rows and sentences by name; a Dataset is what is stored."""
+    shipped = wo.shipped(CASE)
+    rows = json.dumps([asdict(row) for row in coverage_told.rows(CASE, shipped)])
+    found = Coverage(shipped.data_vars, shipped.coords, shipped.attrs).assign_attrs(figures=rows, seconds=1.5)
+    assert "the truth lies in the set within 1.1 times the smallest EMD" in found["sentences"][0]
+    assert {row["id"]: row["ours"] for row in found["figures"]}["worth_factor_90"] > 2.3
+    assert (found["seconds"], found["folder"], found["changes"], found["confidence"]) == (1.5, None, [], 0.9)
+    assert found["line_angle"].dims == ("prior", "twin", "line") and found["line_angle"].attrs["units"] == "rad"
+    with pytest.raises(KeyError):
+        found["nonsense"]
 
 
 def test_the_command_writes_a_study_that_can_be_read_again(tmp_path, framed):
@@ -183,10 +198,10 @@ def test_the_command_writes_a_study_that_can_be_read_again(tmp_path, framed):
     assert done.exit_code == 0, done.output
     summary = json.loads(done.output)
     assert summary["synthetic_telemetry"] is True and any(row["id"] == "worth_factor_50" for row in summary["figures"])
-    found = wo.from_json((out / "worth.json").read_text("utf-8"), "out")
-    assert found.twins["grid"].n == 10 and f"--coarser {COARSE}" in found.command
+    found = lv.from_json((out / "worth.json").read_text("utf-8"), "out")
+    assert lv.twins_of(found)["grid"].n == 10 and f"--coarser {COARSE}" in found.attrs["command"]
     page = (out / "report.html").read_text("utf-8")
-    assert "Synthetic telemetry" in page and (out / "worth.png").is_file()
+    assert "Synthetic telemetry" in page and (out / "worth.png").is_file() and (out / "coverage.nc").is_file()
 
 
 def test_the_command_refuses_before_the_work(tmp_path):
@@ -208,7 +223,7 @@ def test_a_scan_takes_a_calibrated_threshold():
 def test_the_readme_states_the_figures_that_ship():
     """Shares of the shipped study of twins, factor of the shipped calibration: what the README says is what the files hold."""
     text = re.sub(r"\s+", " ", (Path(__file__).parents[2] / "README.md").read_text("utf-8"))
-    share = wo.shipped(CASE).twins["lines"].in_set(1.1)
+    share = lv.twins_of(wo.shipped(CASE))["lines"].in_set(1.1)
     low, high = share.interval
     assert f"in {share.value * 100:.1f} % of {share.n} ({low * 100:.1f} to {high * 100:.1f} %)" in text
     path = CASE.folder / threshold.SHIPPED

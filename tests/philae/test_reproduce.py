@@ -43,7 +43,7 @@ def quick():
 
 @pytest.mark.long
 def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
-    found = quick(rb.with_telemetry(CASE, without("descent", "deployment")))
+    found = quick(rb.with_telemetry(CASE, without("descent", "deployment")), coarser=20)
     assert list(found.missing) == ["descent"] and "no sample before the first touchdown" in found.missing["descent"]
     assert set(found.rows_by_part) == set(QUICK) - {"descent", "candidates"}
     assert any(said.startswith("Section 3.1: the descent: not reproduced") for said in conclusions(found))
@@ -60,7 +60,7 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
 def test_with_measured_telemetry_they_are_tests(quick):
     data = CASE.telemetry.copy()
     data.attrs = {key: value for key, value in CASE.telemetry.attrs.items() if key != "synthetic"}
-    kinds = {row.id: row.kind for row in quick(rb.with_telemetry(CASE, data)).rows}
+    kinds = {row.id: row.kind for row in quick(rb.with_telemetry(CASE, data), coarser=20).rows}
     assert {kinds[name] for name in ("delta_mean", "descent_rate_cubic", "shadowed_panel")} == {"test"}
 
 
@@ -83,7 +83,7 @@ def test_what_needs_no_telemetry_does_not_change_with_it(quick):
 
 @pytest.mark.long
 def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
-    found = quick(rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)))
+    found = quick(rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20)
     assert found.chain is None and "touchdown" in found.missing
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)

@@ -29,7 +29,7 @@ def own_track(craft, omega, speed, times):
 
 @pytest.fixture(scope="module")
 def result():
-    return sensitivity.compute(CASE, SUN, coarser=8)
+    return sensitivity.compute(CASE, SUN, coarser=12)
 
 
 @pytest.mark.parametrize(("craft", "speed"), CRAFT, ids=["no wheel", "wheel on x"])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from sunspin.solve.rotations import cross_matrix, moved, seen_turned, smallest_turn, tangents, turn, turn_between
+from sunspin.solve.rotations import cross_matrix, matrix_of, moved, seen_turned, smallest_turn, tangents, turn, turn_between
 
 
 def units(n, seed=0):
@@ -28,6 +29,20 @@ def test_turns_of_any_shape_are_found_again():
     assert turn_between(np.broadcast_to(start, end.shape), end) == pytest.approx(angle, abs=1e-12)
     sun = units(1)[0]
     assert seen_turned(start @ sun, angle) == pytest.approx(end @ sun, abs=1e-14)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-3, 1.0, 3.0, np.pi - 1e-9, np.pi, 5.0])
+def test_turns_are_those_of_scipy(size):
+    """As matrices where half a turn one way is one the other way, too."""
+    angle, start = size * units(50, 7), Rotation.random(50, rng=8).as_matrix()
+    end = turn(start, angle)
+    expected = Rotation.from_rotvec(-angle).as_matrix() @ start
+    assert end == pytest.approx(expected, abs=5e-15)
+    found = turn_between(start, end)
+    assert Rotation.from_rotvec(-found).as_matrix() @ start == pytest.approx(expected, abs=1e-14)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(np.full(50, min(size, 2 * np.pi - size)), abs=1e-14, rel=1e-12)
+    quaternion = Rotation.from_rotvec(angle).as_quat()
+    assert matrix_of(-2 * quaternion) == pytest.approx(Rotation.from_rotvec(angle).as_matrix(), abs=5e-15)
 
 
 def test_the_smallest_turn_takes_one_direction_to_the_other_and_leaves_what_is_across():

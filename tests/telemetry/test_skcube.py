@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import sunspin as ss
-from sunspin.cli.files import decode
+from sunspin.cli.decode import decode
 from sunspin.telemetry.decoders.skcube import KINDS, beacons_csv, decode_beacons, unescape
 
 FREE_S, LAST_S = 219_600, 476_000

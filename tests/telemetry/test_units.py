@@ -14,6 +14,7 @@ from sunspin.telemetry.quality import panel_quality
 from sunspin.telemetry.sun import best_directions, sun_directions
 from sunspin.telemetry.units import wrong_units
 from sunspin.vehicle.file import line_of, parse_vehicle
+from sunspin.vehicle.response.panels import panel_power
 
 MAKERS = (satellites.six_faces, satellites.four_faces, satellites.wheeled)
 
@@ -47,6 +48,32 @@ def test_a_file_of_the_shadow_alone_is_in_no_wrong_unit(tmp_path, seed):
     assert panel_unit(vehicle, np.clip(noise, 0.0, None), best_directions) is None
 
 
+@pytest.mark.parametrize("rows", [8, 20])
+@pytest.mark.parametrize("make", MAKERS)
+def test_of_a_hundred_small_files_of_the_shadow_at_most_one_is_in_a_wrong_unit(make, rows, tmp_path):
+    """Whatever their size, cut off at zero or not, with noise alike for all panels or with their gains."""
+    made, rng = make(tmp_path, np.random.default_rng(1)), np.random.default_rng(rows)
+    vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
+    gains, accused = vehicle.input_gains, 0
+    for k in range(100):
+        noise = 0.003 * (gains if k % 2 else gains.max()) * rng.normal(size=(rows, len(gains)))
+        accused += panel_unit(vehicle, np.clip(noise, 0.0, None) if k % 4 < 2 else noise, best_directions) is not None
+    assert accused <= 1
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_twenty_rows_of_sunlight_are_enough_to_name_a_wrong_unit(make, tmp_path):
+    made, rng = make(tmp_path, np.random.default_rng(1)), np.random.default_rng(5)
+    vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
+    named = 0
+    for _ in range(20):
+        sun = rng.normal(size=(20, 3))
+        power = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+        power = np.clip(power + 0.01 * vehicle.input_gains * rng.normal(size=power.shape), 0.0, None)
+        named += panel_unit(vehicle, 1e-3 * power, best_directions) is not None
+    assert named >= (14 if make is satellites.four_faces else 19)  # of two lit panels every other order fits
+
+
 def with_scale(text: str) -> str:
     has = line_of(text, "telemetry", "scale")[1].startswith("scale")
     return text if has else text.replace("[telemetry]", "[telemetry]\nscale = 1.0")
@@ -63,6 +90,20 @@ def test_thousandths_read_as_wholes(satellite, factor):
     (found,) = judged(changed(text, "telemetry", "scale", factor), satellite.telemetry)
     assert (found.table, found.key) == ("telemetry", "scale") and found.value == pytest.approx(right)
     assert "1000 times" in str(found) and "scale" in str(found)
+
+
+@pytest.mark.parametrize("key", ["scale", "voltage_scale"])
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_of_currents_with_voltages_either_may_be_in_the_wrong_unit(tmp_path, key, factor):
+    """The product tells that one is, and not which: no value is put into anybody's mouth."""
+    made = satellites.six_faces(tmp_path, np.random.default_rng(1))
+    lines = [line for line in made.telemetry.read_text().splitlines() if not line.startswith("#")]
+    path = tmp_path / "volts.csv"
+    path.write_text("\n".join([f"{lines[0]},bus", *(f"{line},1.0" for line in lines[1:])]))
+    text = with_scale(made.vehicle.read_text()).replace("[telemetry]", '[telemetry]\nvoltage_column = "bus"\nvoltage_scale = 1.0')
+    assert judged(text, path) == []
+    (found,) = judged(changed(text, "telemetry", key, factor), path)
+    assert found.key == "scale or voltage_scale" and found.value is None and "check scale or voltage_scale" in str(found)
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])

@@ -48,8 +48,8 @@ assert_type(ss.outcomes(vehicle, points, "off", 100, 0, scenario=scenario), xr.D
 
 tree = ss.posterior(vehicle, seen, {"max_rate_rad_s": 0.3}, seed=1)
 assert_type(tree, xr.DataTree)
-assert_type(ss.worth(twins=10), dict[str, Any])
-assert_type(ss.coverage(twins=10), dict[str, Any])
+worth: xr.Dataset = ss.worth(twins=10)
+covered: xr.Dataset = ss.coverage(twins=10)
 
 
 class Squares:

@@ -18,7 +18,7 @@ import numpy as np
 
 from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.json_rows import json_rows
-from sunspin.base.untrusted import read_bytes
+from sunspin.base.untrusted import decoded, read_bytes
 
 MAX_FILE_BYTES = 500_000_000
 """A year of 1 Hz samples of six panels is about this much."""
@@ -67,13 +67,7 @@ def read_table(path: Path) -> Table:
 
 
 def _from_text(content: bytes, where: str) -> Table:
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise TelemetryError(
-            sentence("the file is not UTF-8 text", do="save it as CSV in UTF-8", where=f"{where}, line {line}")
-        ) from None
+    text = decoded(content, where, TelemetryError, "save it as CSV in UTF-8")
     if not text.strip():
         raise TelemetryError(sentence("the file is empty", do="a CSV with a header and one row per sample", where=where))
     if "\0" in text:

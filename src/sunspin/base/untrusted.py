@@ -52,6 +52,17 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
     return content
 
 
+def decoded(
+    content: bytes, where: str, error_type: type[SunspinError], do: str, what: str = "the file is not UTF-8 text"
+) -> str:
+    """The text of a file in UTF-8, with or without its mark; what is none is named with the line where it stops being so."""
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise error_type(sentence(what, do=do, where=f"{where}, line {line}")) from None
+
+
 def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
     """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
     if "<!" in text.replace("<!--", ""):

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from sunspin.base.errors import OutputError, sentence
-from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
+from sunspin.cli.common import claim, data_option, deliver, on_terminal, output_options, read_both
 from sunspin.cli.orbit import orbit_options
 
 COPY = "calibrated.toml"
@@ -39,13 +39,10 @@ def calibrate_sensors(vehicle, telemetry, as_json, quiet, data, elements, shift_
     from sunspin.estimate.calibrate.sensors import new_values
     from sunspin.estimate.orbit.judged import orbit_of
     from sunspin.output.folder import write_whole
-    from sunspin.telemetry.reader import read_telemetry
-    from sunspin.vehicle import load_vehicle
     from sunspin.vehicle.file import parse_vehicle, vehicle_text
     from sunspin.vehicle.rewrite import rewritten
 
-    craft = load_vehicle(vehicle)
-    samples = read_telemetry(find_telemetry(telemetry, data), craft)
+    craft, samples = read_both(vehicle, telemetry, data)
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     copy = None if out is None else out if out.suffix == ".toml" else out / COPY
     if copy is not None and os.path.lexists(copy):

@@ -10,64 +10,48 @@ from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from sunspin.base.errors import InputError, printable, sentence
 from sunspin.cli.values import sensible
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from sunspin.vehicle import Vehicle
+
+class Listed(NamedTuple):
+    """A command: the module that has it, the heading of --help under which it stands, its line there."""
+
+    module: str
+    section: str
+    summary: str
+
+
+YOURS, MOTIONS, PHILAE, OTHERS = "Your satellite", "Motions", "Philae", "Data of others"
+
 COMMANDS = {
-    "reproduce": "sunspin.cli.reproduce:reproduce",
-    "coverage": "sunspin.cli.coverage:coverage",
-    "worth": "sunspin.cli.coverage:worth",
-    "init": "sunspin.cli.files:init",
-    "check": "sunspin.cli.files:check",
-    "decode": "sunspin.cli.files:decode",
-    "sun": "sunspin.cli.sun:sun",
-    "calibrate-sensors": "sunspin.cli.calibrate:calibrate_sensors",
-    "rates": "sunspin.cli.rates:rates",
-    "simulate": "sunspin.cli.simulate:simulate",
-    "scan": "sunspin.cli.scan:scan",
-    "posterior": "sunspin.cli.posterior:posterior",
-    "outcomes": "sunspin.cli.outcomes:outcomes",
-    "report": "sunspin.cli.report:report_page",
-    "export": "sunspin.cli.export:export",
-    "compare": "sunspin.cli.compare:compare",
-    "compile": "sunspin.cli.compile:compile_kernels",
+    "init": Listed("init", YOURS, "Write a vehicle file and telemetry to start from."),
+    "check": Listed("check", YOURS, "What is wrong with my files, in plain words."),
+    "sun": Listed("sun", YOURS, "Directions to the Sun from panel powers or currents."),
+    "calibrate-sensors": Listed("calibrate", YOURS, "Gains, zeros, scales and soft iron from the telemetry itself."),
+    "rates": Listed("rates", YOURS, "Body rates and attitude of each pass, all motions that fit."),
+    "posterior": Listed("posterior", YOURS, "Every motion that the readings allow, with its probability."),
+    "report": Listed("report", YOURS, "A results folder as one page to look into."),
+    "export": Listed("export", YOURS, "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet."),
+    "compare": Listed("compare", YOURS, "What moved between two results; or rates against SPICE kernels."),
+    "simulate": Listed("simulate", MOTIONS, "One trajectory of a vehicle with its wheels."),
+    "scan": Listed("scan", MOTIONS, "Which initial rates fit, and the lines they lie on."),
+    "outcomes": Listed("outcomes", MOTIONS, "What a motion leads to: collision, landing, wheel strategies."),
+    "compile": Listed("compile", MOTIONS, "Compile what scans run now, so that the first need not wait."),
+    "reproduce": Listed("reproduce", PHILAE, "The whole Philae study: figures, tables, report."),
+    "coverage": Listed("coverage", PHILAE, "How often the paper's method finds the truth."),
+    "worth": Listed("coverage", PHILAE, "The earlier name of coverage."),
+    "decode": Listed("decode", OTHERS, "Raw beacons of skCUBE into a table."),
 }
-"""Command -> where it is; a command's module is imported only when the command is used or its help line shown."""
-
-SECTIONS = {
-    "Your satellite": ("init", "check", "sun", "calibrate-sensors", "rates", "posterior", "report", "export", "compare"),
-    "Motions": ("simulate", "scan", "outcomes", "compile"),
-    "Philae": ("reproduce", "coverage", "worth"),
-    "Data of others": ("decode",),
-}
-"""How --help groups the commands; one that is in no group comes last."""
-
-SUMMARIES = {
-    "reproduce": "The whole Philae study: figures, tables, report.",
-    "coverage": "How often the paper's method finds the truth.",
-    "worth": "The earlier name of coverage.",
-    "init": "Write a vehicle file and telemetry to start from.",
-    "check": "What is wrong with my files, in plain words.",
-    "decode": "Raw beacons of skCUBE into a table.",
-    "sun": "Directions to the Sun from panel powers or currents.",
-    "calibrate-sensors": "Gains, zeros, scales and soft iron from the telemetry itself.",
-    "rates": "Body rates and attitude of each pass, all motions that fit.",
-    "simulate": "One trajectory of a vehicle with its wheels.",
-    "scan": "Which initial rates fit, and the lines they lie on.",
-    "posterior": "Every motion that the readings allow, with its probability.",
-    "outcomes": "What a motion leads to: collision, landing, wheel strategies.",
-    "report": "A results folder as one page to look into.",
-    "export": "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet.",
-    "compare": "What moved between two results; or rates against SPICE kernels.",
-    "compile": "Compile what scans run now, so that the first need not wait.",
-}
-
-WHEEL_MODE = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the vehicle's brake torque."
-"""Help of the option that both `simulate` and `scan` have."""
+"""In the order of --help. A command's module is imported only when the command is used or its help line shown."""
 
 
 class ReaderGone(Exception):
@@ -92,18 +76,16 @@ class Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module, name = COMMANDS[cmd_name].split(":")
-        command = getattr(import_module(module), name)
+        found = vars(import_module(f"sunspin.cli.{COMMANDS[cmd_name].module}")).values()
+        command = next(one for one in found if isinstance(one, click.Command) and one.name == cmd_name)
         for parameter in command.params:
             parameter.callback = parameter.callback or sensible
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        grouped = {name for names in SECTIONS.values() for name in names}
-        for title, names in {**SECTIONS, "More": [name for name in COMMANDS if name not in grouped]}.items():
-            if names:
-                with formatter.section(title):
-                    formatter.write_dl([(name, SUMMARIES[name]) for name in names])
+        for title in dict.fromkeys(one.section for one in COMMANDS.values()):
+            with formatter.section(title):
+                formatter.write_dl([(name, one.summary) for name, one in COMMANDS.items() if one.section == title])
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click does, but a misspelt command is answered with the likely ones."""
@@ -145,6 +127,22 @@ def device_option(command: Callable) -> Callable:
                         "processor, or on an NVIDIA GPU. The latter needs pip install \"sunspin[gpu]\".")(command)  # fmt: skip
 
 
+def wheel_mode_option(about: str = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the "
+                      "vehicle's brake torque.") -> Callable:  # fmt: skip
+    modes = click.Choice(["coast", "hold", "brake"])
+    return click.option("--wheel-mode", type=modes, default="coast", show_default=True, help=about)
+
+
+def factor_option(command: Callable) -> Callable:
+    least = click.FloatRange(1, min_open=True)
+    return click.option("--factor", type=least, default=1.1, show_default=True, help="Near-minimum factor.")(command)
+
+
+def store_option(about: str = "Folder that keeps what is computed: after a crash, a power cut or Ctrl-C the same command goes on "
+                 "where it stopped. Other inputs need another folder.") -> Callable:  # fmt: skip
+    return click.option("--store", type=click.Path(path_type=Path), help=about)
+
+
 def run_options(command: Callable) -> Callable:
     """--seed, --workers."""
     command = click.option("--workers", type=click.IntRange(1, 4096), help="Threads; default one per core.")(command)
@@ -153,8 +151,17 @@ def run_options(command: Callable) -> Callable:
     )
 
 
-def find_telemetry(path: str, data: Path | None) -> Path:
-    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry."""
+def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Path:
+    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry.
+
+    Without a path it is that of the case whose name `vehicle` is.
+    """
+    if path is None:
+        from sunspin.telemetry.case import case_telemetry
+
+        if (own := case_telemetry(vehicle)) is None:
+            raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
+        return own
     if path == "-":
         raise InputError(sentence("telemetry is read from a file and not from standard input", do="save it to a file"))
     given = Path(path)
@@ -169,6 +176,15 @@ def find_telemetry(path: str, data: Path | None) -> Path:
         except (OSError, ValueError):
             return given
     return given
+
+
+def read_both(vehicle: Any, telemetry: str, data: Path | None) -> tuple[Vehicle, xr.Dataset]:
+    """The vehicle of a name or file, and telemetry read with its columns."""
+    from sunspin.telemetry.reader import read_telemetry
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    return craft, read_telemetry(find_telemetry(telemetry, data), craft)
 
 
 def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool) -> None:
@@ -193,8 +209,7 @@ def claim(out: Path | None, command: str) -> None:
 
 def deliver(
     result: Any, out: Path | None, as_json: bool, quiet: bool, vehicle: Any, telemetry: Any = None,
-    also: Mapping[str, Any] | None = None, lines: Sequence[str] = (), drawings: Sequence[Any] = (),
-    main: str = "",
+    also: Mapping[str, Any] | None = None, lines: Sequence[str] = (), main: str = "",
 ) -> None:  # fmt: skip
     """Save a result where a folder is given, and print what it says of itself; `also` and `lines`: more of it; `main`: its file."""
     import_module("sunspin.output.result")
@@ -202,7 +217,7 @@ def deliver(
     told = [*summary.lines, *lines, *summary.notes]
     if out is not None:
         command = shlex.join(["sunspin", *sys.argv[1:]])
-        folder = result.sunspin.save(out, vehicle=vehicle, telemetry=telemetry, command=command, also=also, drawings=drawings)
+        folder = result.sunspin.save(out, vehicle=vehicle, telemetry=telemetry, command=command, also=also)
         told += [f"Results: {folder / main}", f"A page to look into it: sunspin report {folder}"]
     report({**summary, **(also or {})}, told, as_json, quiet)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import numpy as np
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.cli.common import claim, deliver, output_options, report
@@ -39,29 +38,9 @@ def compare(folder, others, frame, base, epoch, out, as_json, quiet) -> None:
         return
     if out is not None:
         raise InputError(sentence("--out is for two results folders", got=str(others[0]), do="leave it out with kernels"))
-    _with_kernels(folder, others, frame, base, epoch, as_json, quiet)
-
-
-def _with_kernels(folder, kernels, frame, base, epoch, as_json, quiet) -> None:
-    from datetime import timedelta
-
-    from sunspin.output.export import attitude_of, read_results
-    from sunspin.output.export.ck import ephemeris_time, kernel_rates
+    from sunspin.output.export.against import against_kernels
 
     if frame is None:
         raise InputError(sentence("--frame is missing", do="name the body's frame in the kernels, or give two results folders"))
-    data, _ = read_results(folder)
-    attitude = attitude_of(data, None, epoch)
-    et = np.array([ephemeris_time(attitude.epoch + timedelta(seconds=float(t))) for t in attitude.t_s])
-    theirs = kernel_rates([str(path) for path in kernels], frame, base, et)
-    covered = np.isfinite(theirs).all(axis=1)
-    if not covered.any():
-        raise InputError(sentence("the kernels do not cover any of these times", got=f"{attitude.utc(0)} to {attitude.utc(-1)}"))
-    difference = np.degrees(attitude.omega_B[covered] - theirs[covered])
-    speed = np.degrees(np.linalg.norm(attitude.omega_B[covered], axis=1) - np.linalg.norm(theirs[covered], axis=1))
-    summary = {"samples": len(et), "covered": int(covered.sum()), "rms_deg_s": np.sqrt((difference**2).mean(axis=0)).tolist(),
-               "rms_speed_deg_s": float(np.sqrt((speed**2).mean()))}  # fmt: skip
-    shown = ", ".join(f"{value:.4g}" for value in summary["rms_deg_s"])
-    lines = [f"{summary['covered']} of {len(et)} times covered; rms difference of the rates ({shown}) deg/s in body axes, "
-             f"of their size {summary['rms_speed_deg_s']:.4g} deg/s"]  # fmt: skip
-    report(summary, lines, as_json, quiet)
+    summary, line = against_kernels(folder, others, frame, base, epoch)
+    report(summary, [line], as_json, quiet)

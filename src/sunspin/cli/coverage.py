@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from copy import copy
-from pathlib import Path
 
 import click
 
 from sunspin.cli.changes import LANDING, Changeable, asked, set_options
-from sunspin.cli.common import on_terminal, output_options, report, run_options
+from sunspin.cli.common import factor_option, on_terminal, output_options, report, run_options, store_option
 
 
 @click.command(cls=Changeable)
 @click.option("--twins", type=click.IntRange(10, 1_000_000), default=400, show_default=True, help="Synthetic rebounds per kind.")
 @click.option("--confidence", type=click.FloatRange(0, 1, min_open=True, max_open=True), default=0.9, show_default=True,
               help="Of the region whose threshold on EMD is looked for.")
-@click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
+@factor_option
 @click.option("--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only.")
-@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps finished twins; the same command resumes.")
+@store_option("Folder that keeps finished twins; the same command resumes.")
 @set_options("study.lead_s", "study.mask", short=("friction",), idle=LANDING)
 @output_options()
 @run_options
@@ -35,19 +34,14 @@ def coverage(twins, confidence, factor, coarser, store, sets, friction, out, as_
     """
     from sunspin.philae.coverage_results import coverage as run
 
-    summary = run(
+    found = run(
         out, twins, confidence=confidence, factor=factor, coarser=coarser, seed=seed, store=store, workers=workers,
         progress=on_terminal(quiet), changes=asked(sets, ("study.lead_s", "study.mask"), friction=friction),
     )  # fmt: skip
-    changed = (f"Changed for this run: {line}" for line in summary["changes"])
-    figures = (f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in summary["figures"])
-    lines = [*changed, *summary["sentences"], *figures]
-    report(summary, lines + ([f"Results: {summary['folder']}"] if summary["folder"] else []), as_json, quiet)
+    summary = found.said()
+    folder = [f"Results: {summary['folder']}"] if summary["folder"] else []
+    report(summary, [str(found.sunspin.summary()), *folder], as_json, quiet)
 
 
 worth = copy(coverage)
 worth.name, worth.help = "worth", (coverage.help or "").replace("sunspin coverage", "sunspin worth")
-
-
-def _value(ours) -> str:
-    return ", ".join(f"{x:.4g}" for x in ours) if isinstance(ours, list) else f"{ours:.4g}"

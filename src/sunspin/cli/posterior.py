@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from sunspin.base.errors import InputError, sentence
 from sunspin.cli.changes import LANDING, Changeable, opened, set_options
 from sunspin.cli.common import (
     claim,
@@ -17,6 +14,8 @@ from sunspin.cli.common import (
     on_terminal,
     output_options,
     run_options,
+    store_option,
+    wheel_mode_option,
 )
 from sunspin.cli.values import field, observation, period_option, periods_of, prior, times
 
@@ -35,14 +34,12 @@ from sunspin.cli.values import field, observation, period_option, periods_of, pr
 @click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")
 @click.option("--field", "fields", multiple=True, help="A magnetic direction in the body, and its known angle from the Sun: "
               "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.")
-@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True,
-              help="What the wheels do in this stretch.")
+@wheel_mode_option("What the wheels do in this stretch.")
 @click.option("--predict", help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
               "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.")
 @period_option("The draws are weighted by it beside the posterior, with what it decides.")
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
-@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
-              "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
+@store_option()
 @device_option
 @set_options(idle=LANDING)
 @output_options()
@@ -67,7 +64,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     from sunspin.telemetry.reader import read_telemetry
 
     file, craft, _, _ = opened(vehicle, sets)
-    samples = read_telemetry(_own(vehicle) if telemetry is None else find_telemetry(telemetry, data), craft)
+    samples = read_telemetry(find_telemetry(telemetry, data, vehicle), craft)
     seen = [observation("rate", text, 1) for text in rates] + [observation("gyro", text, 3) for text in gyros]
     seen += [field(text) for text in fields]
     asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
@@ -81,12 +78,3 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     if asked is not None:
         with_predictions(craft, tree, asked, seed, timeline_of(vehicle))
     deliver(tree, out, as_json, quiet, file, samples)
-
-
-def _own(name: str) -> Path:
-    from sunspin.telemetry.case import case_telemetry
-
-    path = case_telemetry(name)
-    if path is None:
-        raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
-    return path

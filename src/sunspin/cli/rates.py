@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import claim, data_option, deliver, find_telemetry, on_terminal, output_options
-from sunspin.cli.orbit import orbit_options, orbit_used
+from sunspin.cli.common import claim, data_option, deliver, on_terminal, output_options, read_both
+from sunspin.cli.orbit import orbit_options
+from sunspin.cli.values import between, period_option, periods_of
 from sunspin.cli.values import effort as effort_given
-from sunspin.cli.values import numbers, period_option, periods_of
 
 UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
@@ -38,10 +37,12 @@ UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_f
               "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
               "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
               "says so and is never decided.")
+@click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side, four passes each at "
+              "least; default one per core. The result does not depend on it.")
 @period_option("The motions of its pass are weighted by it, and what it decides is said.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
-          no_wirings, elements, shift_sigma, no_orbit, effort, periods, without) -> None:  # fmt: skip
+          no_wirings, elements, shift_sigma, no_orbit, effort, workers, periods, without) -> None:  # fmt: skip
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
@@ -58,48 +59,25 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
       sunspin rates vehicle.toml telemetry.csv --tle my.tle
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
-    from sunspin.cli.check_words import doubts
+    from sunspin.compute.rows import worker_count
     from sunspin.estimate.rates.estimate import rates as run
-    from sunspin.telemetry.reader import read_telemetry
-    from sunspin.vehicle import load_vehicle
+    from sunspin.output.check.orbit import orbit_used
+    from sunspin.output.check.samples import doubts
 
-    craft = load_vehicle(vehicle)
-    samples = read_telemetry(find_telemetry(telemetry, data), craft)
-    used = _between(samples, begin, end).drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
+    craft, samples = read_both(vehicle, telemetry, data)
+    used = between(samples, begin, end).drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
     evidence = periods_of(periods, samples)
     claim(out, "rates")
-    orbit, calibration, orbit_summary, orbit_lines = orbit_used(craft, samples, elements, shift_sigma, no_orbit)
+    if no_orbit and (elements is not None or shift_sigma is not None):
+        raise InputError(sentence("--no-orbit says not to use an orbit, and elements or their shift are given", do="give one"))
+    known = (None, None, {}, []) if no_orbit else orbit_used(craft, samples, elements, shift_sigma)
+    orbit, calibration, orbit_summary, orbit_lines = known
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings, environment=orbit, calibration=calibration,
-        periods=evidence, effort=effort, progress=on_terminal(quiet),
+        periods=evidence, effort=effort, workers=worker_count(workers), progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)
     doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}
     lines = [*(line for line in lines if "WRONG UNIT" in line), *orbit_lines]
     deliver(result, out, as_json, quiet, vehicle, samples, also=doubted | orbit_summary, lines=lines)
-
-
-def _between(samples: Any, begin: str | None, end: str | None) -> Any:
-    """The samples from one time to another; times as :func:`_instant` reads them."""
-    import numpy as np
-
-    from sunspin.vehicle.timeline import utc_after
-
-    inside = np.ones(samples.sizes["time"], dtype=bool)
-    if begin is not None:
-        inside &= samples["time"].values >= _instant(begin, "--from", samples.attrs["epoch_utc"])
-    if end is not None:
-        inside &= samples["time"].values <= _instant(end, "--to", samples.attrs["epoch_utc"])
-    if not inside.any():
-        first, last = (utc_after(float(t), samples.attrs["epoch_utc"]) for t in samples["time"].values[[0, -1]])
-        got = f"{begin or 'the beginning'} to {end or 'the end'}"
-        raise InputError(sentence("no samples lie between --from and --to", got=got, do=f"the file has {first} to {last}"))
-    return samples.isel(time=np.flatnonzero(inside))
-
-
-def _instant(text: str, option: str, epoch_utc: str) -> float:
-    """Seconds from the epoch of a time in UTC, or in seconds from there."""
-    from sunspin.vehicle.timeline import utc_seconds
-
-    return utc_seconds(text, epoch_utc) if ":" in text or "T" in text else numbers(text, option, 1)[0]

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.cli.changes import LANDING, Changeable, once, opened, say_idle, set_options
 from sunspin.cli.common import (
-    WHEEL_MODE,
     claim,
     data_option,
     deliver,
     device_option,
+    factor_option,
     find_telemetry,
     on_terminal,
     output_options,
     run_options,
+    store_option,
+    wheel_mode_option,
 )
 from sunspin.cli.values import grid, numbers
 
@@ -32,18 +32,17 @@ from sunspin.cli.values import grid, numbers
 @click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y.")
 @click.option("--omega-z", default="-0.3:0.3:0.015", show_default=True, help="Grid of omega_z.")
 @click.option("--wheel-speed", help="Wheel speeds at the first sample used, rad/s; default: the vehicle's.")
-@click.option("--wheel-mode", type=click.Choice(["coast", "hold", "brake"]), default="coast", show_default=True, help=WHEEL_MODE)
+@wheel_mode_option()
 @click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True, help="emd compares the distributions "
               "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.")
-@click.option("--factor", type=click.FloatRange(1, min_open=True), default=1.1, show_default=True, help="Near-minimum factor.")
+@factor_option
 @click.option("--threshold", type=click.FloatRange(0, min_open=True), help="Take the points below this value instead: one that was "
               "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
 @click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
               "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
 @device_option
 @click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
-@click.option("--store", type=click.Path(path_type=Path), help="Folder that keeps what is computed: after a crash, a power cut "
-              "or Ctrl-C the same command goes on where it stopped. Other inputs need another folder.")
+@store_option()
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
               "on this machine. Needs pip install \"sunspin[cluster]\".")
 @set_options("study.mask", "study.target_weights", idle=LANDING)
@@ -91,6 +90,4 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         weights=None if metric == "E" else target_weights(study.target_weights, track["time"].values),
     )  # fmt: skip
     found = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
-    deliver(
-        found, out, as_json, quiet, made.file, samples, {"seed": seed}, main="scan.nc",
-    )  # fmt: skip
+    deliver(found, out, as_json, quiet, made.file, samples, {"seed": seed}, main="scan.nc")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.common import claim, data_option, deliver, find_telemetry, output_options
+from sunspin.cli.common import claim, data_option, deliver, output_options, read_both
 
 
 @click.command()
@@ -26,12 +26,9 @@ def sun(vehicle, telemetry, out, as_json, quiet, data, noise, threshold) -> None
       sunspin sun philae philae
     """
     from sunspin.telemetry.quality import lit_threshold
-    from sunspin.telemetry.reader import read_telemetry
     from sunspin.telemetry.sun import sun_directions
-    from sunspin.vehicle import load_vehicle
 
-    craft = load_vehicle(vehicle)
-    samples = read_telemetry(find_telemetry(telemetry, data), craft)
+    craft, samples = read_both(vehicle, telemetry, data)
     claim(out, "sun")
     directions = sun_directions(craft, samples, noise=noise, lit_threshold=threshold or lit_threshold(craft, samples))
     deliver(directions, out, as_json, quiet, vehicle, samples)

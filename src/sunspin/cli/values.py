@@ -141,3 +141,28 @@ def times(text: str, epoch_utc: str | None) -> dict[float, str]:
             utc = part if "T" in part else f"{epoch_utc[:10]}T{part}"
             times[utc_seconds(utc, epoch_utc)] = f"{utc.rstrip('Z')} UTC"
     return dict(sorted(times.items()))
+
+
+def between(samples: Any, begin: str | None, end: str | None) -> Any:
+    """The samples from one time to another."""
+    import numpy as np
+
+    from sunspin.vehicle.timeline import utc_after
+
+    inside = np.ones(samples.sizes["time"], dtype=bool)
+    if begin is not None:
+        inside &= samples["time"].values >= instant(begin, "--from", samples.attrs["epoch_utc"])
+    if end is not None:
+        inside &= samples["time"].values <= instant(end, "--to", samples.attrs["epoch_utc"])
+    if not inside.any():
+        first, last = (utc_after(float(t), samples.attrs["epoch_utc"]) for t in samples["time"].values[[0, -1]])
+        got = f"{begin or 'the beginning'} to {end or 'the end'}"
+        raise InputError(sentence("no samples lie between --from and --to", got=got, do=f"the file has {first} to {last}"))
+    return samples.isel(time=np.flatnonzero(inside))
+
+
+def instant(text: str, option: str, epoch_utc: str) -> float:
+    """Seconds from the epoch of a time in UTC, or in seconds from there."""
+    from sunspin.vehicle.timeline import utc_seconds
+
+    return utc_seconds(text, epoch_utc) if ":" in text or "T" in text else numbers(text, option, 1)[0]

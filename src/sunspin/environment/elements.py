@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.base.untrusted import read_bytes, xml_root
+from sunspin.base.untrusted import decoded, read_bytes, xml_root
 
 MAX_FILE_BYTES = 10_000_000
 """Elements of one satellite for ten years, some a day, are 2 MB."""
@@ -103,11 +103,7 @@ def read_elements(path: Path | str) -> tuple[Elements, ...]:
     """
     path = Path(path)
     content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE or OMM file")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(sentence("the file is not UTF-8 text", do="give a TLE or OMM file", where=str(path))) from None
-    return parse_elements(text, str(path))
+    return parse_elements(decoded(content, str(path), InputError, "give a TLE or OMM file"), str(path))
 
 
 def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
@@ -144,8 +140,8 @@ def nearest(found: tuple[Elements, ...], jd: float) -> Elements:
 def _lines(text: str, where: str) -> Iterator[Elements]:
     name, first = "", None
     for number, line in enumerate(text.splitlines(), 1):
-        line, at = line.rstrip(), f"{where}, line {number}"
-        if not line.strip() or line.startswith("#"):
+        line, at = line.strip(), f"{where}, line {number}"
+        if not line or line.startswith("#"):
             continue
         if first is None and line.startswith("2 ") and len(line) > 60:
             raise InputError(sentence("line 2 of the elements comes before line 1", do="exchange the two lines", where=at))

@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.tables import TelemetryError, read_table
-from sunspin.base.untrusted import Elsewhere, elsewhere, read_bytes, xml_root
+from sunspin.base.untrusted import Elsewhere, decoded, elsewhere, read_bytes, xml_root
 from sunspin.environment.earth import DAY_S, EQUATOR_M, MU_M3_S2, Instants, J2000_from_TEME, earth_from_J2000
 from sunspin.environment.elements import Elements, read_elements
 
@@ -201,10 +201,7 @@ def read_ephemeris(path: Path | str) -> Ephemeris:
     where = str(path)
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
         return _ephemeris([_spk(path)], "", path.stem, where)
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(sentence("the file is neither text nor an SPK", do="give an OEM, a CSV or an SPK", where=where)) from None
+    text = decoded(content, where, InputError, "give an OEM, a CSV or an SPK", "the file is neither text nor an SPK")
     if text.lstrip()[:1] == "<":
         meta, tables = _oem_xml(text, where)
     elif "CCSDS_OEM_VERS" in text[:10_000]:

@@ -3,7 +3,8 @@
 Two numbers say how far that orbit may be trusted along its track, each with its error: `shift_s`, how far the spacecraft is ahead
 of the elements (negative: it comes later), and `clock_s`, how far the telemetry's clock is behind UTC. The Sun and the Earth's
 turn follow the clock, the place follows clock plus shift. The Earth turns by only a degree in four minutes, so that what data
-determine well is the sum.
+determine well is the sum. What the sum gains in a day, `drift_s_day`, is an error of the elements' mean motion, drag, or a clock
+that is slow: data do not part these either.
 """
 
 from __future__ import annotations
@@ -32,6 +33,15 @@ def age_sigma_s(days: float) -> float:
     """How far elements may be off along the track after so many days, s: 2 km at their epoch and in a low orbit 1.5 km more a day,
     growing with the square of the time as drag's errors do (an assumption; Vallado and Cefola 2012 find 1 to 3 km a day)."""
     return 0.3 + 0.2 * abs(days) + 0.01 * days**2
+
+
+DRIFT_DAYS = 30.0
+"""In so many days the shift may change by its own sigma, whatever made it: another satellite of the same launch, a clock."""
+
+
+def drift_sigma_s_day(shift_sigma_s: float, days: float) -> float:
+    """How much the shift of elements so many days old may change in a day: as :func:`age_sigma_s` grows, and see `DRIFT_DAYS`."""
+    return float(np.hypot(0.2 + 0.02 * abs(days), shift_sigma_s / DRIFT_DAYS))
 
 
 class Source(Protocol):
@@ -64,7 +74,8 @@ class Source(Protocol):
 class Orbit:
     """An environment by elements; times are s from `epoch_utc`, the telemetry's. Made by :func:`in_orbit`.
 
-    `node_rad` turns the whole orbit about the Earth's axis: the orbit check compares with orbits turned at random.
+    `node_rad` turns the whole orbit about the Earth's axis: the orbit check compares with orbits turned at random. The shift is
+    that at `middle_jd` (UTC) and drifts by `drift_s_day`.
     """
 
     epoch_utc: str
@@ -74,15 +85,30 @@ class Orbit:
     clock_s: float = 0.0
     clock_sigma_s: float = CLOCK_SIGMA_S
     node_rad: float = 0.0
+    drift_s_day: float = 0.0
+    drift_sigma_s_day: float = 0.0
+    middle_jd: float = 0.0
     frame_N: str = J2000
+
+    def days(self, when: Instants) -> np.ndarray:
+        """Days (n) from the middle of the telemetry."""
+        return (when.jd - self.middle_jd) + when.fraction
+
+    def ahead_s(self, when: Instants) -> np.ndarray:
+        """How far the spacecraft is ahead of the elements (n), s."""
+        return self.shift_s + self.drift_s_day * self.days(when)
+
+    def ahead_sigma_s(self, when: Instants) -> np.ndarray:
+        """One sigma (n) of the place along the track, s: of shift, drift and clock."""
+        return np.sqrt(self.shift_sigma_s**2 + (self.drift_sigma_s_day * self.days(when)) ** 2 + self.clock_sigma_s**2)
 
     def instants(self, t_s: npt.ArrayLike) -> Instants:
         """The true times."""
         return Instants.of(self.epoch_utc, np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + self.clock_s)
 
     def states(self, when: Instants, ahead_s: npt.ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities (..., n, 3) in J2000, m and m/s, `ahead_s` (..., n) along the track; default: the shift."""
-        moved = when.later(self.shift_s if ahead_s is None else ahead_s)
+        """Positions and velocities (..., n, 3) in J2000, m and m/s, `ahead_s` (..., n) along the track; default: as known."""
+        moved = when.later(self.ahead_s(when) if ahead_s is None else ahead_s)
         jd, fraction = (part.ravel() for part in np.broadcast_arrays(moved.jd, moved.fraction))
         which = np.abs((jd + fraction)[:, None] - [sum(one.epoch_jd) for one in self.elements]).argmin(axis=1)
         both = np.empty((2, len(jd), 3))
@@ -106,14 +132,14 @@ class Orbit:
         sun, turn = sun_J2000_m(when), earth_from_J2000(when)
         place, speed = self.states(when)
         fields = self.map(when, place)
-        along = np.hypot(self.shift_sigma_s, self.clock_sigma_s)
+        ahead, along = self.ahead_s(when), self.ahead_sigma_s(when)
 
         def seen(at: np.ndarray) -> tuple[np.ndarray, ...]:
             field = turned(np.swapaxes(turn, -1, -2), fields.at(turned(turn, at)))
             return lit(at, sun), field, albedo_light(at, sun)
 
         here = seen(place)
-        sides = [seen(self.states(when, self.shift_s + side)[0]) for side in (-along, along)]
+        sides = [seen(self.states(when, ahead + side)[0]) for side in (-along, along)]
         lit_sigma, field_sigma, light_sigma = (_spread(*three) for three in zip(here, *sides, strict=True))
         to_sun, distance = sun - place, np.linalg.norm(place, axis=1)
         turning = np.cross(place, speed) / distance[:, None] ** 2
@@ -134,6 +160,8 @@ class Orbit:
         when = self.instants(t_s)
         days = max(min(abs(one.days_to(jd)) for one in self.elements) for jd in (when.jd + when.fraction)[[0, -1]])
         known = f"the place along the track is known to some {self.shift_sigma_s:.0f} s"
+        if self.shift_sigma_s > self.elements[0].period_s / 4:
+            known = "nothing is known of the place along the track; get elements of the days of the telemetry"
         return [] if days < OLD_DAYS else [f"the elements are {days:.0f} days from the telemetry: {known}"]
 
 
@@ -197,12 +225,13 @@ def in_orbit(
     this table of positions (`read_ephemeris`).
 
     Of several element sets the one whose epoch is nearest serves each time. `shift_s`, `clock_s` and their sigmas (s): see the
-    module; by default the shift is as uncertain as the elements are old, and the clock by 1 s.
+    module; by default the shift is as uncertain as the elements are old, and the clock by 1 s. The shift's drift is 0, as uncertain
+    as :func:`drift_sigma_s_day` says.
     """
     orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s)
-    when = orbit.instants(t_s).later(shift_s)
-    elements[0].require(when.jd + when.fraction)
-    if shift_sigma_s is None:
-        middle = orbit.instants(t_s).middle
-        shift_sigma_s = age_sigma_s(min((one.days_to(middle) for one in elements), key=abs))
-    return Orbit(epoch_utc, elements, shift_s, shift_sigma_s, clock_s, orbit.clock_sigma_s)
+    when = orbit.instants(t_s)
+    elements[0].require(when.later(shift_s).jd + when.later(shift_s).fraction)
+    middle = float((when.jd + when.fraction).mean())
+    days = min((one.days_to(middle) for one in elements), key=abs)
+    sigma = age_sigma_s(days) if shift_sigma_s is None else shift_sigma_s
+    return replace(orbit, shift_sigma_s=sigma, drift_sigma_s_day=drift_sigma_s_day(sigma, days), middle_jd=middle)

@@ -25,11 +25,12 @@ the template, skCUBE and four faces: of smoothing and shooting, of few and of ma
 class Effort:
     """What was spent while this was entered (`with effort: ...`, as often as one likes), of `most`; `cut`: something was left out.
 
-    An effort that begins within another counts there too, and ends with it. `label` of a progress line, if one is shown.
+    An effort that begins within another counts there too, and ends with it unless it is `alone`. `label` of a progress line, if
+    one is shown.
     """
 
-    def __init__(self, most: float, label: str | None = None) -> None:
-        self.most, self.outer, self.spent, self.cut = most, _now.get(), 0.0, False
+    def __init__(self, most: float, label: str | None = None, alone: bool = False) -> None:
+        self.most, self.outer, self.alone, self.spent, self.cut = most, _now.get(), alone, 0.0, False
         self._entered: list[Token[Effort | None]] = []
         total = most if np.isfinite(most) else None
         bar: Any = tqdm(total=total, desc=label, unit="motion", unit_scale=True, leave=False, disable=label is None)
@@ -46,10 +47,10 @@ class Effort:
             around.close()
             around = around.outer
 
-    def part(self, most: float) -> Effort:
-        """Another effort within this one."""
+    def part(self, most: float, alone: bool = False) -> Effort:
+        """Another effort within this one; `alone`: it may go on though this one is spent."""
         with self:
-            return Effort(most)
+            return Effort(most, alone=alone)
 
     def close(self) -> bool:
         """End the progress line; whether something was left out."""
@@ -71,7 +72,7 @@ class Effort:
     def left(self) -> float:
         """What may still be spent."""
         own = self.most - self.spent
-        return own if self.outer is None else min(own, self.outer.left)
+        return own if self.outer is None or self.alone else min(own, self.outer.left)
 
 
 _now: ContextVar[Effort | None] = ContextVar("effort", default=None)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.wheel_modes import Schedule, schedules
 from sunspin.landing.contact import Shape, legs_down, shape_of
-from sunspin.telemetry.case import Case
+from sunspin.telemetry.case import Case, case_names, load_case, timeline_of
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import Timeline
 
@@ -168,6 +168,26 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
         lead_s=times["lead_s"], before_s=times["before_s"], after_s=times["after_s"],
         restitution=case.assumptions.collision.restitution, damper=case.assumptions.collision.damper,
     )  # fmt: skip
+
+
+def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scenario:
+    """The case's own scenario with what is given instead, or one made of what is given and the timeline beside the vehicle file.
+
+    Parameters
+    ----------
+    vehicle : name or path from which `craft` was read
+    given : fields of `Scenario`
+    """
+    timeline = timeline_of(vehicle)
+    case = load_case(craft.name) if craft.name in case_names() else None
+    if case is not None and case.timeline is not None:
+        return replace(case_scenario(replace(case, vehicle=craft, timeline=timeline or case.timeline)), **given)
+    speeds = tuple(wheel.speed_rad_s for wheel in craft.wheels)
+    known: dict[str, Any] = {"wheel_speed_rad_s": speeds, **times_of(timeline), **given}
+    for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
+        if key not in known:
+            raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))
+    return Scenario(**known)
 
 
 def _first_sun(case: Case) -> tuple[float, ...]:

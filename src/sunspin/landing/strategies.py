@@ -103,9 +103,9 @@ def _quantiles(values: np.ndarray | None) -> np.ndarray:
     return np.quantile(known, LEVELS) if known.size else np.full(len(LEVELS), np.nan)
 
 
-def records(table: xr.Dataset, quantities: Sequence[str] = TABLE) -> list[dict[str, Any]]:
+def records(table: xr.Dataset) -> list[dict[str, Any]]:
     """The comparison as lines for a printed table: one per quantity, with (value, error) for each strategy by its name."""
-    known = [name for name in quantities if name in table["quantity"].values]
+    known = [name for name in TABLE if name in table["quantity"].values]
     return [
         {"quantity": name}
         | {

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.estimate.information import rate_volume
+from sunspin.estimate.scan.coverage import twins_of
 from sunspin.estimate.scan.lines import distances, point_at
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.philae import coverage
@@ -70,7 +71,7 @@ def against(case: Case, tree: Any, coarser: int = 1, workers: int | None = None,
     factor = case.assumptions.study.near_minimum_factor
     factors = {f"EMD < {factor:g} EMD_min": factor}
     known = coverage.shipped(case)
-    for prior, twins in () if known is None else known.twins.items():
+    for prior, twins in () if known is None else twins_of(known).items():
         factor = twins.threshold(coverage.CONFIDENCE, relative=True)[0]
         factors[f"EMD < {factor:.2f} EMD_min (90 %, {prior})"] = factor
     sets: dict[str, tuple[np.ndarray | None, float]] = {}

@@ -170,10 +170,10 @@ def weights(runs: xr.Dataset, facts: dict[str, float], sigma_m_s: float = SIGMA_
     return np.nan_to_num(np.exp(-0.5 * (jump**2 + speed**2) / sigma_m_s**2), nan=0.0)
 
 
-def period_weights(rate_rad_s: np.ndarray, period_s: float, sigma_s: float = SIGMA_PERIOD_S) -> np.ndarray:
+def period_weights(rate_rad_s: np.ndarray, period_s: float) -> np.ndarray:
     """Likelihood (n) of rates if the magnetometer's period is that of the body rate, which is one reading of three."""
     with np.errstate(divide="ignore"):
-        return np.nan_to_num(np.exp(-0.5 * ((2 * np.pi / rate_rad_s - period_s) / sigma_s) ** 2), nan=0.0)
+        return np.nan_to_num(np.exp(-0.5 * ((2 * np.pi / rate_rad_s - period_s) / SIGMA_PERIOD_S) ** 2), nan=0.0)
 
 
 QUANTITIES = {

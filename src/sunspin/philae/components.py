@@ -14,11 +14,11 @@ import numpy as np
 from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
+from sunspin.estimate.scan.coverage import check_confidence
 from sunspin.estimate.scan.mask import allows
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
-from sunspin.philae.coverage import check_confidence
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle

@@ -1,23 +1,44 @@
-"""`sunspin coverage`: the paper's method on twins of known truth, into a results folder."""
+"""`ss.coverage`: the paper's method on twins of known truth, and its results folder."""
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from sunspin.base.provenance import version
-from sunspin.output import figures as fig
-from sunspin.output.folder import Picture, results_folder, write_json, write_run
+import xarray as xr
+
+from sunspin.estimate.scan.coverage import check_confidence
+from sunspin.output.folder import results_folder
 from sunspin.output.report import write_report
 from sunspin.philae import coverage as study
 from sunspin.philae import coverage_told
-from sunspin.philae.pictures import worth_sheet
 from sunspin.telemetry.case import load_case
 from sunspin.vehicle.assumptions import split
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.file import changed_file
+
+NAMES = ("version", "title", "command", "seed", "confidence", "seconds", "sentences", "changes", "figures", "folder",
+         "synthetic_telemetry")  # fmt: skip
+"""What a coverage answers to beside its variables."""
+
+
+class Coverage(xr.Dataset):
+    """A Dataset of kind "coverage" that also answers to the names of its summary: ``figures``, ``sentences``, ``seconds``,
+    ``folder`` and others, as plain Python objects. Read back from a file it is a Dataset without these: ask its summary."""
+
+    __slots__ = ()
+
+    def __getitem__(self, key: Any) -> Any:
+        return self.said()[key] if isinstance(key, str) and key in NAMES else super().__getitem__(key)
+
+    def said(self) -> dict[str, Any]:
+        """The summary with the time that it took, the version and the folder, as plain data."""
+        about = {"version": self.attrs["sunspin_version"], "command": self.attrs["command"], "seconds": self.attrs["seconds"]}
+        changes = str(self.attrs.get("changes", "")).splitlines()
+        return about | self.sunspin.summary() | {"changes": changes, "folder": self.attrs.get("folder")}
 
 
 def coverage(
@@ -28,10 +49,10 @@ def coverage(
     confidence: float = study.CONFIDENCE,
     changes: Changes = None,
     **options: Any,
-) -> dict[str, Any]:
+) -> Coverage:
     """Coverage of the paper's method: how often what it concludes holds the truth.
 
-    With `out`, `worth.json`, a figure and `report.html` are written there.
+    With `out`, `coverage.nc`, `worth.json`, a figure and `report.html` are written there.
 
     Parameters
     ----------
@@ -50,30 +71,28 @@ def coverage(
 
     Returns
     -------
-    dict
-        `figures`: rows as in the summary of `reproduce`, each with its unit (thresholds on EMD in [0, 1], rates in rad/s);
-        `sentences`; `seconds`; `folder`.
+    xarray.Dataset
+        Over `prior` (where truths were drawn) and `twin`: `emd_min` of the scan, `emd_truth`, `truth_touchdown_speed`,
+        `bound_set` and `bound_lines` (rad/s), `line_angle` (rad) and `line_distance` (rad/s) of the four fitted `line`s, ...;
+        over thresholds on EMD, `level`, and on its ratio to the smallest, `factor`: quantiles of the size of the set
+        (`level_count`) and of its smallest speed (`level_speed`, rad/s), and how many true speeds it bounds (`level_holds`).
+        As returned it also has ``["figures"]`` (rows as in the summary of `reproduce`), ``["sentences"]``, ``["seconds"]`` and
+        ``["folder"]``.
     """
     began = time.perf_counter()
     known = load_case(case, changes)
     folder = None if out is None else results_folder(out, "worth")  # refused before the work, not after it
-    study.check_confidence(twins, confidence)
-    found = study.compute(known, twins, changes=changes, **options)
-    rows, told = coverage_told.rows(known, found, confidence), coverage_told.sentences(found, confidence)
-    summary = {
-        "version": version(), "synthetic_telemetry": True, "title": "What the answer is worth",
-        "command": found.command, "seed": found.seed,
-        "confidence": confidence, "seconds": round(time.perf_counter() - began, 1), "sentences": told,
-        "changes": [str(one) for one in known.changes],
-        "figures": [asdict(row) for row in rows],
-    }  # fmt: skip
-    if folder is not None:
-        write_json(folder / "worth.json", study.to_json(found))
-        sheet = worth_sheet(found, known.published, confidence)
-        picture = Picture(fig.save(sheet.make(), folder, sheet.name)[0], sheet.alt, sheet.caption)
-        write_run(folder, summary, changed_file(case, split(changes)[0]), None, [picture])
-        write_report(folder, ours=True)
-    return summary | {"folder": None if folder is None else str(folder)}
+    check_confidence(twins, confidence)
+    found = study.compute(known, twins, confidence=confidence, changes=changes, **options)
+    figures = json.dumps([asdict(row) for row in coverage_told.rows(known, found)])
+    seconds = round(time.perf_counter() - began, 1)
+    found = Coverage(found.data_vars, found.coords, found.attrs | {"figures": figures, "seconds": seconds})
+    if folder is None:
+        return found
+    more = {"seconds": seconds, "changes": found["changes"]}
+    found.sunspin.save(folder, vehicle=changed_file(case, split(changes)[0]), command=found.attrs["command"], also=more)
+    write_report(folder, ours=True)
+    return found.assign_attrs(folder=str(folder))
 
 
 worth = coverage

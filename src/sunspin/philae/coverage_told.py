@@ -1,13 +1,14 @@
-"""What the twins say of the paper's answer, in sentences and rows (see :mod:`sunspin.philae.coverage`)."""
+"""What the twins say of the paper's answer, in rows (see :mod:`sunspin.philae.coverage`)."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
+from sunspin.estimate.scan.coverage import Share, Twins, twins_of
 from sunspin.philae import rebound as rb
-from sunspin.philae.coverage import CONFIDENCE, Share, Twins, Worth
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 
@@ -25,17 +26,18 @@ def _range(values: np.ndarray, digits: int = 3) -> str:
     return f"median {middle:.{digits}f}, 5 to 95 % {low:.{digits}f} to {high:.{digits}f}"
 
 
-def rows(case: Case, worth: Worth, confidence: float = CONFIDENCE) -> list[Row]:
-    """Rows of the method's worth."""
-    how = f"synthetic: {worth.twins['lines'].n} twins of each kind on {worth.grid_points} grid points; `{worth.command}`"
+def rows(case: Case, found: xr.Dataset) -> list[Row]:
+    """Rows of a coverage of the method."""
+    about, twins = found.attrs, twins_of(found)
+    how = f"synthetic: {twins['lines'].n} twins of each kind on {about['grid_points']} grid points; `{about['command']}`"
     return [
-        *_data_rows(case, worth, how), *_line_rows(case, worth, how), *_set_rows(case, worth, confidence, how),
-        *_bound_rows(case, worth, confidence, how),
+        *_data_rows(case, twins, how), *_line_rows(case, twins, how), *_set_rows(case, twins, about, how),
+        *_bound_rows(case, twins, about, how),
     ]  # fmt: skip
 
 
-def _data_rows(case: Case, worth: Worth, how: str) -> list[Row]:
-    lines, published = worth.twins["lines"], case.published["emd_min"].value
+def _data_rows(case: Case, twins: dict[str, Twins], how: str) -> list[Row]:
+    lines, published = twins["lines"], case.published["emd_min"].value
     above = Share(int((lines.twin["emd_min"] >= published).sum()), lines.n)
     told, known = lines.twin["n_told"], _middle(lines.twin["emd_min"])
     return [
@@ -43,8 +45,8 @@ def _data_rows(case: Case, worth: Worth, how: str) -> list[Row]:
     ]
 
 
-def _line_rows(case: Case, worth: Worth, how: str) -> list[Row]:
-    lines, grid = worth.twins["lines"], worth.twins["grid"]
+def _line_rows(case: Case, twins: dict[str, Twins], how: str) -> list[Row]:
+    lines, grid = twins["lines"], twins["grid"]
     fitted = Share(int(np.isfinite(lines.twin["line_angle"][:, 0]).sum()), lines.n)
     near = [Share(int((t.twin["truth_to_line"] <= 0.03).sum()), t.n) for t in (lines, grid)]
     return [
@@ -57,19 +59,19 @@ def _line_rows(case: Case, worth: Worth, how: str) -> list[Row]:
     ]  # fmt: skip
 
 
-def _set_rows(case: Case, worth: Worth, confidence: float, how: str) -> list[Row]:
-    smallest = case.published["emd_min"].value
-    inside = {kind: worth.twins[kind].in_set(worth.factor) for kind in KINDS}
+def _set_rows(case: Case, twins: dict[str, Twins], about: dict[str, Any], how: str) -> list[Row]:
+    smallest, factor, confidence = case.published["emd_min"].value, about["factor"], about["confidence"]
+    inside = {kind: twins[kind].in_set(factor) for kind in KINDS}
     each = "; ".join(f"{KINDS[kind]}: {share}" for kind, share in inside.items())
     found = [
-        row(case, "worth_truth_in_set", inside["lines"].value, published=None, factor=worth.factor, each=each, how=how)
+        row(case, "worth_truth_in_set", inside["lines"].value, published=None, factor=factor, each=each, how=how)
     ]
     for relative, name in ((True, "worth_factor"), (False, "worth_threshold")):
-        values = {kind: worth.twins[kind].threshold(confidence, relative) for kind in KINDS}
-        size = worth.twins["lines"].at(values["lines"][0], relative)["count"] / worth.grid_points
+        values = {kind: twins[kind].threshold(confidence, relative) for kind in KINDS}
+        size = twins["lines"].at(values["lines"][0], relative)["count"] / about["grid_points"]
         found.append(
             row(
-                case, name, values["lines"][0], id=f"{name}_{100 * confidence:g}", published=worth.factor if relative else None,
+                case, name, values["lines"][0], id=f"{name}_{100 * confidence:g}", published=factor if relative else None,
                 confidence=confidence, size=size, flown=values["lines"][0] * (smallest if relative else 1 / smallest),
                 each="; ".join(f"{KINDS[k]}: {v[0]:.4g} ({v[1]:.4g} to {v[2]:.4g})" for k, v in values.items()),
             )
@@ -77,12 +79,12 @@ def _set_rows(case: Case, worth: Worth, confidence: float, how: str) -> list[Row
     return found
 
 
-def _bound_rows(case: Case, worth: Worth, confidence: float, how: str) -> list[Row]:
-    lines, grid = worth.twins["lines"], worth.twins["grid"]
-    published = case.published["rate_at_touchdown_min"].value
+def _bound_rows(case: Case, twins: dict[str, Twins], about: dict[str, Any], how: str) -> list[Row]:
+    lines, grid = twins["lines"], twins["grid"]
+    published, confidence = case.published["rate_at_touchdown_min"].value, about["confidence"]
     found = [
         row(
-            case, "worth_bound", _holds(lines, "bound_set").value, published=None, factor=worth.factor, how=how,
+            case, "worth_bound", _holds(lines, "bound_set").value, published=None, factor=about["factor"], how=how,
             held={name: _holds(lines, name) for name in ("bound_set", "bound_lines")}, box=_holds(grid, "bound_set"),
             speed={name: _range(lines.twin[name]) for name in ("bound_set", "bound_lines", "truth_touchdown_speed")},
         )
@@ -109,19 +111,3 @@ def _holds(twins: Twins, name: str) -> Share:
     bound = twins.twin[name]
     known = np.isfinite(bound)
     return Share(int((bound[known] <= twins.twin["truth_touchdown_speed"][known]).sum()), int(known.sum()))
-
-
-def sentences(worth: Worth, confidence: float = CONFIDENCE) -> list[str]:
-    """The findings for readers of the report."""
-    lines: Twins = worth.twins["lines"]
-    factor, threshold = (lines.threshold(confidence, relative)[0] for relative in (True, False))
-    region: dict[str, Any] = lines.at(factor, True)
-    share = region["count"][1] / worth.grid_points
-    angle = _middle(np.degrees(lines.twin["line_angle"]))[1]
-    return [
-        f"The method repeated on {lines.n} synthetic rebounds whose truth lies on the published lines: the truth lies in the set "
-        f"within {worth.factor:g} times the smallest EMD in {lines.in_set(worth.factor)} of them, and the fitted lines turn by "
-        f"{angle:.0f} degrees in the median. For {confidence:.0%} the threshold must be {factor:.2g} times the smallest EMD (or "
-        f"EMD < {threshold:.3f}); the set then holds {share:.0%} of the scanned box, and the lower bound on the angular speed "
-        f"after the touchdown is {region['speed'][1]:.3f} rad/s, both in the median twin. Repeat with `{worth.command}`."
-    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,11 @@ from sunspin.output import figures as fig
 from sunspin.output.figures import outcomes as figures_outcomes
 from sunspin.output.figures.collision import collision_figure
 from sunspin.output.folder import Picture
-from sunspin.output.kinds.kind import Drawing, synthetic_words
+from sunspin.output.kinds.coverage import coverage_drawings
+from sunspin.output.kinds.kind import Beside, Drawing, synthetic_words
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
-from sunspin.philae.coverage import CONFIDENCE, Worth
 from sunspin.philae.figures import candidates as figures_candidates
-from sunspin.philae.figures import coverage as figures_coverage
 from sunspin.philae.figures import descent as figures_descent
 from sunspin.philae.figures import health as figures_health
 from sunspin.philae.figures import precession as figures_precession
@@ -216,19 +215,7 @@ def _health(result: Reproduction, part: Any) -> Iterator[Drawing]:
 
 
 def _worth(_: Reproduction, part: Any) -> Iterator[Drawing]:
-    case, worth = part
-    yield worth_sheet(worth, case.published)
-
-
-def worth_sheet(worth: Worth, published: Mapping[str, Any], confidence: float = CONFIDENCE) -> Drawing:
-    """The figure of :mod:`sunspin.philae.coverage`; `published` of the case."""
-    known = {key: published[key].value for key in ("emd_min", "rate_at_touchdown_min")}
-    return Drawing(
-        "worth", lambda: figures_coverage.draw(worth, known, confidence),
-        "EMD of the truth, coverage of the level set, scatter of the lines and of the lower bound over many twins",
-        "What the answer is worth: the paper's method repeated on synthetic rebounds whose truth is known. Bands: 95 % sampling "
-        f"error above, 5 to 95 % of the twins below. Made with `{worth.command}`.",
-    )  # fmt: skip
+    yield from coverage_drawings(part[1], Beside())
 
 
 SHEETS: tuple[tuple[str, Callable[[Reproduction, Any], Iterator[Drawing]]], ...] = (

@@ -13,8 +13,6 @@ from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.philae import rebound as rb
 from sunspin.philae.study import Reproduction
 
-SUFFIX = {"Descent": "descent"}
-
 
 def store(result: Reproduction, folder: Path) -> None:
     """Write NetCDF files of every part that was computed, and the case's timeline."""

@@ -142,7 +142,7 @@ def _published_lines(i: Inputs) -> published_lines.PublishedLines:
     return published_lines.compute(i.case, table, i.options.seed, i.options.coarser, i.runs, i.options.workers)
 
 
-def _worth(i: Inputs) -> tuple[Case, coverage.Worth]:
+def _worth(i: Inputs) -> tuple[Case, xr.Dataset]:
     found = coverage.shipped(i.case)
     if found is None:
         raise InputError(sentence("the case comes without a study of twins", do="sunspin worth"))

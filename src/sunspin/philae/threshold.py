@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import binom
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
+from sunspin.estimate.scan.coverage import holding
 from sunspin.estimate.scan.rows import BINS, distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
-from sunspin.philae.coverage import CONFIDENCE, check_confidence
+from sunspin.philae.coverage import CONFIDENCE
 from sunspin.philae.twin_philae import drawn_panels
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.gains import brightness
@@ -75,14 +75,8 @@ class Calibration:
         return len(self.ratio)
 
     def factor(self, confidence: float | None = None) -> tuple[float, float, float]:
-        """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval.
-
-        The order statistic ceil(c (n + 1)), whatever the distribution; interval from binomial order statistics.
-        """
-        confidence = self.confidence if confidence is None else confidence
-        at, values = check_confidence(self.n, confidence), np.sort(self.ratio)
-        low, high = binom.ppf([0.025, 0.975], self.n, confidence).astype(int)
-        return float(values[at]), float(values[max(low - 1, 0)]), float(values[min(high, self.n - 1)])
+        """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval."""
+        return holding(self.ratio, self.confidence if confidence is None else confidence)
 
     def share_as_large(self, emd_min: float) -> float:
         """Share of the synthetic rebounds whose smallest EMD is as large or larger."""

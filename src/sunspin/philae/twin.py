@@ -80,9 +80,9 @@ def main(arguments: list[str] | None = None) -> None:
     case = load_case(given.case)
     turns = {name: value for name, value in (("tilt", given.tilt), ("turn", given.turn)) if value is not None}
     asked = "".join(f" --{name} {value:g}" for name, value in turns.items()) + " --no-rest-seen" * (not given.rest_seen)
-    options: dict[str, Any] = {"rest_seen": given.rest_seen}
-    options |= {{"tilt": "tilt_rad", "turn": "turned_rad"}[name]: float(np.radians(value)) for name, value in turns.items()}
-    telemetry = twin(case, seed=given.seed, **options)
+    keys = {"tilt": "tilt_rad", "turn": "turned_rad"}
+    radians: dict[str, Any] = {keys[name]: float(np.radians(value)) for name, value in turns.items()}
+    telemetry = twin(case, seed=given.seed, rest_seen=given.rest_seen, **radians)
     comments = [
         f"synthetic: not measured; made by sunspin {version()} from published facts",
         f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed}{asked} {given.out.name}",

@@ -18,7 +18,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError, sentence
 from sunspin.base.toml import read_toml
-from sunspin.base.untrusted import read_bytes
+from sunspin.base.untrusted import decoded, read_bytes
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
 from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split
@@ -148,11 +148,8 @@ def timeline_of(vehicle: object) -> Timeline | None:
     path = Path(str(vehicle)).parent / "timeline.toml"
     if not path.is_file():
         return None
-    try:
-        text = read_bytes(path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again").decode("utf-8")
-    except UnicodeDecodeError:
-        raise InputError(sentence("the file is not UTF-8 text", do="save it as UTF-8", where=str(path))) from None
-    return parse_timeline(text, str(path))
+    content = read_bytes(path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again")
+    return parse_timeline(decoded(content, str(path), InputError, "save it as UTF-8"), str(path))
 
 
 def parse_published(text: str, where: str) -> Mapping[str, Published]:

@@ -70,9 +70,8 @@ def _sensor_parts(vehicle: Vehicle) -> Iterator[tuple[str, str, list[str]]]:
     for sensor in sensors.sun_sensors:
         names = [name for name in (sensor.x_column, sensor.y_column, sensor.light_column) if name]
         yield "[sun_sensor]", f"Sun sensor {sensor.name}", names
-    for section in ("sun_vector", "gyro", "attitude", "magnetometer"):
-        if (part := getattr(sensors, section)) is not None:
-            yield section, section.replace("_", " "), list(part.columns)
+    for section, part in sensors.with_columns.items():
+        yield section, section.replace("_", " "), list(part.columns)
     for wheel in vehicle.wheels:
         if wheel.speed_column:
             yield "[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column]

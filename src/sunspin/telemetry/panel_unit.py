@@ -31,12 +31,14 @@ DISTINCT, LIT_SHARE = 10, 0.2
 """Sunlight has at least so many different readings, and usually two panels above this share of the largest: counts of noise have
 not."""
 
-STEADY = 0.43
-"""Width of the middle 80 % of the brightest samples' brightness, over the median, up to which the Sun made them. Sunlight is as
-bright in one sample as in the next: with the Earth's light or a tenth of noise the width is 0.05 to 0.3, of four faces up to 0.41.
-Noise in the dark has 0.45 to 0.97; cut off at zero, its misfit alone looks like the Sun's in every second file."""
-
 LEAST_SAMPLES = 5
+
+SHUFFLES = 99
+"""Of noise in the dark no panel knows of the others. Sunlight must fit better than each of so many random orders of its readings
+among the panels, which noise does in one file of a hundred, however small."""
+
+SHUFFLED, BRIGHT_SHARE = 60, 0.3
+"""Samples of which this is asked, at most: the brightest of those above this part of what is bright."""
 
 
 class WrongUnit(NamedTuple):
@@ -82,13 +84,30 @@ def _brightness(vehicle: Vehicle, bright: np.ndarray, sun: np.ndarray) -> np.nda
     return (bright * model).sum(axis=1) / np.maximum((model**2).sum(axis=1), 1e-300)
 
 
-def _sunlit(vehicle: Vehicle, bright: np.ndarray, brightness: np.ndarray, misfit: np.ndarray) -> bool:
-    """Whether the Sun made these readings: panels agree on a direction, and samples on how bright it is; noise in the dark does not
-    let them."""
+def _sunlit(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> bool:
+    """Whether the Sun made the brightest of these readings: their panels agree on a direction, which is the order's doing."""
+    bright = _brightest(known, largest)
     two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
-    low, middle, high = np.quantile(brightness, [0.1, 0.5, 0.9])
-    agree = float(np.median(misfit)) < FITS and high - low < STEADY * middle
-    return len(vehicle.inputs) > 3 and bool(two) and len(np.unique(bright)) >= DISTINCT and bool(agree)
+    if len(vehicle.inputs) <= 3 or not two or len(np.unique(bright)) < DISTINCT:
+        return False
+    if not float(np.median(directions(vehicle, bright)[1])) < FITS:
+        return False
+    order = np.argsort(-largest, kind="stable")[:SHUFFLED]
+    seen = known[order[largest[order] > BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))]]
+    return _in_order(vehicle, np.maximum(seen, 0.0), directions)
+
+
+def _in_order(vehicle: Vehicle, seen: np.ndarray, directions: Solver) -> bool:
+    """Whether readings (n, n_panel) fit directions better as they stand than in each of many random orders among the panels: with
+    noise that is alike in the readings' unit, and with noise alike in parts of each panel's gain."""
+    rng, gains = np.random.default_rng(0), vehicle.input_gains
+    for unit in (np.ones_like(gains), gains)[: 1 if np.ptp(gains) == 0 else 2]:
+        shuffled = rng.permuted(np.tile(seen / unit, (SHUFFLES, 1)), axis=1) * unit
+        misfit = directions(vehicle, np.concatenate([seen, shuffled]))[1].reshape(-1, len(seen))
+        off = np.mean(misfit**2, axis=1)
+        if not off[0] < off[1:].min():
+            return False
+    return True
 
 
 def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> WrongUnit | None:
@@ -100,11 +119,10 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     if 1 / BEYOND < share < BEYOND:
         return None
     bright = _brightest(known, largest)
-    sun, misfit = directions(vehicle, bright)
-    brightness = _brightness(vehicle, bright, sun)
-    ratio = float(np.median(brightness))
-    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, bright, brightness, misfit)):
+    ratio = float(np.median(_brightness(vehicle, bright, directions(vehicle, bright)[0])))
+    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, known, largest, directions)):
         return None
+    key = "scale or voltage_scale" if form.has_voltages else "scale"
     step = round(np.log10(ratio) / 3)
     exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
     times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
@@ -112,7 +130,8 @@ def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, dir
     stated = f"{float(vehicle.input_gains.max()):.3g} {unit}"
     what = f"the brightest samples read about {times} times {more} than the stated full signal of a panel ({stated}): a wrong unit"
     factor = 1000.0**-step if exact else 1 / ratio
-    return WrongUnit(what, "telemetry", "scale", float(f"{form.scale * factor:.6g}") if exact else None)
+    sure = exact and not form.has_voltages  # else currents or voltages may be at fault
+    return WrongUnit(what, "telemetry", key, float(f"{form.scale * factor:.6g}") if sure else None)
 
 
 def _against_noise(
@@ -124,9 +143,8 @@ def _against_noise(
     low = [key for key, limit in above.items() if limit is not None and full < limit]
     if not low:
         return None
-    bright = _brightest(known, largest)
-    sun, misfit = directions(vehicle, bright)
-    if not _sunlit(vehicle, bright, _brightness(vehicle, bright, sun), misfit):
+    if not _sunlit(vehicle, known, largest, directions):
         return None
     what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {low[0]} ({above[low[0]]:g} {unit})"
-    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"scale or {low[0]}")
+    scales = "scale, voltage_scale" if form.has_voltages else "scale"
+    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"{scales} or {low[0]}")

@@ -41,8 +41,7 @@ def sensor_columns(vehicle: Vehicle) -> list[str]:
     """Columns that the vehicle's sensors read."""
     sensors = vehicle.sensors
     names = [name for s in sensors.sun_sensors for name in (s.x_column, s.y_column, s.light_column) if name]
-    for part in (sensors.sun_vector, sensors.gyro, sensors.attitude, sensors.magnetometer):
-        names += list(part.columns) if part is not None else []
+    names += [name for part in sensors.with_columns.values() for name in part.columns]
     return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
 
 

@@ -110,6 +110,14 @@ class TelemetryForm(Part):
         return self.voltage_column is not None or bool(self.voltage_columns)
 
 
+def _require_symmetric(what: str, tensor: np.ndarray) -> None:
+    off = np.abs(tensor - tensor.T)
+    if off.max() > SYMMETRY_TOLERANCE * np.abs(tensor).max():
+        i, j = np.unravel_index(np.argmax(off), (3, 3))
+        found = f"element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}"
+        raise VehicleError(sentence(f"{what} must be symmetric, but {found}", do="make them equal"))
+
+
 def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
     """Check that a value is the inertia tensor of some distribution of mass."""
     key = "inertia_kg_m2"
@@ -118,15 +126,10 @@ def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
         shown = given.tolist() if isinstance(given, np.ndarray) else given
         raise VehicleError(sentence(f"{key} must be three rows of three finite numbers", got=shown))
-    size = float(np.abs(tensor).max())
-    if np.abs(tensor - tensor.T).max() > SYMMETRY_TOLERANCE * size:
-        i, j = np.unravel_index(np.argmax(np.abs(tensor - tensor.T)), (3, 3))
-        raise VehicleError(
-            sentence(
-                f"{key} must be symmetric, but element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}",
-                do="make them equal",
-            )
-        )
+    _require_symmetric(key, tensor)
+    sigma = as_array(raw.get("sigma", 0.0)) if isinstance(raw, Mapping) else np.zeros(())
+    if sigma.ndim == 2:
+        _require_symmetric(f"the sigma of {key}", sigma)
     tensor = (tensor + tensor.T) / 2
     moments = np.linalg.eigvalsh(tensor)
     shown = ", ".join(f"{moment:.6g}" for moment in moments)
@@ -253,7 +256,7 @@ class Vehicle(Part):
         """
         return self._response(self.inputs if self.channels else ())
 
-    def panels_in(self, phase: str | None = None) -> PanelResponse:
+    def panels_in(self) -> PanelResponse:
         """The same of the panels themselves, whatever input they are on: for drawings."""
         return self._response(())
 

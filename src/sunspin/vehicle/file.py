@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from sunspin.base.errors import VehicleError, printable, sentence
 from sunspin.base.toml import read_toml
-from sunspin.base.untrusted import read_bytes
+from sunspin.base.untrusted import decoded, read_bytes
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
 from sunspin.vehicle.assumptions import assumed_keys
@@ -117,12 +117,7 @@ def builtin_names() -> list[str]:
 def _read_text(path: Path) -> str:
     known = ", ".join(builtin_names())
     do = f"give the path of a vehicle.toml or a built-in name: {known}"
-    try:
-        return read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise VehicleError(
-            sentence(f"the file is not UTF-8 text (byte {error.start})", do="save it as UTF-8", where=str(path))
-        ) from None
+    return decoded(read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do), str(path), VehicleError, "save it as UTF-8")
 
 
 def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) -> craft.Vehicle:

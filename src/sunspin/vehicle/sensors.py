@@ -213,3 +213,8 @@ class Sensors(Part):
     magnetometer: Magnetometer | None = None
     disturbance: Disturbance = Disturbance()
     clock: Clock | None = None
+
+    @property
+    def with_columns(self) -> dict[str, Any]:
+        """The sensors whose columns go along the axes of the body, by their table in the vehicle file."""
+        return {name: one for name, one in vars(self).items() if hasattr(one, "columns")}

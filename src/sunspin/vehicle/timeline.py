@@ -63,9 +63,12 @@ def utc_seconds(utc: str, epoch_utc: str) -> float:
 
 
 def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
-    """The time (ISO-8601 UTC, with so many decimals) so many seconds after `epoch_utc`; beyond the calendar epoch and seconds."""
+    """The time (ISO-8601 UTC, rounded to so many decimals, at most three) so many seconds after `epoch_utc`; beyond the calendar
+    epoch and seconds."""
+    unit = 10 ** (6 - digits)
     try:
-        instant = _instant(epoch_utc) + timedelta(seconds=round(seconds, digits))
+        exact = _instant(epoch_utc) + timedelta(seconds=seconds)
+        instant = exact + timedelta(microseconds=round(exact.microsecond / unit) * unit - exact.microsecond)
     except OverflowError:
         return f"{epoch_utc} and {seconds:g} s"
     return instant.isoformat().replace("+00:00", "Z")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -48,32 +49,35 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | 
     unstated = float(np.sqrt((read**2).mean()))
     prior = np.append(np.where(stated > 0, stated, unstated), gyro.scale_sigma / abs(gyro.scale_rad_s) or SCALE_SIGMA)
     value, more, covariance = np.array([0.0, 0.0, 0.0, 1.0]), 1.0, np.diag(prior**2)
-    slopes: list[tuple[int, np.ndarray]] = []
+    passes, scores = np.unique(pass_of), np.zeros(0)
     for _ in range(ROUNDS):
-        model, slopes, squares, sizes = np.diag(prior**-2.0), [], [], []
-        right = prior**-2.0 * [0.0, 0.0, 0.0, 1.0]
-        for p in np.unique(pass_of):
-            rows = pass_of == p
-            for axis in range(3):
-                design = np.zeros((rows.sum(), 4))
-                design[:, axis], design[:, 3] = 1.0, rate[rows, axis]
-                white = _whitening(more * gyro.noise_rad_s, more**2 * cov[rows, axis, axis])
-                design, target = white @ design, white @ read[rows, axis]
-                left = design @ value - target
-                weight = (STUDENT + len(left)) / (STUDENT + left @ left)
-                model += weight * design.T @ design
-                right += weight * design.T @ target
-                slopes.append((p, weight * design.T @ left))
-                squares.append(weight * left @ left)
-                sizes.append(len(left))
+        model, right = np.diag(prior**-2.0), prior**-2.0 * [0.0, 0.0, 0.0, 1.0]
+        scores, squares, count = np.zeros((len(passes), 4)), 0.0, 0
+        for k, design, target in _whitened(read, rate, cov, [pass_of == p for p in passes], gyro.noise_rad_s, more):
+            left = design @ value - target
+            weight = (STUDENT + len(left)) / (STUDENT + left @ left)
+            model += weight * design.T @ design
+            right += weight * design.T @ target
+            scores[k] += weight * design.T @ left
+            squares, count = squares + weight * left @ left, count + len(left)
         covariance = np.linalg.inv(model)
         value = covariance @ right
-        more *= float(np.clip(np.sqrt(np.sum(squares) / max(np.sum(sizes) - 4, 1)), 0.5, 3.0))
-    passes = np.unique(pass_of)
-    summed = np.array([np.sum([slope for p, slope in slopes if p == one], axis=0) for one in passes])
-    meat = summed.T @ summed * len(passes) / max(len(passes) - 1, 1) + np.diag(prior**-2.0)
+        more *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), 0.5, 3.0))
+    meat = scores.T @ scores * len(passes) / max(len(passes) - 1, 1) + np.diag(prior**-2.0)
     robust = covariance @ meat @ covariance if len(passes) >= FEWEST_PASSES else covariance
     return GyroFit(value, covariance, robust, prior, int(use.sum()), len(passes))
+
+
+def _whitened(
+    read: np.ndarray, rate: np.ndarray, cov: np.ndarray, of_passes: list[np.ndarray], noise: float, more: float
+) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Of each pass, and axis by axis: its number, and design (m, 4) and readings (m) with errors of unit size."""
+    for k, rows in enumerate(of_passes):
+        for axis in range(3):
+            design = np.zeros((rows.sum(), 4))
+            design[:, axis], design[:, 3] = 1.0, rate[rows, axis]
+            white = _whitening(more * noise, more**2 * cov[rows, axis, axis])
+            yield k, white @ design, white @ read[rows, axis]
 
 
 def _whitening(noise: float, common: np.ndarray) -> np.ndarray:

@@ -15,8 +15,8 @@ from sunspin.base.errors import InputError, MotionError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
-from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
-from sunspin.estimate.orbit.sensors import FEWEST, SUN_KEYS, Calibration, Readings, Start, fit_in_orbit, priors, readings
+from sunspin.estimate.orbit.check import Verdict, check_orbit, start_of
+from sunspin.estimate.orbit.sensors import FEWEST, SUN_KEYS, Calibration, Readings, fit_in_orbit, priors, readings
 from sunspin.estimate.rates.estimate import rates
 from sunspin.estimate.verdict import NARROWER
 from sunspin.telemetry.gains import prior_sigmas, with_gains
@@ -77,7 +77,7 @@ def calibrate_sensors(vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | No
     Raises
     ------
     InputError
-        Where the elements do not fit the telemetry, or it has no sensor that can be calibrated.
+        Where the elements do not fit the telemetry, the field is read with the opposite sign, or no sensor can be calibrated.
     """
     keys: list[Key] = []
     notes: list[str] = []
@@ -88,7 +88,7 @@ def calibrate_sensors(vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | No
         keys += found
     if "field_B" in telemetry or "sun_sensor_angle" in telemetry:
         seen = readings(calibrated, telemetry)
-        made = _in_orbit(vehicle, telemetry, orbit, seen, notes, attrs)
+        made = _in_orbit(calibrated, telemetry, orbit, seen, notes, attrs)
         keys += [] if made is None else _magnetometer(vehicle, made) + list(_sun_sensors(vehicle, seen, made))
     if "gyro_B" in telemetry and vehicle.sensors.gyro is not None:
         keys += _gyro(vehicle, telemetry, notes, progress)
@@ -164,28 +164,27 @@ def _in_orbit(
         do = "give the right elements, or calibrate without any"
         got = f"{check.better} of {check.copies} orbits at random predict better"
         raise InputError(sentence("the elements do not fit the telemetry, which cannot be calibrated with them", got=got, do=do))
+    if check.sign_turned:
+        what = "the magnetometer reads the field with the opposite sign, as its angle to the Sun shows, and is not calibrated so"
+        do = "turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"
+        raise InputError(sentence(what, do=do))
     notes.append(f"orbit: {check.verdict.value}")
-    start = _start(check, orbit, seen)
-    if start is None:
+    start = start_of(check, orbit)
+    if start is None or not seen.has_field.any():
         notes.append(f"{what}: not determined, too few samples show the field")
         return None
-    made = fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
+    made = check.made or fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
     if made.samples["field"] + made.samples["field and Sun"] < FEWEST:
         notes.append(f"{what}: not determined, too few samples show the field")
         return None
     attrs |= {
         "shift_s": orbit.shift_s + made.shift_s, "shift_sigma_s": made.shift_sigma_s,
-        "drift_s_day": made.drift_s_day, "field_residual_before_T": made.strength[0], "field_residual_after_T": made.strength[1],
+        "drift_s_day": orbit.drift_s_day + made.drift_s_day, "drift_sigma_s_day": made.drift_sigma_s_day,
+        "field_residual_before_T": made.strength[0], "field_residual_after_T": made.strength[1],
         "sun_field_residual_before_rad": made.angle[0], "sun_field_residual_after_rad": made.angle[1],
         "field_noise_T": made.noise_T, "sun_noise": made.sun_noise,
     }  # fmt: skip
     return made
-
-
-def _start(check: OrbitCheck, orbit: Orbit, seen: Readings) -> Start | None:
-    if check.matrix is None or check.zero is None or not seen.has_field.any():
-        return None
-    return Start(check.matrix, check.zero, check.shift_s - orbit.shift_s)
 
 
 def _carried(made: Calibration, to: Callable[[Calibration], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from sunspin.environment.orbit import Orbit, turned
 @dataclass(frozen=True)
 class AlongTrack:
     """At n samples and K shifts (s) beside the orbit's own, in Earth-fixed axes: direction to the Sun (n, 3), field (K, n, 3) in T,
-    part of the Sun that is seen (K, n); `days` (n) from the middle of the file."""
+    part of the Sun that is seen (K, n); `days` (n) from the middle of the file. The orbit's own drift is in all of them."""
 
     shifts: np.ndarray
     sun: np.ndarray
@@ -26,12 +26,12 @@ class AlongTrack:
     def of(cls, orbit: Orbit, t_s: np.ndarray, shifts: np.ndarray, node_rad: float = 0.0, phase_s: float = 0.0) -> AlongTrack:
         """Of an orbit whose node is turned, and that is so many s farther along."""
         when = orbit.instants(t_s)
-        place, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(when, orbit.shift_s + phase_s + shifts[:, None])
+        place, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(when, orbit.ahead_s(when) + phase_s + shifts[:, None])
         sun, turn = sun_J2000_m(when), earth_from_J2000(when)
         fixed = turned(turn, place)
         to_sun = turned(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))
         light = lit(place, np.broadcast_to(sun, place.shape))
-        return cls(shifts, to_sun, orbit.map(when, place).at(fixed), light, (t_s - t_s.mean()) / 86400.0)
+        return cls(shifts, to_sun, orbit.map(when, place).at(fixed), light, orbit.days(when))
 
     def take(self, samples: np.ndarray) -> AlongTrack:
         return AlongTrack(self.shifts, self.sun[samples], self.field[:, samples], self.lit[:, samples], self.days[samples])

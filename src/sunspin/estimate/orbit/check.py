@@ -19,7 +19,7 @@ from scipy.special import erfc
 
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.invariants import FEWEST, Fits, Predicted, Seen, fit, predict, seen_in
-from sunspin.estimate.orbit.sensors import Start, by_sun_sensors
+from sunspin.estimate.orbit.sensors import Calibration, Start, by_sun_sensors
 from sunspin.vehicle import Vehicle
 
 COPIES = 50
@@ -72,7 +72,8 @@ class OrbitCheck:
     """The answer: `better` copies of `copies` predict better; residuals are medians; `calibration`: field (T) = matrix reading -
     zero, None without magnetometer. With the node turned by `turn_rad` residuals are `turn_times` smaller. `eclipse` counts
     samples that show the Sun in the predicted shadow, and all there. `clock_behind_s`: what would make the elements fit, 0 where
-    nothing does. `sign_turned`: the field read with the opposite sign fits clearly better to the Sun."""
+    nothing does. `sign_turned`: the field read with the opposite sign fits clearly better to the Sun. The shift is that in the
+    middle of the telemetry; its drift is found where Sun sensors are, by the fit `made`, else it stays as it was."""
 
     shift_s: float
     shift_sigma_s: float
@@ -91,6 +92,9 @@ class OrbitCheck:
     border: bool = False
     clock_behind_s: float = 0.0
     sign_turned: bool = False
+    drift_s_day: float = 0.0
+    drift_sigma_s_day: float = 0.0
+    made: Calibration | None = None
 
 
 def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: int = 0) -> OrbitCheck:
@@ -100,7 +104,10 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     """
     seen, grid = seen_in(vehicle, telemetry), _Grid.of(orbit)
     if not len(seen.t_s):
-        return OrbitCheck(orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)))
+        return OrbitCheck(
+            orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
+            drift_s_day=orbit.drift_s_day, drift_sigma_s_day=orbit.drift_sigma_s_day,
+        )  # fmt: skip
     rng = np.random.default_rng(seed)
     turns = zip(rng.uniform(0, 2 * np.pi, COPIES), rng.uniform(0, orbit.elements[0].period_s, COPIES), strict=True)
     here = predict(orbit, seen, grid.shifts)
@@ -114,7 +121,8 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     enough = max(np.isfinite(seen.field).all(axis=1).sum(), np.isfinite(seen.light).sum()) >= FEWEST
     verdict = Verdict.REFUSED if better > BETTER or times > TIMES else Verdict.FITS
     verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
-    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times))
+    lowest = min(fit.cost.min() for fit in ([own, *fits] if verdict is Verdict.REFUSED else [own]))
+    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), float(lowest))
     if verdict is Verdict.FITS:
         return _with_sun_sensors(answer, orbit, vehicle, telemetry)
     return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, min(fit.cost.min() for fit in [own, *fits])))
@@ -202,8 +210,9 @@ def _as_predict(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen:
 
 def _answer(
     orbit: Orbit, seen: Seen, grid: _Grid, here: Predicted, own: Fits, verdict: Verdict, rank: tuple[int, float],
-    beside: tuple[float, float],
+    beside: tuple[float, float], lowest: float,
 ) -> OrbitCheck:
+    """What is told of a verdict; `lowest`: the cost that a field of the opposite sign must be clearly below to be named."""
     shift, sigma, at_border = _shift(orbit, seen, grid, own)
     k = int(own.cost.argmin())
     dark, shadow = seen.light == 0, here.lit[k] < 0.5
@@ -211,9 +220,10 @@ def _answer(
     calibrated = bool(np.isfinite(own.calibration[k]).all())
     strength, angle = _left(seen, here.take([k]), own.calibration[k]) if calibrated else (np.nan, np.nan)
     opposite = fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
-    sign_turned = bool(opposite.cost[0] < own.cost[k] - CLEARLY)
-    sign_turned |= calibrated and _mirrored(seen, here.take([k]), own.calibration[k])
+    sign_turned = bool(opposite.cost[0] < lowest - CLEARLY)
+    sign_turned |= verdict is not Verdict.REFUSED and calibrated and _mirrored(seen, here.take([k]), own.calibration[k])
     return OrbitCheck(
+        drift_s_day=orbit.drift_s_day, drift_sigma_s_day=orbit.drift_sigma_s_day,
         verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0], turn_times=beside[1],
         sign_turned=sign_turned, shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
         border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
@@ -226,15 +236,23 @@ def _answer(
 
 def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> OrbitCheck:
     """The answer with shift and calibration of the fit that counts biases and scales of Sun sensors, where there are any."""
-    if answer.matrix is None or answer.zero is None:
-        return answer
-    made = by_sun_sensors(orbit, vehicle, telemetry, Start(answer.matrix, answer.zero, answer.shift_s - orbit.shift_s))
-    if made is None or not made.strength[1] < answer.strength_residual_T:
+    start = start_of(answer, orbit)
+    made = None if start is None else by_sun_sensors(orbit, vehicle, telemetry, start)
+    if made is None:
         return answer
     return replace(
-        answer, shift_s=orbit.shift_s + made.shift_s, shift_sigma_s=made.shift_sigma_s, matrix=made.matrix_T,
-        zero=made.matrix_T @ made.zero, strength_residual_T=float(made.strength[1]), angle_residual_rad=float(made.angle[1]),
+        answer, shift_s=orbit.shift_s + made.shift_s, shift_sigma_s=made.shift_sigma_s, made=made,
+        drift_s_day=orbit.drift_s_day + made.drift_s_day, drift_sigma_s_day=made.drift_sigma_s_day,
+        matrix=made.matrix_T, zero=made.matrix_T @ made.zero,
+        strength_residual_T=float(made.strength[1]), angle_residual_rad=float(made.angle[1]),
     )  # fmt: skip
+
+
+def start_of(found: OrbitCheck, orbit: Orbit) -> Start | None:
+    """Where a fit with Sun sensors may begin; None where the check has not calibrated a magnetometer."""
+    if found.matrix is None or found.zero is None:
+        return None
+    return Start(found.matrix, found.zero, found.shift_s - orbit.shift_s, found.strength_residual_T)
 
 
 def _left(seen: Seen, there: Predicted, calibration: np.ndarray) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """What a magnetometer reads in an orbit that is known: zero and matrix (scale, soft iron, axes), with their errors, from a file.
 
-Strength of the field and its angle to the Sun need no attitude; model and priors are those by which an orbit is judged
+It is the calibration by which the shift along the track is found: with biases and scales of Sun sensors where there are any
+(:mod:`sunspin.estimate.orbit.sensors`), else by strength of the field and its angle to the Sun
 (:mod:`sunspin.estimate.orbit.invariants`). Of few readings little more comes back than the priors, which are wide: then a fit of
 the motion finds the rest. What is open of the place along the track is part of the errors: a calibration along a shifted orbit is
 another one.
@@ -8,13 +9,15 @@ another one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 
+from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight
+from sunspin.estimate.orbit.sensors import Calibration, Start, by_sun_sensors
 from sunspin.vehicle import Vehicle
 
 FEW_SCATTER = 0.02
@@ -47,31 +50,74 @@ class FieldCalibration:
         by_matrix = np.einsum("eij,nj->nei", self.errors[:, :9].reshape(-1, 3, 3), reading)
         return by_matrix - self.errors[None, :, 9:12]
 
+    def along(self, field_along_N: np.ndarray) -> np.ndarray:
+        """What one sigma of each error changes in the orbit's field (n, 13, 3), of which one along the track is (n, 3) T."""
+        return self.errors[:, 12:] * field_along_N[:, None]
 
-def field_calibration(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> FieldCalibration | None:
-    """The calibration of a file's magnetometer along this orbit; None where it has none, or it reads nothing."""
+    def sigma_T(self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray) -> np.ndarray:
+        """One sigma (n) of each component of readings (n, 3) where the field is `field_N` (n, 3) T, and one sigma along the track
+        changes it by (n, 3) T. The strength needs no attitude, so how far it is off is known before any fit of the motion: a
+        reading is taken for no better in any direction, beyond what the errors of this calibration may be."""
+        field = self.field(reading)
+        size, strength = np.linalg.norm(field, axis=1), np.linalg.norm(field_N, axis=1)
+        own = np.einsum("nei,ni->ne", self.columns(reading), field / size[:, None])
+        place = np.einsum("nei,ni->ne", self.along(field_along_N), field_N / strength[:, None])
+        noise = np.hypot(self.noise_T, MODEL_SIGMA_T)
+        expected = np.sqrt(noise**2 + ((own - place) ** 2).sum(axis=1))
+        return noise * np.fmax(np.abs(size - strength) / expected, 1.0)
+
+
+def field_calibration(
+    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, made: Calibration | None = None
+) -> FieldCalibration | None:
+    """The calibration of a file's magnetometer along this orbit; None where it has none, or it reads nothing. `made`: the fit with
+    Sun sensors by which this orbit was judged (:class:`~sunspin.estimate.orbit.check.OrbitCheck`), which else is made here."""
     if "field_B" not in telemetry:
         return None
+    along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+    if made is not None:
+        return _of_sensors(made, made.shift_s, along)
     seen = seen_in(vehicle, telemetry)
     use = np.isfinite(seen.field).all(axis=1)
     if not use.any():
         return None
     seen = Seen(*(part[use] for part in seen))
-    along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)) * np.array([-1.0, 0.0, 1.0])
-    every = predict(orbit, seen, along)
-    found = calibrated(seen, every.take([1]), steps=3 * STEPS, distances=False)
-    matrix, _, _, unit = found.model.fields(found.state)
-    steep = found.model.steepness(unit, matrix)[0]
+    every = predict(orbit, seen, along * np.array([-1.0, 0.0, 1.0]))
+    found = calibrated(seen, every.take([1]), steps=3 * STEPS)
+    values = found.values[0]
+    matrix, zero = values[:9].reshape(3, 3), values[9:]
+    left = np.abs(np.linalg.norm(seen.field @ matrix.T - zero, axis=1) - every.strength[1])
+    start = Start(matrix, zero, left_T=float(np.median(left)))
+    if (made := by_sun_sensors(orbit, vehicle, telemetry, start)) is not None:
+        return _of_sensors(made, 0.0, along)
+    bent, _, _, unit = found.model.fields(found.state)
+    steep = found.model.steepness(unit, bent)[0]
     few = FEW_SCATTER / float(np.median(steep)) if len(steep) < FEW else 0.0
     scatter = np.maximum(found.state.scatter, [few, 0.0])
     found = found._replace(state=found.state._replace(scatter=scatter))
     along_track = [(part[2] - part[0]) / 2 / found.unit_T for part in (every.strength, every.to_sun)]
-    scale, values = found.unit_T / found.unit, found.values[0]
+    scale = found.unit_T / found.unit
     units = np.concatenate([np.full(9, scale), np.full(3, found.unit_T), [1.0]])
     return FieldCalibration(
-        values[:9].reshape(3, 3), values[9:], _errors(found, steep, along_track) * units,
+        matrix, zero, _errors(found, steep, along_track) * units,
         float(scatter[0, 0] * np.median(steep)) / OF_GAUSSIAN * found.unit_T, scale,
     )  # fmt: skip
+
+
+def _of_sensors(made: Calibration, shift_s: float, along_s: float) -> FieldCalibration:
+    """That of a fit with Sun sensors, along an orbit at this shift (s) beside the one of the fit, with its sigma."""
+    covariance = made.covariance[:13, :13]
+    by_place = covariance[:, 12] / covariance[12, 12]
+    made = replace(made, values=made.values + np.append(by_place * (shift_s - made.shift_s), np.zeros(len(made.values) - 13)))
+    covariance = covariance + (along_s**2 - covariance[12, 12]) * np.outer(by_place, by_place)
+    matrix, zero_T, scale = made.matrix_T, made.matrix_T @ made.zero, made.unit_T / made.unit
+    slope = np.zeros((13, 13))  # of matrix, zero and place by the fit's unknowns
+    slope[:9, :9] = -np.kron(matrix, matrix.T) / scale
+    slope[9:12, :9] = -np.kron(matrix, zero_T) / scale
+    slope[9:12, 9:12] = made.unit * matrix
+    slope[12, 12] = 1 / along_s
+    errors = slope @ np.linalg.cholesky(covariance)
+    return FieldCalibration(matrix, zero_T, errors.T, made.noise_T / OF_GAUSSIAN, scale)
 
 
 def _errors(found: Calibrated, steep: np.ndarray, along_track: list[np.ndarray]) -> np.ndarray:

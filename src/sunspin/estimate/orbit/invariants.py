@@ -138,9 +138,7 @@ class Calibrated(NamedTuple):
         return np.concatenate([matrix, zero], axis=1)
 
 
-def calibrated(
-    seen: Seen, there: Predicted, scatter: np.ndarray | None = None, steps: int = STEPS, distances: bool = True
-) -> Calibrated:
+def calibrated(seen: Seen, there: Predicted, scatter: np.ndarray | None = None, steps: int = STEPS) -> Calibrated:
     """The magnetometer's calibration at each shift by samples that have a field; residuals have Student's tails, and their scatter
     is fitted too, or given (2).
 
@@ -154,8 +152,6 @@ def calibrated(
                   np.tile([0.1, 1.0] if scatter is None else scatter, (n_shift, 1)), np.ones(n_shift))  # fmt: skip
     model = Model(seen.field / unit, seen.sun, seen.covariance)
     state = _in_turn(model, state, scatter is None, steps)
-    if not distances:
-        return Calibrated(model, state, unit, unit_T)
     model = Model(seen.field / unit, seen.sun, seen.covariance, of_readings=True)
     if scatter is not None:
         return Calibrated(model, _in_turn(model, state, False, steps), unit, unit_T)

@@ -56,6 +56,20 @@ def orbit_of(
     )  # fmt: skip
 
 
+def drifting(found: OrbitCheck) -> str:
+    """How the shift changes, in words, where the telemetry has shown it."""
+    if found.made is None:
+        return ""
+    return f" in the middle of the file, {found.drift_s_day:+.1f} +- {found.drift_sigma_s_day:.1f} s a day"
+
+
+def clock_off(found: OrbitCheck) -> str:
+    """What clock would make elements fit that do not, in words; empty where none would."""
+    hours = round(found.clock_behind_s / 3600)
+    side = "behind" if hours > 0 else "ahead of"
+    return f"they would fit if the telemetry's clock were {abs(hours)} h {side} UTC" if hours else ""
+
+
 def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Orbit | None, OrbitCheck, str]:
     """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit.check`), and what follows, in words.
 
@@ -66,13 +80,17 @@ def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple
     sign = "; THE MAGNETOMETER READS THE FIELD WITH THE OPPOSITE SIGN: turn its `matrix` round" if found.sign_turned else ""
     if found.verdict is Verdict.REFUSED:
         why = found.verdict.value.split(":")[0]
-        return None, found, f"the orbit is NOT USED: {why} (`sunspin check` with the same elements says more)"
+        clock = f"; {off}" if (off := clock_off(found)) else ""
+        return None, found, f"the orbit is NOT USED: {why}{clock} (`sunspin check` with the same elements says more)"
     if found.verdict is Verdict.UNDECIDED:
         sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
         along = f"{orbit.shift_s:+.0f} +- {sigma:.0f} s along the track"
         return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it{sign}"
     # the shift found is that of place and clock together, of which the data determine the sum
     rest = float(np.sqrt(max(found.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
-    known = replace(orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s))
-    shift = f"{found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track"
+    known = replace(
+        orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s),
+        drift_s_day=found.drift_s_day, drift_sigma_s_day=found.drift_sigma_s_day,
+    )  # fmt: skip
+    shift = f"{found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track{drifting(found)}"
     return known, found, f"the orbit is used: its elements fit, {shift}{sign}"

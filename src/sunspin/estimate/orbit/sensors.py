@@ -47,9 +47,6 @@ REACH, STEP_S, MOST_STEPS = 4.0, 20.0, 24
 """The field is computed within so many sigmas of the shift, in such steps, with as many on a side; wider ones where they do not
 suffice."""
 
-DRIFT_DAYS = 30.0
-"""The shift along the track may drift by its own sigma in so many days: drag."""
-
 PANEL_SIGMA_RAD = 0.03
 """What a direction from panels is off beside their noise: the Earth's light, normals."""
 
@@ -60,11 +57,14 @@ ROUNDING = 1e-12
 """The same as a part of all information, where a trial is far off and the information huge."""
 
 INNER, ROUNDS, STEPS, TOLERANCE = 4, 12, 12, 0.01
+WORSE = 1.3
+"""A fit that leaves so many times more of the field's strength than its start rests in another minimum."""
+
 STEADY = 0.01
 """Scatters and unknowns are fitted in turn until those change by less than this part."""
 
-FEWEST_CLUSTERS = 12
-"""With fewer passes they are cut into pieces, for the scatter between which sigmas are taken too."""
+FEWEST_CLUSTERS = 6
+"""With fewer passes they are cut into pieces."""
 
 
 class Readings(NamedTuple):
@@ -92,11 +92,13 @@ class Readings(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where the fit begins: field (T) = `matrix` reading - `zero_T`, at this shift (s) beside the orbit's own."""
+    """Where the fit begins: field (T) = `matrix` reading - `zero_T`, at this shift (s) beside the orbit's own; `left_T`: the median
+    that it leaves of the field's strength."""
 
     matrix: np.ndarray
     zero_T: np.ndarray
     shift_s: float = 0.0
+    left_T: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -105,9 +107,9 @@ class Calibration:
 
     `matrix_T` (3, 3) and `zero` (3): field in T = matrix_T (reading - zero); `bias` (F, 2) rad still in each sensor's angles and
     `scale` (F, 3): true angle = (angle - bias) / scale, of x, y and turned y; `shift_s`, `drift_s_day`. `noise_T` of a component of
-    the field, `sun_noise`, `panel_noise` in units of the stated sigmas. `values` (D) of all unknowns with `model` and `robust`,
-    their covariances (D, D) by the curvature and by the scatter between passes, and `prior` (D, D). `strength` (2) and `angle` (2):
-    median residuals in T and rad before and after. `samples`: by what they show.
+    the field, `sun_noise`, `panel_noise` in units of the stated sigmas. `values` (D) of all unknowns with their covariances (D, D):
+    `model` by the curvature, `robust` by leaving out each pass (jackknife), and `prior`. `strength` (2) and `angle` (2): median
+    residuals in T and rad before and after. `samples`: by what they show.
     """
 
     values: np.ndarray
@@ -133,16 +135,26 @@ class Calibration:
         return self.unit * self.values[9:12]
 
     @property
+    def covariance(self) -> np.ndarray:
+        """That of the curvature (D, D), each sigma widened to that by the scatter between passes where this is larger."""
+        wider = np.sqrt(np.maximum(np.diag(self.robust) / np.diag(self.model), 1.0))
+        return self.model * np.outer(wider, wider)
+
+    @property
     def shift_s(self) -> float:
         return float(self.values[12])
 
     @property
     def shift_sigma_s(self) -> float:
-        return float(np.sqrt(max(self.model[12, 12], self.robust[12, 12])))
+        return float(np.sqrt(self.covariance[12, 12]))
 
     @property
     def drift_s_day(self) -> float:
         return float(self.values[13])
+
+    @property
+    def drift_sigma_s_day(self) -> float:
+        return float(np.sqrt(self.covariance[13, 13]))
 
     @property
     def bias(self) -> np.ndarray:
@@ -185,14 +197,15 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
 
 
 def by_sun_sensors(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start: Start) -> Calibration | None:
-    """The calibration of a file whose Sun sensors may be off, from a start; None where it has none, or too few samples show them
-    and the field."""
+    """The calibration of a file whose Sun sensors may be off, from a start; None where it has none, too few samples show them
+    and the field, or the fit is clearly worse than its start."""
     if "sun_sensor_angle" not in telemetry or not vehicle.sensors.sun_sensors:
         return None
     seen = readings(vehicle, telemetry)
     if seen.has_field.sum() + (seen.has_field & seen.has_sun).sum() < FEWEST:
         return None
-    return fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
+    made = fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
+    return made if made.strength[1] < WORSE * start.left_T else None
 
 
 def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model, _State]:
@@ -233,7 +246,7 @@ def priors(vehicle: Vehicle, seen: Readings, orbit: Orbit) -> np.ndarray:
     if part is not None and seen.has_field.any():
         median = float(np.nanmedian(np.linalg.norm(seen.field @ np.linalg.inv(part.matrix).T + part.zero, axis=1)))
     zero_sigma = part.zero_sigma if part is not None and part.zero_sigma.any() else ZERO_SIGMA * median
-    found = [np.full(9, MATRIX_SIGMA), np.broadcast_to(zero_sigma, 3), [along, along / DRIFT_DAYS]]
+    found = [np.full(9, MATRIX_SIGMA), np.broadcast_to(zero_sigma, 3), [along, orbit.drift_sigma_s_day]]
     for sensor in vehicle.sensors.sun_sensors:
         stated = {key: vehicle.facts.get(f"sun_sensor.{sensor.name}.{key}") for key in SUN_KEYS}
         own = [float(fact.sigma) if fact is not None and isinstance(fact.sigma, float) and fact.sigma > 0 else None
@@ -458,21 +471,19 @@ class _Model:
         _, at, back = self._settled(unknown, state.attitude[0])
         alone, conditions = self._projected(at, back), self.conditions
         expected = (STUDENT + conditions) / (STUDENT + conditions + 2)  # of the Student law, on average
-        matrix = _summed(expected, alone)
-        covariance = np.linalg.inv(self.precision + matrix)
-        fitted, total = float((covariance * matrix).sum()), float(conditions.sum())
+        whole = self.precision + _summed(expected, alone)
+        covariance = np.linalg.inv(whole)
         clusters = _clusters(self.seen.pass_of)
-        count = clusters.max() + 1
-        summed = np.zeros((count, len(unknown)))
-        np.add.at(summed, clusters, scores)
-        fewer = count / max(count - 1, 1) * total / max(total - fitted, 1.0)  # what the fit itself takes from the scatter
-        meat = summed.T @ summed * fewer + self.precision
+        parts = [clusters == k for k in range(clusters.max() + 1)]
+        without = np.array([np.linalg.solve(whole - _summed(expected[p], alone[p]), scores[p].sum(axis=0)) for p in parts])
+        without -= without.mean(axis=0)
+        robust = (1 - 1 / len(parts)) * without.T @ without + covariance @ self.precision @ covariance
         before, after = self._left(self._stated(unknown)), self._left(unknown)
         read = self.seen
         samples = {"field": int(read.has_field.sum()), "Sun": int(read.has_sun.sum()), "passes": len(np.unique(read.pass_of)),
                    "field and Sun": int((read.has_field & read.has_sun).sum())}  # fmt: skip
         return Calibration(
-            unknown, covariance, covariance @ meat @ covariance, np.linalg.inv(self.precision), self.unit_T, unit,
+            unknown, covariance, robust, np.linalg.inv(self.precision), self.unit_T, unit,
             len(self.vehicle.sensors.sun_sensors), self.scatter[2] * self.unit_T, self.scatter[0], self.scatter[1],
             np.array([before[0], after[0]]) * self.unit_T, np.array([before[1], after[1]]), samples,
         )  # fmt: skip
@@ -545,8 +556,5 @@ def _clusters(pass_of: np.ndarray) -> np.ndarray:
     """Numbers (n) from zero of what may err as one: the passes, in pieces where they are few."""
     _, clusters = np.unique(pass_of, return_inverse=True)
     pieces = -(-FEWEST_CLUSTERS // (clusters.max() + 1))
-    if pieces > 1:
-        for c in np.unique(clusters):
-            where = np.flatnonzero(clusters == c)
-            clusters[where] = c * pieces + np.arange(len(where)) * pieces // len(where)
-    return np.unique(clusters, return_inverse=True)[1]
+    place = np.arange(len(clusters)) - np.searchsorted(clusters, clusters)  # in its pass; samples are in the order of time
+    return np.unique(clusters * pieces + place * pieces // np.bincount(clusters)[clusters], return_inverse=True)[1]

@@ -21,8 +21,9 @@ from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.noise import falling
 from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
-from sunspin.estimate.rates.smooth import Intervals, log_noise
+from sunspin.estimate.rates.smooth import TURN_PRIOR, Intervals, cost_limit, log_noise
 from sunspin.estimate.rates.state import Track
+from sunspin.estimate.rates.wandering import about_most, log_evidence
 from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque, sizes
 from sunspin.estimate.terms.term import MotionTerm, PairTerm, StateTerm, SunTerm, normal
 from sunspin.estimate.terms.unsteady import RateStep, Swinging
@@ -59,6 +60,12 @@ STEPS, CLOSE = 6, 0.03
 SWINGS, OTHER_MODES = (0.05, 0.15, 0.5), float(np.log(5.0))
 """rad by which a swinging turns the body between two samples; and what the modes add to the log evidence of one that is found from
 few: a body that swings may have turned any number of times, and many such motions fit."""
+
+WANDERS = (0.15, 0.3, 0.6, 1.2)
+"""The same of a swinging of which all ways are counted."""
+
+ROUGHLY = 0.5
+"""Log evidence a sample by which the quick guess at what they can reach may be too low."""
 
 ALIASED = 1.5
 """rad turned between two samples beyond which whole turns may be a swinging's doing."""
@@ -113,7 +120,7 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     shared = [one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises]
     found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start)]
     found += _without_readings(stated, how.clock_time)
-    found += _swinging(stated) if how.free else []  # else the vehicle's file says what torques there are
+    found += [*_swinging(stated), *_wandering(stated)] if how.free else []  # else the vehicle's file says what torques there are
     return [one for one in found if np.isfinite(one.best)]
 
 
@@ -327,6 +334,29 @@ def _swinging(stated: Trial) -> Iterator[Trial]:
         yield begin
         if begin.best < min(last, stated.best - HOPELESS):
             return
+
+
+def _wandering(stated: Trial) -> Iterator[Trial]:
+    """A swinging about a rate near zero, all its ways counted: where nothing but the Sun is seen, and the model as stated
+    fits. Where it does not, that is said already, and wrong wiring would pass for a swinging."""
+    one, o = stated.hypothesis, stated.hypothesis.fitted()
+    if not o.of_sun or any(term.present().any() for term in (*o.of_state, *o.of_pairs)):
+        return
+    wander = np.array(WANDERS) / np.sqrt(float(np.median(np.diff(o.t_s))))
+    begin = stated.take(np.array([np.argmax(stated.log_evidence)]))
+    if begin.fit.track.cost[0] > cost_limit(o):
+        return
+    # the sum takes the place of the attitudes' Gaussian, that of the rate stays; the turn about the Sun has no prior there
+    wanted = stated.best - HOPELESS - np.log(2 * TURN_PRIOR) - 3 * np.log(one.motion.rate_prior) - one.debt
+    if about_most(o, begin.fit.seen, wander).max() + ROUGHLY * len(o) < wanted:
+        return
+    still = _slowest(begin.fit.track, o.t_s)
+    begin = begin._replace(fit=begin.fit._replace(track=Track(still.attitude, np.zeros_like(still.omega))))
+    for noise, log in zip(wander, log_evidence(o, wander), strict=True):
+        if log > wanted:
+            trial = _tried(one.beside(SWINGS_QUICKLY, Swinging(float(noise))), begin)
+            rate = np.linalg.slogdet(trial.fit.track.covariance[:, 0, 3:, 3:])[1] / 2
+            yield trial._replace(log_evidence=log + one.debt + rate + np.log(2 * TURN_PRIOR))
 
 
 def _joined(start: Trial, more: Track) -> Trial:

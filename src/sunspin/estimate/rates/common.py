@@ -213,9 +213,9 @@ def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
 def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> Bordered:
     places = places_of(o, motion, clock)
     unseen = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, SunTerm | StateTerm)))
-    own = error[:, places.moving].size > 0  # else one body serves all at once
+    own = error[:, places.inertia].size > 0  # else one body serves all at once
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
-    moved = [moving(unseen, track.take(k), motion, error[k, places.moving][0]) for k in each]
+    moved = [moving(unseen, track.take(k), motion, error[k, places.moving]) for k in each]
     diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
     border = np.zeros((*slope.shape, places.n))
     corner = np.repeat(np.eye(places.n)[None], len(error), axis=0)
@@ -239,17 +239,17 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
 
 
 def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the motion of K hypotheses says, with inertia and the unknowns of its terms and those of neighbours off by `error` (r)
-    sigmas: blocks (K, n, 6, 6) and (K, n-1, 6, 6), gradient (K, n, 6), cost (K), and of the errors border (K, n, 6, r), corner
-    (K, r, r) and gradient (K, r)."""
-    of_inertia, of_others = error[: len(motion.body.errors)], error[len(motion.body.errors) :]
+    """What the motion of K hypotheses says, with inertia and the unknowns of its terms and of neighbours off by `error` (K, r)
+    sigmas, the inertia of all being that of the first: blocks (K, n, 6, 6) and (K, n-1, 6, 6), gradient (K, n, 6), cost (K), and of
+    the errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
+    of_inertia, of_others = error[0, : len(motion.body.errors)], error[:, len(motion.body.errors) :]
     inertia = motion.body.inertia + np.tensordot(of_inertia, motion.body.errors, axes=1)
     sphere = motion.body.spherical and not len(of_inertia)
     motion = replace(motion, body=replace(motion.body, inertia=inertia, spherical=sphere))
     over = Intervals.of(o, track, motion)
     tied = between(o, track, motion, over)
     cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion, tied)
-    r = len(error)
+    r = error.shape[1]
     border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
@@ -261,9 +261,9 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
         changed = np.zeros_like(value)  # what other terms say of neighbours does not know the body
         changed[..., :6] = (other - value[..., :6]) / INERTIA_STEP
         answer.append(changed[..., None])
-    if len(of_others):
+    if of_others.size:
         pulled = _linear(o, track, motion, value.shape)
-        more = pulled @ of_others
+        more = np.einsum("knmr,kr->knm", pulled, of_others)
         cost = cost + ((2 * value + more) * more).sum(axis=(1, 2)) / 2
         slope[:, :-1] += np.einsum("knmi,knm->kni", first, more)
         slope[:, 1:] += np.einsum("knmi,knm->kni", second, more)

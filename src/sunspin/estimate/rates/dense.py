@@ -1,4 +1,4 @@
-"""From the samples that the smoother of :mod:`sunspin.estimate.rates` has kept of a dense pass to all of them.
+"""From the samples that the smoother of :mod:`sunspin.estimate.rates` has kept of a pass to all of them, and to instants between.
 
 Between two kept samples the body is carried on from the first and back from the second by the equations of motion, and the two
 are blended. Unknown torques in between are those of white angular acceleration whose ends are held: a bridge.
@@ -7,15 +7,40 @@ are blended. Unknown torques in between are those of white angular acceleration 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.estimate.rates.motion import Ends, step_with_answer
+from sunspin.estimate.rates.motion import Ends, angle_turned, step_with_answer
 from sunspin.estimate.rates.smooth import noises
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.rotations import turn, turn_between
+
+CURVE_RAD, LEAST_INSTANTS, MOST_INSTANTS = 0.1, 50, 6000
+"""Between instants of a pass's curve body or rate turn by so much at most, unless that takes more instants than the last number."""
+
+TOGETHER = 1e-4
+"""Of the time between two instants: one so near to a sample is that sample."""
+
+
+class Acts(NamedTuple):
+    """What acts on the body at instants `t_s` (n): `momentum` (n, 3) and `field_B` (n, 3) as of `Observations`."""
+
+    t_s: np.ndarray
+    momentum: np.ndarray
+    field_B: np.ndarray
+
+    @classmethod
+    def of(cls, o: Observations) -> Acts:
+        return cls(o.t_s, o.momentum, o.field_B)
+
+    def take(self, index: np.ndarray) -> Acts:
+        return Acts(*(part[index] for part in self))
+
+    def at(self, t_s: np.ndarray) -> Acts:
+        """The same, linear between these instants, as a step of the smoother has it."""
+        return Acts(t_s, *(np.stack([np.interp(t_s, self.t_s, x) for x in part.T], axis=1) for part in self[1:]))
 
 
 @dataclass(frozen=True)
@@ -50,14 +75,20 @@ class Dense:
         """Of hypotheses known at the samples `kept` (indices of `o`); `every` begins and ends with the same samples."""
         there = np.searchsorted(every, kept)
         new = np.setdiff1d(np.arange(len(every)), there)
-        before = np.searchsorted(kept, every[new]) - 1
-        span = o.t_s[kept[before + 1]] - o.t_s[kept[before]]
-        share = (o.t_s[every[new]] - o.t_s[kept[before]]) / span
+        return cls.at(o.take(kept), Acts.of(o).take(every[new]), there, new, track, motion)
+
+    @classmethod
+    def at(cls, o: Observations, acts: Acts, there: np.ndarray, new: np.ndarray, track: Track, motion: Motion) -> Dense:
+        """Of hypotheses known at the samples `o`, at the instants of `acts`, each between two of them: in the order of time
+        samples stand at the places `there` and the others at `new`."""
+        before = np.searchsorted(there, new) - 1
+        span = o.t_s[before + 1] - o.t_s[before]
+        share = (acts.t_s - o.t_s[before]) / span
         weight = share**2 * (3 - 2 * share)  # level at both ends, so that the attitude's rate of change there is the rate
-        on = _carried(o, track, before, kept[before], every[new], motion, 1 - weight)
-        back = _carried(o, track, before + 1, kept[before + 1], every[new], motion, weight)
-        noise, rate_noise = noises(o.take(kept), motion)
-        return cls(len(every), there, new, on, back, share, span, noise[before], rate_noise)
+        on = _carried(o, track, before, acts, motion, 1 - weight)
+        back = _carried(o, track, before + 1, acts, motion, weight)
+        noise, rate_noise = noises(o, motion)
+        return cls(len(there) + len(new), there, new, on, back, share, span, noise[before], rate_noise)
 
     def mean_map(self) -> np.ndarray:
         """What the mean rate over all samples answers to turn and rate at the kept ones, (K, n_kept, 3, 6)."""
@@ -84,23 +115,37 @@ class Dense:
         return replace(track, attitude=attitude, omega=omega, covariance=covariance)
 
 
-def _carried(
-    o: Observations, track: Track, number: np.ndarray, start: np.ndarray, end: np.ndarray, motion: Motion, weight: np.ndarray
-) -> Way:
-    """From the kept samples `number` (m), which are `start` of `o`, to its samples `end`."""
+def _carried(o: Observations, track: Track, number: np.ndarray, acts: Acts, motion: Motion, weight: np.ndarray) -> Way:
+    """From the samples `number` (m) of `o` to the instants of `acts` (m)."""
     shape = (len(track.omega), len(number))
     if not len(number):
         return Way(number, np.empty((*shape, 3, 3)), np.empty((*shape, 3)), np.empty((*shape, 6, 6)), weight)
-    ends = Ends(momentum=o.momentum[start], momentum_end=o.momentum[end])
+    ends = Ends(momentum=o.momentum[number], momentum_end=acts.momentum)
     if np.any(motion.body.dipole):
-        known = np.all(np.isfinite(o.field_B[start]), axis=1) & np.all(np.isfinite(o.field_B[end]), axis=1)
-        first, second = (np.where(known[:, None], np.nan_to_num(o.field_B[index]), 0.0) for index in (start, end))
+        known = np.all(np.isfinite(o.field_B[number]), axis=1) & np.all(np.isfinite(acts.field_B), axis=1)
+        first, second = (np.where(known[:, None], np.nan_to_num(field), 0.0) for field in (o.field_B[number], acts.field_B))
         ends = ends._replace(field=first, field_end=second)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*shape, 3)) for part in ends))
-    dt = np.broadcast_to(o.t_s[end] - o.t_s[start], shape)
-    ends = motion.body.seen(ends, track.attitude[:, number], o.t_s[start])
+    dt = np.broadcast_to(acts.t_s - o.t_s[number], shape)
+    ends = motion.body.seen(ends, track.attitude[:, number], o.t_s[number])
     made, omega, answer = step_with_answer(motion.body, track.omega[:, number], dt, ends)
     return Way(number, made @ track.attitude[:, number], omega, answer, weight)
+
+
+def curve(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, Track]:
+    """A motion (K = 1) known at the samples `o`, on even instants (m) s, so close that straight lines between them will do."""
+    spans = np.diff(o.t_s)
+    angle = angle_turned(motion.body, track.omega[0, :-1], spans, Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:]))
+    length = o.t_s[-1] - o.t_s[0]
+    count = int(np.clip(np.ceil(length * np.max(angle / spans) / CURVE_RAD), LEAST_INSTANTS, MOST_INSTANTS)) + 1
+    instants, step = np.linspace(o.t_s[0], o.t_s[-1], count, retstep=True)
+    there = np.searchsorted(instants, o.t_s - step * TOGETHER)
+    met = np.abs(instants[there] - o.t_s) <= step * TOGETHER
+    every = np.union1d(np.delete(instants, there[met]), o.t_s)
+    known = np.isin(every, o.t_s)
+    found = Dense.at(o, Acts.of(o).at(every[~known]), np.flatnonzero(known), np.flatnonzero(~known), track, motion).filled(track)
+    at = np.searchsorted(every, instants - step * TOGETHER)
+    return instants, replace(found, attitude=found.attitude[:, at], omega=found.omega[:, at], covariance=found.covariance[:, at])
 
 
 def bridge(share: np.ndarray, span_s: np.ndarray, noise: npt.ArrayLike, rate_noise: float = 0.0) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.compute.rows import worker_count
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
@@ -28,6 +30,7 @@ from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
+from sunspin.estimate.rates.side_by_side import each, processes
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
@@ -53,6 +56,15 @@ DEFAULT_MAX_RATE = 1.0
 NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE = 0.3, 0.75, 0.4
 """Of the effort: as far as the choice of the torques' strength may go, and the search of all passes; beside it, for wirings."""
 
+MUCH_MORE = 1.5
+"""A search that was cut short begins anew where it may take so many times more."""
+
+PASSES_EACH = 4
+"""Of a process, at least: it takes as long to begin as a pass or two."""
+
+ROUND = 8
+"""Passes after which it is asked whether the effort is spent: a number of its own, so that workers change nothing."""
+
 FEW_MODES = 3
 """Modes that are fitted with all unknowns where the effort is spent."""
 
@@ -75,6 +87,7 @@ def rates(
     periods: Sequence[Period] = (),
     wirings: bool = False,
     effort: float = 1.0,
+    workers: int = 1,
     progress: bool = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
@@ -122,6 +135,9 @@ def rates(
         How much may be computed, in units of what is usual (about a minute and a half of one core, counted in motions and not in
         seconds: :mod:`sunspin.estimate.effort`); infinite: whatever is needed. Where it does not suffice the best so far is kept,
         `search_complete` is false and the verdict says that the search was cut short.
+    workers : int
+        Processes that estimate passes side by side, four passes each at least; the result does not depend on it. A script that asks
+        for more than one needs `if __name__ == "__main__":`.
     progress : bool
         Show what is being done, and how long it will take at most.
 
@@ -132,6 +148,8 @@ def rates(
         pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
         magnetometer J2000, `attrs["frame_N"]` says which), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_id`.
+        On `curve_time`, even instants of each pass, the same between the samples, by the equations of motion: `curve_omega_B`,
+        `curve_omega_sigma_B`, `curve_B_from_N`, `curve_pass_of`.
         On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
         fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
         mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
@@ -164,24 +182,24 @@ def rates(
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
     spent = Effort(allowed(effort), "rates" if progress else None)
-    spent.doing("how strong torques are")
     with spent.part(NOISE_SHARE * spent.most) as judged:
+        spent.doing("how strong torques are")
         noise, o, wheels = choose(o, parts, body, rate_max, given, momenta)
     motion = Motion(body, noise, rate_max / 2)
-    use = usable(o, why)
-    wholes = [use[(use >= part[0]) & (use <= part[-1])] for part in parts]
-    tracks, cut = _searched(o, parts, motion, rate_max, spent)
-    if not _torque_told(vehicle, o):
-        o = replace(o, terms=(*o.terms, MagneticTorque.beside(noise, o.freed().field_N)))
-    ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
-    with spent:
-        spent.doing("errors in common")
-        if given is None:
-            motion = replace(motion, noise=refined(ready, motion))
-        clock, late = _clock(sensors.clock, ready, motion)
-        others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
-        each, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others)
-    found, walk, period_attrs = _linked(o, each, motion, periods, ids)
+    wholes = [np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts]
+    with processes(_useful(workers, parts, forces.torques)) as pool:
+        tracks, cut = _searched(o, parts, motion, rate_max, spent, pool)
+        more = () if _torque_told(vehicle, o) else (MagneticTorque.beside(noise, o.freed().field_N),)
+        o = replace(o, terms=(*o.terms, *more))
+        ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
+        with spent:
+            spent.doing("errors in common")
+            if given is None:
+                motion = replace(motion, noise=refined(ready, motion))
+            clock, late = _clock(sensors.clock, ready, motion)
+            others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
+            modes, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others, pool)
+    found, walk, period_attrs = _linked(o, modes, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
@@ -204,30 +222,45 @@ def rates(
     return result.assign_attrs(verdict=verdict(result))
 
 
+def _useful(workers: int, parts: list[np.ndarray], torques: Sequence[Torque]) -> int:
+    """Processes of use, and none where torques bring an environment, which stays in this one."""
+    return 1 if torques else min(worker_count(workers), len(parts) // PASSES_EACH)
+
+
 def _searched(
-    o: Observations, parts: list[np.ndarray], motion: Motion, rate_max: float, spent: Effort
+    o: Observations, parts: list[np.ndarray], motion: Motion, rate_max: float, spent: Effort, pool: Executor | None
 ) -> tuple[list[tuple[Observations, Track]], list[bool]]:
-    """The heavier modes of each pass, and whether its search was cut short: each may take its part of what is left."""
-    tracks, cut = [], []
-    for k, part in enumerate(parts):
-        spent.doing(f"pass {k + 1} of {len(parts)}")
-        with spent.part((SEARCH_SHARE * spent.most - spent.spent) / (len(parts) - k)) as own:
-            tracks.append((o.take(part), leading(o.take(part), motion, rate_max)))
-        cut.append(own.cut)
-    return tracks, cut
+    """The heavier modes of each pass, and whether its search was cut short. All may take an equal part of what is left; what some
+    do not need goes to those that were cut, which begin anew if that is much more."""
+    tasks = [(o.take(part), motion, rate_max) for part in parts]
+    tracks: dict[int, Track] = {}
+    cut, share = [True] * len(parts), -1.0
+    while any(cut):
+        left = min(SEARCH_SHARE * spent.most - spent.spent, spent.left)
+        if (more := max(left, 0.0) / sum(cut)) <= MUCH_MORE * share:
+            break
+        share, to_do = more, [k for k, again in enumerate(cut) if again]
+        for k, made in zip(to_do, each(leading, [tasks[k] for k in to_do], share, spent, pool), strict=True):
+            tracks[k], cut[k] = made
+            spent.doing(f"pass {k + 1} of {len(parts)}")
+    return [(part, tracks[k]) for k, (part, *_) in enumerate(tasks)], cut
 
 
 def _all_finished(
     o: Observations, wholes: list[np.ndarray], parts: list[np.ndarray], tracks: list[tuple[Observations, Track]], motion: Motion,
-    clock: Clock | None, rate_max: float, begin: float, spent: Effort, others: Others,
+    clock: Clock | None, rate_max: float, begin: float, spent: Effort, others: Others, pool: Executor | None,
 ) -> tuple[list[Pass], list[bool]]:
     """All passes `finished`, and where only some of the modes were, and no other model, the effort being spent."""
-    found, fewer = [], []
-    for k, (whole, part, (_, track)) in enumerate(zip(wholes, parts, tracks, strict=True)):
-        spent.doing(f"fit of pass {k + 1} of {len(parts)}")
-        fewer.append(not may_go_on())
-        track = track.take(slice(FEW_MODES)) if fewer[-1] else track
-        found.append(finished(o, whole, part, track, motion, clock, rate_max, begin, None if fewer[-1] else others))
+    found: list[Pass] = []
+    fewer: list[bool] = []
+    every = list(zip(wholes, parts, [track for _, track in tracks], strict=True))
+    for start in range(0, len(every), ROUND):
+        spent.doing(f"fit of pass {start + 1} of {len(every)}")
+        less = not may_go_on()
+        tasks = [(o, whole, part, track.take(slice(FEW_MODES)) if less else track, motion, clock, rate_max, begin,
+                  None if less else others) for whole, part, track in every[start : start + ROUND]]  # fmt: skip
+        found += [made for made, _ in each(finished, tasks, spent.left, spent, pool)]
+        fewer += [less] * len(tasks)
     spent.close()
     return found, fewer
 

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics import gyrostat as g
@@ -22,7 +21,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.estimate.terms.term import SUN_N
-from sunspin.solve.rotations import turn, turn_between
+from sunspin.solve.rotations import matrix_of, turn, turn_between
 from sunspin.vehicle import Vehicle
 
 STEP_ANGLE = 0.4
@@ -158,12 +157,16 @@ def _sphere(
     return matrix, rate(1.0)
 
 
-def steps_of(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
-    """Runge-Kutta steps (...) for intervals that begin at rates `omega` (..., 3)."""
+def angle_turned(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
+    """rad (...) by which body and rate turn at most in intervals `dt` (...) that begin at rates `omega` (..., 3)."""
     wheels = [nutation(body, part) for part in (ends.momentum, ends.momentum_end) if part is not None]
     swing = np.max(wheels, axis=0) if wheels else 0.0
-    angle = (np.linalg.norm(omega, axis=-1) + swing + body.swing()) * np.abs(dt)
-    return np.clip(np.ceil(angle / STEP_ANGLE), 2, MAX_STEPS).astype(np.int64)
+    return (np.linalg.norm(omega, axis=-1) + swing + body.swing()) * np.abs(dt)
+
+
+def steps_of(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
+    """Runge-Kutta steps (...) for intervals that begin at rates `omega` (..., 3)."""
+    return np.clip(np.ceil(angle_turned(body, omega, dt, ends) / STEP_ANGLE), 2, MAX_STEPS).astype(np.int64)
 
 
 def _runge_kutta(
@@ -188,7 +191,7 @@ def _runge_kutta(
     y[lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
     p = g.Parameters(tuple(g.inverse_elements(body.inertia)), tuple(held_end.T), ())
     rate = np.stack(g.body_rate(y[:, :3].T, (), p), axis=-1)
-    return Rotation.from_quat(q).as_matrix().reshape(*omega.shape, 3), rate.reshape(omega.shape)
+    return matrix_of(q).reshape(*omega.shape, 3), rate.reshape(omega.shape)
 
 
 def nutation(body: Body, momentum: np.ndarray) -> np.ndarray:

@@ -88,17 +88,17 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
     return found
 
 
-def thinned(index: np.ndarray, most: int = MAX_SAMPLES) -> np.ndarray:
-    """At most `most` of the samples: close together at first, where the rate is found, then ever farther apart.
+def thinned(index: np.ndarray) -> np.ndarray:
+    """At most `MAX_SAMPLES` of the samples: close together at first, where the rate is found, then ever farther apart.
 
     Each step is at most `GROWTH` times the one before, so that what is known of the rate always carries to the next sample.
     """
-    if len(index) <= most:
+    if len(index) <= MAX_SAMPLES:
         return index
     low, high = 1.0, float(len(index))
     for _ in range(60):  # the largest step for which the steps reach the end
         widest = (low + high) / 2
-        steps = np.minimum(GROWTH ** np.arange(most - 1), widest)
+        steps = np.minimum(GROWTH ** np.arange(MAX_SAMPLES - 1), widest)
         low, high = (widest, high) if steps.sum() < len(index) - 1 else (low, widest)
-    place = np.concatenate([[0.0], np.cumsum(np.minimum(GROWTH ** np.arange(most - 1), high))])
+    place = np.concatenate([[0.0], np.cumsum(np.minimum(GROWTH ** np.arange(MAX_SAMPLES - 1), high))])
     return index[np.unique(np.minimum(np.round(place), len(index) - 1).astype(int))]

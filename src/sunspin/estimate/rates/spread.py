@@ -8,7 +8,6 @@ and scale and the inertia are estimated (:mod:`sunspin.estimate.rates.common`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +15,6 @@ import numpy as np
 from sunspin.estimate.rates.common import Clock, Common, sun_part
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.linear import bordered
-
-Shift = Callable[[Observations, np.ndarray], np.ndarray]
-"""What other readings change (k, n, 6) in the states of the hypotheses (k)."""
 
 
 def with_spread(

@@ -12,6 +12,7 @@ from sunspin.base.provenance import provenance
 from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, padded, speeds, table
+from sunspin.estimate.rates.dense import curve
 from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.images import either_side, images_of
@@ -69,7 +70,21 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         },
         attrs=attrs,
     )  # fmt: skip
-    return result
+    return with_curves(result, o, found, motion)
+
+
+def with_curves(result: xr.Dataset, o: Observations, found: list[Pass], motion: Motion) -> xr.Dataset:
+    """The result with the best motion of each pass between its samples, too, as the equations of motion carry it."""
+    each = [curve(o.take(p.index), p.track.take(np.array([0])), motion) for p in found]
+    attitude, omega, covariance = (np.concatenate([getattr(track, x)[0] for _, track in each])
+                                   for x in ("attitude", "omega", "covariance"))  # fmt: skip
+    sigma = np.sqrt(np.einsum("nii->ni", covariance[:, 3:, 3:]))
+    return result.assign(
+        curve_omega_B=(("curve_time", "axis"), omega, {"units": "rad s-1", "long_name": "rate between the samples"}),
+        curve_omega_sigma_B=(("curve_time", "axis"), sigma, {"units": "rad s-1"}),
+        curve_B_from_N=(("curve_time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
+        curve_pass_of=("curve_time", np.repeat(np.arange(len(found)), [len(t) for t, _ in each])),
+    ).assign_coords(curve_time=("curve_time", np.concatenate([t for t, _ in each]), {"units": "s"}))
 
 
 def in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations) -> xr.Dataset:
@@ -79,14 +94,16 @@ def in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observa
     sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
     about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
     result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
-        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s,
+        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s, orbit_drift_s_day=local.orbit.drift_s_day,
         orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
     )  # fmt: skip
     if o.freed().field_N is None:
         return result
-    attitude = Rotation.from_quat(result["B_from_N"].values).as_matrix() @ local.N_from_J2000(result["time"].values)
-    turned = ("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}
-    return result.assign(B_from_N=turned).assign_attrs(frame_N=J2000)
+    turned = {}
+    for name, time in (("B_from_N", "time"), ("curve_B_from_N", "curve_time")):
+        attitude = Rotation.from_quat(result[name].values).as_matrix() @ local.N_from_J2000(result[time].values)
+        turned[name] = (time, "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}
+    return result.assign(turned).assign_attrs(frame_N=J2000)
 
 
 def in_the_field(result: xr.Dataset) -> xr.Dataset:

@@ -82,7 +82,7 @@ class Motion:
         return run["sun_B"].values
 
 
-def growth(motion: Motion, relative: float = SMALL_CHANGE) -> xr.Dataset:
+def growth(motion: Motion) -> xr.Dataset:
     """Direction error per relative change of each input against the length of the window, by differences.
 
     Returns
@@ -95,8 +95,8 @@ def growth(motion: Motion, relative: float = SMALL_CHANGE) -> xr.Dataset:
     unchanged = motion.track(t)
     error = []
     for name in motion.inputs:
-        chord = np.linalg.norm(motion.changed(name, relative).track(t) - unchanged, axis=1)
-        error.append(np.maximum.accumulate(2 * np.arcsin(np.minimum(chord / 2, 1.0))) / relative)
+        chord = np.linalg.norm(motion.changed(name, SMALL_CHANGE).track(t) - unchanged, axis=1)
+        error.append(np.maximum.accumulate(2 * np.arcsin(np.minimum(chord / 2, 1.0))) / SMALL_CHANGE)
     values = np.array(error)
     late = t >= FIT_FROM * motion.duration_s
     power = [float(np.polyfit(np.log(t[late]), np.log(np.maximum(row[late], 1e-12)), 1)[0]) for row in values]
@@ -110,7 +110,7 @@ def growth(motion: Motion, relative: float = SMALL_CHANGE) -> xr.Dataset:
     )
 
 
-def one_percent(motion: Motion, sample_step_s: float, relative: float = ONE_PERCENT) -> xr.Dataset:
+def one_percent(motion: Motion, sample_step_s: float) -> xr.Dataset:
     """E and EMD between the motion and the same with one input changed by one percent, the larger of both signs.
 
     E at samples every `sample_step_s`, EMD over the directions that the panels allow to reconstruct (paper, eqs. 12, 13).
@@ -126,14 +126,14 @@ def one_percent(motion: Motion, sample_step_s: float, relative: float = ONE_PERC
     table = np.zeros((len(motion.inputs), 2))
     for i, name in enumerate(motion.inputs):
         for sign in (1, -1):
-            track = motion.changed(name, sign * relative).track(t)
+            track = motion.changed(name, sign * ONE_PERCENT).track(t)
             other = track[allows(mask, track), 2]
             found = direction_error(track[::every], unchanged[::every]), emd(other, seen) if other.size else 1.0
             table[i] = np.maximum(table[i], found)
     return xr.Dataset(
         {"E": ("input", table[:, 0], {"units": "1"}), "emd": ("input", table[:, 1], {"units": "1"})},
         coords={"input": list(motion.inputs)},
-        attrs={"relative_change": relative},
+        attrs={"relative_change": ONE_PERCENT},
     )
 
 

@@ -15,7 +15,6 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment import Surroundings
-from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.estimate.orbit.field_calibration import FieldCalibration
 from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.term import PairTerm, Seen, Term, Unknown, drifting
@@ -74,9 +73,8 @@ class Magnetometer(PairTerm):
         one = self.calibration
         if one is None or here.field_N is None or here.field_along_N is None:
             return self
-        sigma = np.full(len(self.field_B), float(np.hypot(one.noise_T, MODEL_SIGMA_T)))
         read = self.field_B
-        along = one.errors[:, 12:] * here.field_along_N[:, None]
+        sigma, along = one.sigma_T(read, here.field_N, here.field_along_N), one.along(here.field_along_N)
         known = KnownField(read, one.field(read), sigma, here.field_N, one.columns(read), along)
         own = np.sqrt(np.nanmedian((known.own_B**2).sum(axis=(1, 2))) / 3)  # a zero turns with the body: neighbours differ by it
         return replace(self, sigma=float(np.hypot(one.noise_T, own)), zero_B=np.zeros((0, 3)), known=known)

@@ -26,9 +26,9 @@ def ccsds_quaternion(attitude: Attitude) -> np.ndarray:
     return attitude.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
-def write_aem(target: Path, attitude: Attitude, form: str = "kvn", created: datetime | None = None) -> Path:
-    """Write an AEM, `form` "kvn" or "xml", one segment per pass; `created` defaults to now."""
-    stamp = (created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%S")
+def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
+    """Write an AEM, `form` "kvn" or "xml", one segment per pass."""
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
     text = _kvn(attitude, stamp) if form == "kvn" else _xml(attitude, stamp)
     return write_whole(target, lambda part: part.write_text(text, "utf-8"))
 

@@ -227,6 +227,9 @@ def sun_directions_figure(
 PAUSE = 10
 """Steps between samples after which no line connects them."""
 
+TURNED = np.radians(60.0)
+"""Angle between directions beyond which no line connects them."""
+
 
 def _long_gaps(hours: np.ndarray) -> np.ndarray:
     """Where the line between samples is broken: pauses of more than ten times the usual step."""
@@ -235,14 +238,17 @@ def _long_gaps(hours: np.ndarray) -> np.ndarray:
 
 
 def _connected(hours: np.ndarray, sun: xr.Dataset) -> list[np.ndarray]:
-    """Indices of the directions that a line connects: successive ones of one phase, no more than `PAUSE` usual steps apart.
+    """Indices of the directions that a line connects: successive ones of one phase, no more than `PAUSE` usual steps apart, and not
+    so far from each other that the way between them is not known.
 
     A few samples without a direction in between do not break the line, as in the paper's figure.
     """
     told = np.flatnonzero(np.isfinite(sun["sun_B"].values[:, 0]))
+    direction = sun["sun_B"].values[told]
+    far = (direction[1:] * direction[:-1]).sum(axis=1) < np.cos(TURNED)
     phase = sun["phase"].values.astype(str) if "phase" in sun.coords else np.full(hours.size, "")
     usual = float(np.median(np.diff(hours))) if hours.size > 1 else 0.0
-    parted = (phase[told[1:]] != phase[told[:-1]]) | (np.diff(hours[told]) > PAUSE * usual)
+    parted = (phase[told[1:]] != phase[told[:-1]]) | (np.diff(hours[told]) > PAUSE * usual) | far
     return [piece for piece in np.split(told, np.flatnonzero(parted) + 1) if piece.size > 1]
 
 

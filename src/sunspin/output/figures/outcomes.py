@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -37,7 +38,7 @@ FINER = 2
 HATCHES = ("", "//", "..", "xx")
 
 
-def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure:
+def sun_height_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
     """Densities of r_z between collision and landing, one per strategy, area 1, bars of one standard error (paper, Fig. 13)."""
     figure = Figure(figsize=(7.5, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -54,7 +55,7 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset], title: str = "") -> Figure
     axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis")
     axes.set_ylabel("probability density")
     axes.legend(title="wheel", loc="upper left", frameon=False)
-    axes.set_title(title or "Height of the Sun between collision and second touchdown")
+    axes.set_title("Height of the Sun between collision and second touchdown")
     return figure
 
 
@@ -99,6 +100,11 @@ SHARES = ("probability", "share of the time")
 def _within(value: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Errors (2, n) below and above that lead to no probability below zero or above one."""
     return np.clip(np.stack([np.minimum(error, value), np.minimum(error, 1 - value)]), 0.0, None)
+
+
+def _error_of(name: str, value: Any, error: Any) -> np.ndarray:
+    """The error of a quantity as drawn: only of a speed does it lead anywhere."""
+    return np.asarray(error) if "speed" in name else _within(np.asarray(value), np.asarray(error))
 
 
 def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[str]) -> None:
@@ -161,7 +167,8 @@ def delay_figure(search: xr.Dataset) -> Figure:
     top, low = figure.subplots(2, 1, sharex=True)
     minutes, metric = search["delay_s"].values / 60, str(search.attrs["metric"])
     value, error = (search[part].sel(quantity=metric).values for part in ("value", "error"))
-    top.errorbar(minutes, value, yerr=error, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error")
+    bar = _error_of(metric, value, error)
+    top.errorbar(minutes, value, yerr=bar, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error")
     good = search["as_good"].values
     top.plot(minutes[good], value[good], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.6, label="not behind the best by 2 errors")
     low_s, high_s = search.attrs["spread_s"]
@@ -175,10 +182,11 @@ def delay_figure(search: xr.Dataset) -> Figure:
         if name in search["quantity"].values:
             at = search.sel(quantity=name)
             low.errorbar(
-                minutes, at["value"], yerr=at["error"], fmt="osD"[k] + "-", ms=4, color=COLOURS[k + 1], capsize=2, label=text
-            )
+                minutes, at["value"], yerr=_error_of(name, at["value"], at["error"]), fmt="osD"[k] + "-", ms=4,
+                color=COLOURS[k + 1], capsize=2, label=text,
+            )  # fmt: skip
     low.set_ylim(bottom=0)
-    low.set_ylabel("probability (1) or speed (m/s)")
+    low.set_ylabel("probability, or speed (m/s)")
     low.set_xlabel("switch-off after the touchdown (min)")
     low.legend(fontsize=8, frameon=False)
     return figure
@@ -194,7 +202,8 @@ def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
         labels = list(values)
         place = np.arange(len(labels)) + 0.8 / len(runs) * (k - (len(runs) - 1) / 2)
         axes.bar(
-            place, [v.value for v in values.values()], 0.8 / len(runs), yerr=[v.error for v in values.values()],
+            place, [v.value for v in values.values()], 0.8 / len(runs),
+            yerr=_within(*(np.array([getattr(v, part) for v in values.values()]) for part in ("value", "error"))),
             color=COLOURS[k % 8], hatch=HATCHES[k % 4], ec="white", label=_short(name).replace("\n", " "), capsize=2,
         )  # fmt: skip
     axes.set_xticks(range(len(labels)), labels, fontsize=9)

@@ -12,16 +12,12 @@ from sunspin.output.figures import COLOURS, named, titled
 SHOWN_DRAWS = 3000
 
 
-def corner_figure(tree: Any, truth: Any = None) -> Figure:
-    """Components of the rate at the first sample and its size, every pair of them, one colour to a mode.
-
-    `truth` (3): a rate to mark, rad/s.
-    """
+def corner_figure(tree: Any) -> Figure:
+    """Components of the rate at the first sample and its size, every pair of them, one colour to a mode."""
     posterior = tree["posterior"]
     omega = posterior["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS]
     mode = posterior["mode_id"].values.ravel()[:SHOWN_DRAWS]
     value = np.column_stack([omega, np.linalg.norm(omega, axis=1)])
-    marked = None if truth is None else np.append(truth, np.linalg.norm(truth))
     names = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$", r"$|\omega|$")
     figure = Figure(figsize=(9, 9), layout="constrained")
     grid = figure.subplots(4, 4, sharex="col")
@@ -36,8 +32,6 @@ def corner_figure(tree: Any, truth: Any = None) -> Figure:
             else:
                 for k in np.unique(mode):
                     axes.plot(*value[mode == k][:, [j, i]].T, ".", ms=1.5, alpha=0.4, color=COLOURS[int(k) % 8], rasterized=True)
-            if marked is not None and j <= i:
-                axes.axvline(marked[j], color=COLOURS[6], lw=0.8)
             if i == 3:
                 axes.set_xlabel(f"{names[j]} (rad/s)")
                 axes.tick_params(axis="x", labelrotation=45, labelsize=7)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sunspin.output.kinds import calibration, collision, comparison, motion, outcomes, posterior, rates, scan, seen
+from sunspin.output.kinds import calibration, collision, comparison, coverage, motion, outcomes, posterior, rates, scan, seen
 from sunspin.output.kinds.kind import Kind
 
 KINDS: dict[str, Kind] = {
@@ -31,6 +31,9 @@ KINDS: dict[str, Kind] = {
     "collision": Kind("outcomes", "collision.nc", collision.collision_summary, collision.collision_drawings),
     "comparison": Kind(
         "compare", "comparison.nc", comparison.comparison_summary, comparison.comparison_drawings, comparison.comparison_tables
+    ),
+    "coverage": Kind(
+        "worth", "coverage.nc", coverage.coverage_summary, coverage.coverage_drawings, coverage.coverage_tables
     ),
     "landing": Kind("outcomes", "", outcomes.landing_summary, outcomes.landing_drawings, outcomes.landing_tables),
 }

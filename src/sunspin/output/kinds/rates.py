@@ -123,7 +123,8 @@ def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
 
 def _decided(result: Any) -> str:
     sure = result["decided"].values
-    return f"{int(sure.sum())} of {sure.size} passes are decided; of the others look at what is said of each, and at all motions."
+    others = "" if sure.all() else "; of the others look at what is said of each, and at all motions"
+    return f"{int(sure.sum())} of {sure.size} passes are decided{others}."
 
 
 def rates_tables(result: Any, folder: Path, _: Beside) -> None:

@@ -13,6 +13,12 @@ from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label,
 from sunspin.telemetry.health import named_panels
 from sunspin.telemetry.sun import is_reconstructed
 
+SETS = 8
+"""Sets of panels named on the console, the most frequent ones; `--json` has all."""
+
+HARDLY = 1e-6
+"""A probability below this is none to a reader."""
+
 
 def telemetry_summary(samples: Any) -> Summary:
     """Samples, their time, what is flagged."""
@@ -139,13 +145,17 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
     """The numbers of :func:`health_summary` in words; none where no pattern is impossible."""
     if not numbers["impossible"]:
         return []
-    seen = ", ".join(f"{pattern} ({n})" for pattern, n in numbers["impossible"].items())
+    often = sorted(numbers["impossible"].items(), key=lambda one: -one[1])
+    seen = ", ".join(f"{pattern} ({n})" for pattern, n in often[:SETS])
+    seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
     if numbers.get("noise_made"):
         return [f"  sets of lit panels that the Sun cannot light, as noise alone makes them: {seen}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
     why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
     chance = numbers["noise_probability"]
-    noise = f"; noise alone makes the likeliest of them with a probability of at most {max(chance.values()):.2g}" if chance else ""
+    likely = max(chance.values(), default=0.0)
+    noise = f"; noise alone makes the likeliest of them with a probability of at most {likely:.2g}" if likely > HARDLY else ""
+    noise = noise or ("; noise alone does not make them" if chance else "")
     return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}{noise}"]
 
 

@@ -27,6 +27,7 @@ def section(results: Results) -> Section | None:
 def _rows(found: dict[str, Any]) -> list[tuple[str, str | bool]]:
     age = _number(found, "age_days", "{:.1f}")
     shift, sigma = _number(found, "shift_s", "{:+.0f}"), _number(found, "shift_sigma_s", "{:.0f}")
+    drift, drift_sigma = _number(found, "drift_s_day", "{:+.1f}"), _number(found, "drift_sigma_s_day", "{:.1f}")
     better, copies = _number(found, "better_copies", "{:.0f}"), _number(found, "copies", "{:.0f}")
     turn, times = _number(found, "node_turn_rad", "{:+.0f}", DEGREE), _number(found, "node_turn_times", "{:.2f}")
     shadow, seen = _number(found, "in_shadow", "{:.0f}"), _number(found, "in_shadow_with_sun", "{:.0f}")
@@ -43,6 +44,7 @@ def _rows(found: dict[str, Any]) -> list[tuple[str, str | bool]]:
         ("copies with node and phase turned at random that predict better", better and copies and f"{better} of {copies}"),
         ("residuals with another plane", turn and times not in ("", "1.00") and f"{times} times smaller, node {turn} deg on"),
         ("ahead of the elements along the track", shift and f"{shift} s, sigma {sigma or 'not known'} s"),
+        ("change of that in a day", drift and f"{drift} s, sigma {drift_sigma or 'not known'} s"),
         ("clock behind UTC with which the elements would fit", "" if hours in ("", "+0", "-0") else f"{hours} h"),
         ("magnetometer", "reads the field with the opposite sign" if found.get("sign_turned") is True else ""),
         ("median residual of the field's strength", field),

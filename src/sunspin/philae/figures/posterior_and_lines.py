@@ -13,10 +13,13 @@ from sunspin.philae.against_lines import Against, along_line
 
 SHOWN = 2500
 
+LINES = (-0.3, 0.3)
+"""rad/s; ends of the printed lines in omega_z."""
 
-def draw(result: Against, low: float = -0.3, high: float = 0.3) -> Figure:
-    """Three views of rate space with the paper's level set, the printed lines (omega_z from `low` to `high`) and the draws; below
-    the draws enlarged, with one cell of the paper's grid."""
+
+def draw(result: Against) -> Figure:
+    """Three views of rate space with the paper's level set, the printed lines (omega_z within `LINES`) and the draws; below the
+    draws enlarged, with one cell of the paper's grid."""
     figure = Figure(figsize=(12.5, 6.6), layout="constrained")
     grid = figure.subplots(2, 3)
     shown, cloud = next((name, points) for name, (points, _) in result.sets.items() if points is not None)  # the paper's own
@@ -24,7 +27,7 @@ def draw(result: Against, low: float = -0.3, high: float = 0.3) -> Figure:
         whole, near = grid[0, k], grid[1, k]
         whole.plot(cloud[:, i], cloud[:, j], "s", ms=2, color=COLOURS[7], alpha=0.6, rasterized=True, label=shown)
         for axes in (whole, near):
-            _lines(axes, result, i, j, low, high)
+            _lines(axes, result, i, j)
             axes.set(xlabel=rf"$\omega_{'xyz'[i]}$ (rad/s)", ylabel=rf"$\omega_{'xyz'[j]}$ (rad/s)")
         whole.plot(*result.omega_B[:SHOWN, [i, j]].T, ".", ms=3, color=COLOURS[6], rasterized=True, label="the posterior", zorder=5)
         _enlarged(near, result, i, j)
@@ -43,9 +46,9 @@ def _power(value: float) -> str:
     return rf"{digits}$\times 10^{{{int(exponent)}}}$"
 
 
-def _lines(axes: Any, result: Against, i: int, j: int, low: float, high: float) -> None:
+def _lines(axes: Any, result: Against, i: int, j: int) -> None:
     for k, line in enumerate(result.lines):
-        ends = along_line(line, low, high)
+        ends = along_line(line, *LINES)
         axes.plot(ends[:, i], ends[:, j], "-", lw=1.3, color=COLOURS[k], label=f"L{k + 1}", zorder=3)
 
 

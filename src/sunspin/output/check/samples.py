@@ -5,19 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import xarray as xr
+
+from sunspin.telemetry.quality import panel_quality, reasons
+from sunspin.telemetry.sun import signals
+from sunspin.telemetry.units import wrong_units
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.file import line_of, vehicle_text
 
 SHOWN = 30
 """Columns listed by name."""
 
 
-def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
+def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
-    from sunspin.telemetry.units import wrong_units
-    from sunspin.vehicle.file import line_of, vehicle_text
-
-    units = []
-    for wrong in wrong_units(craft, samples):
-        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0])
+    units, found = [], wrong_units(craft, samples)
+    for wrong in found:
+        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0].split(",")[0])
         units.append(str(wrong) if stands is None else wrong.at(f", line {stands[0]} ({stands[1][:60]}),"))
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
@@ -25,16 +29,19 @@ def doubts(craft: Any, samples: Any, vehicle: str | None = None) -> tuple[dict[s
     lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
     lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
-    return {"wrong_units": units, "missing_sensors": missing, "unused_columns": unused}, lines
+    misread = any(wrong.table == "telemetry" and wrong.key.startswith("scale") for wrong in found)
+    return {"wrong_units": units, "panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}, lines
 
 
-def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate."""
+def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate; of panels `misread`, in a
+    wrong unit, no lines on what their numbers would mean."""
     summary: dict[str, Any] = {}
     lines: list[str] = []
     if "panel" in samples.coords:
         about, lines = _panels(craft, samples)
         summary |= about
+        lines = [f"  {n:6d}  {text}" for text, n in about["worth"].items()] if misread else lines
     sensors = {"sun_sensor_B": "Sun sensors", "gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "attitude",
                "wheel_speed_rad_s": "wheel speeds"}
     there = {label: int(np.isfinite(samples[name].values).all(axis=1).sum()) for name, label in sensors.items() if name in samples}
@@ -45,9 +52,7 @@ def worth(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     return summary | about, lines + more
 
 
-def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
-    from sunspin.telemetry.quality import panel_quality, reasons
-
+def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     quality = panel_quality(craft, samples)
     why = reasons(quality)
     silent, missed = quality["dead"].values, quality["missed"].values
@@ -77,20 +82,23 @@ def _panels(craft: Any, samples: Any) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def _lit(craft: Any, samples: Any, quality: Any) -> np.ndarray:
-    from sunspin.telemetry.sun import signals
-
+def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
+    """How many faces (n) are lit, panels of one face counting once; with channels how many inputs."""
     floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
-    return (np.nan_to_num(signals(samples)) > floor).sum(axis=1)
+    lit = np.nan_to_num(signals(samples)) > floor
+    if craft.channels:
+        return lit.sum(axis=1)
+    _, face = np.unique(np.round([panel.normal_B for panel in craft.panels], 6) + 0.0, axis=0, return_inverse=True)
+    return (lit.astype(int) @ np.eye(face.max() + 1, dtype=int)[face.ravel()] > 0).sum(axis=1)
 
 
-def intervals(samples: Any) -> np.ndarray:
+def intervals(samples: xr.Dataset) -> np.ndarray:
     """Intervals (s) between the samples whose time is in order; late and repeated frames are no samples."""
     latest = np.unique(np.maximum.accumulate(samples["time"].values))
     return np.diff(latest)
 
 
-def _sampling(samples: Any) -> tuple[dict[str, Any], list[str]]:
+def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     gaps = intervals(samples)
     if len(gaps) < 2:
         return {}, ["  too few samples to tell a rate"]

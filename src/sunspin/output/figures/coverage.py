@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from sunspin.estimate.scan.coverage import Share, Twins, twins_of
 from sunspin.output.figures import COLOURS
-from sunspin.philae.coverage import CONFIDENCE, Share, Twins, Worth
 
 NAMES = {"lines": "truth on the published lines", "grid": "truth anywhere in the box"}
 DEGREES = np.degrees(1.0)
@@ -17,31 +18,27 @@ BOUND_TOP = 0.4
 """rad/s; end of the axis of lower bounds."""
 
 
-def draw(worth: Worth, published: dict[str, float], confidence: float = CONFIDENCE) -> Figure:
-    """EMD of the truth against the smallest; coverage against the factor; the lines' wandering; the lower bound.
-
-    `published`: "emd_min" (1) and "rate_at_touchdown_min" (rad/s).
-    """
+def coverage_figure(found: xr.Dataset) -> Figure:
+    """EMD of the truth against the smallest; coverage against the factor; the lines' wandering; the lower bound."""
     figure = Figure(figsize=(9.5, 9.0), layout="constrained")
     (scatter, cover), (turned, bound) = figure.subplots(2, 2)
-    _scatter(scatter, worth, published["emd_min"])
-    _coverage(cover, worth, confidence)
-    _turned(turned, worth)
-    _bound(bound, worth, published["rate_at_touchdown_min"], confidence)
-    figure.suptitle(
-        f"The method repeated on synthetic rebounds of known truth: {worth.twins['lines'].n} twins of each kind", fontsize=11
-    )
+    about, twins = found.attrs, twins_of(found)
+    _scatter(scatter, twins, about["factor"], about["published_emd_min"])
+    _coverage(cover, twins, about["factor"], about["confidence"])
+    _turned(turned, twins["lines"], about["factor"])
+    _bound(bound, twins["lines"], about["published_touchdown_speed_rad_s"], about["confidence"])
+    figure.suptitle(f"The method repeated on synthetic rebounds of known truth: {twins['lines'].n} twins of each kind", fontsize=11)
     return figure
 
 
-def _scatter(axes: Any, worth: Worth, published: float) -> None:
-    for k, (kind, twins) in enumerate(worth.twins.items()):
+def _scatter(axes: Any, each: dict[str, Twins], factor: float, published: float) -> None:
+    for k, (kind, twins) in enumerate(each.items()):
         axes.loglog(twins.twin["emd_min"], twins.twin["emd_truth"], "o^"[k], ms=3.5, mfc="none", mew=0.7, color=COLOURS[k],
                     label=NAMES[kind])  # fmt: skip
     low, high = axes.get_xlim()
     x = np.array([low, high])
     axes.loglog(x, x, lw=0.8, color=COLOURS[7])
-    axes.loglog(x, worth.factor * x, "--", lw=1, color=COLOURS[6], label=f"{worth.factor:g} times the smallest")
+    axes.loglog(x, factor * x, "--", lw=1, color=COLOURS[6], label=f"{factor:g} times the smallest")
     axes.axvline(published, ls=":", lw=1.2, color=COLOURS[2], label="published smallest EMD")
     axes.set(xlim=(low, high), xlabel="smallest EMD of the scan", ylabel="EMD of the true motion")
     for axis in (axes.xaxis, axes.yaxis):
@@ -52,14 +49,14 @@ def _scatter(axes: Any, worth: Worth, published: float) -> None:
     axes.set_title("the truth is rarely the best", fontsize=10)
 
 
-def _coverage(axes: Any, worth: Worth, confidence: float) -> None:
+def _coverage(axes: Any, each: dict[str, Twins], chosen: float, confidence: float) -> None:
     at = np.geomspace(1.0, 10.0, 200)
-    for k, (kind, twins) in enumerate(worth.twins.items()):
+    for k, (kind, twins) in enumerate(each.items()):
         shares = [twins.in_set(factor) for factor in at]
         band = np.array([share.interval for share in shares])
         axes.fill_between(at, band[:, 0], band[:, 1], color=COLOURS[k], alpha=0.25, lw=0)
         axes.semilogx(at, [share.value for share in shares], "-" if k == 0 else "--", color=COLOURS[k], label=NAMES[kind])
-    axes.axvline(worth.factor, ls="--", lw=1, color=COLOURS[6], label=f"the paper's {worth.factor:g}")
+    axes.axvline(chosen, ls="--", lw=1, color=COLOURS[6], label=f"the paper's {chosen:g}")
     axes.axhline(confidence, ls=":", lw=1, color=COLOURS[7])
     axes.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
     axes.minorticks_off()
@@ -68,8 +65,7 @@ def _coverage(axes: Any, worth: Worth, confidence: float) -> None:
     axes.set_title("how often the level set holds the truth\n(band: 95 % sampling error)", fontsize=10)
 
 
-def _turned(axes: Any, worth: Worth) -> None:
-    lines = worth.twins["lines"]
+def _turned(axes: Any, lines: Twins, factor: float) -> None:
     bins = np.linspace(0, 90, 31)
     for k in range(lines.twin["line_angle"].shape[1]):
         angle = lines.twin["line_angle"][:, k] * DEGREES
@@ -79,11 +75,10 @@ def _turned(axes: Any, worth: Worth) -> None:
     fitted = Share(int(np.isfinite(lines.twin["line_angle"][:, 0]).sum()), lines.n)
     axes.set(xlabel="angle between fitted and published line (deg)", ylabel="twins per 3 deg")
     axes.legend(fontsize=9)
-    axes.set_title(f"lines fitted to EMD < {worth.factor:g} EMD_min;\npossible in {fitted.value:.0%} of the twins", fontsize=10)
+    axes.set_title(f"lines fitted to EMD < {factor:g} EMD_min;\npossible in {fitted.value:.0%} of the twins", fontsize=10)
 
 
-def _bound(axes: Any, worth: Worth, published: float, confidence: float) -> None:
-    lines: Twins = worth.twins["lines"]
+def _bound(axes: Any, lines: Twins, published: float, confidence: float) -> None:
     table = lines.levels
     speed = np.where(np.isfinite(table["speed"]), table["speed"], np.nan)
     top = np.where(np.isfinite(speed[:, 2]), speed[:, 2], BOUND_TOP)  # more than 5 % of the sets are empty and bound nothing

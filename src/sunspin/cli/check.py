@@ -1,0 +1,44 @@
+"""`sunspin check`."""
+
+from __future__ import annotations
+
+import click
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.cli.common import data_option, find_telemetry, output_options, report
+from sunspin.cli.orbit import orbit_options
+
+
+@click.command()
+@click.argument("vehicle")
+@click.argument("telemetry", required=False)
+@output_options(out=False)
+@data_option
+@orbit_options
+def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> None:
+    """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
+
+    With orbital elements, say too whether the telemetry was taken in that orbit: whether strength of the field, its angle to the
+    Sun and eclipses follow from it.
+
+    \b
+    Examples:
+      sunspin check vehicle.toml telemetry.csv
+      sunspin check philae philae
+    """
+    from sunspin.estimate.orbit.judged import elements_of
+    from sunspin.output.check.files import about_telemetry, about_vehicle
+    from sunspin.output.check.orbit import about_orbit
+    from sunspin.vehicle import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    elements_of(craft, elements, shift_sigma)  # what is wrong with them is said before the work
+    summary, lines = about_vehicle(craft)
+    if telemetry is not None:
+        samples, about, more = about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
+        summary, lines = summary | {"telemetry": about}, lines + more
+        about, more = about_orbit(craft, samples, elements, shift_sigma)
+        summary, lines = summary | about, lines + more
+    elif elements is not None:
+        raise InputError(sentence("elements are compared with telemetry", do="give TELEMETRY too"))
+    report(summary, lines, as_json, quiet)

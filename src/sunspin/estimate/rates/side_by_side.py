@@ -1,0 +1,65 @@
+"""What is done with each pass by itself, in this process or in several: the same bits in either case.
+
+Each may spend so much, counted by itself; what was spent is added up in the order of the passes.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from typing import Any
+
+from sunspin.base.errors import InputError, sentence
+from sunspin.estimate.effort import Effort
+
+
+@contextmanager
+def processes(workers: int) -> Generator[Executor | None]:
+    """So many processes, which end with this, at once if it is left by an error; none where one suffices."""
+    if workers < 2:
+        yield None
+        return
+    others = set(active_children())
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_deaf)
+    try:
+        yield pool
+    except BaseException:
+        for child in set(active_children()) - others:
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _deaf() -> None:
+    """Ctrl-C reaches the process that waits for this one, which then ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def each(
+    work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort, pool: Executor | None
+) -> Iterator[tuple[Any, bool]]:
+    """What `work` makes of each task, in order, and whether it was cut short, each having a `share` of the effort to spend."""
+    if pool is None:
+        for task in tasks:
+            with spent.part(share, alone=True) as own:
+                made = work(*task)
+            yield made, own.cut
+        return
+    try:
+        for future in [pool.submit(_counted, work, task, share) for task in tasks]:
+            made, count, cut = future.result()
+            spent.spend(count)
+            yield made, cut
+    except BrokenExecutor:
+        raise InputError(sentence("a process that estimated a pass was ended from outside, for lack of memory perhaps",
+                                  do="give a smaller number of workers, 1 say")) from None  # fmt: skip
+
+
+def _counted(work: Callable[..., Any], task: tuple[Any, ...], share: float) -> tuple[Any, float, bool]:
+    with Effort(share) as own:
+        made = work(*task)
+    return made, own.spent, own.cut

@@ -1,0 +1,1 @@
+"""What `sunspin check` says of files, samples and orbits, as data and in lines."""

@@ -1,0 +1,110 @@
+"""What `sunspin check` says of a vehicle file and of telemetry: what they hold, and what can be learnt from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.output.check.samples import doubts, intervals, worth
+from sunspin.output.kinds.seen import health_lines, health_summary, status_counts, status_lines
+from sunspin.telemetry.health import noise_made, panel_health
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.reader import FLAGS, read_telemetry
+from sunspin.telemetry.sun import reconstructible_patterns, sun_directions
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import lit_patterns
+from sunspin.vehicle.timeline import utc_after
+
+HEALTH_SAMPLES = 3000
+"""Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
+
+NOT_READ = "  directions, gains and lit faces say nothing while the readings are in a wrong unit; `--json` has them"
+
+
+def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on a vehicle: its parts, what light tells of it, values without a source."""
+    summary: dict[str, Any] = {
+        "vehicle": craft.name,
+        "panels": list(craft.panel_names),
+        "wheels": [wheel.name for wheel in craft.wheels],
+        "legs": [leg.name for leg in craft.legs],
+        "inertia_given": craft.inertia_kg_m2 is not None,
+        "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
+    }
+    parts = ", ".join(_counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
+    known = "given" if summary["inertia_given"] else "not given (for `rates` a sphere; nothing can be simulated)"
+    lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
+    if craft.panels:
+        summary |= {"lit_patterns": len(lit_patterns(craft)), "reconstructible": len(reconstructible_patterns(craft))}
+        lines.append(
+            f"  the Sun can light {summary['lit_patterns']} sets of panels; {summary['reconstructible']} of them give a direction"
+        )
+    if craft.channels:
+        about = [f"{one.name} ({'the largest' if one.reads == 'largest' else 'the sum'} of {', '.join(one.panels)})"
+                 for one in craft.channels]  # fmt: skip
+        summary["channels"] = {one.name: list(one.panels) for one in craft.channels}
+        copies = len(craft.response_in().images)
+        alike = f", so that {copies} directions fit a sample alike" if copies > 1 else ""
+        lines.append(f"  inputs of several panels: {'; '.join(about)}; which of them is lit is not told{alike}")
+    bare = summary["without_source"]
+    if bare:
+        shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
+        lines.append(f"  {_counted(len(bare), 'value')} without a source: {shown}")
+    return summary, lines
+
+
+def about_telemetry(craft: Vehicle, path: Path, vehicle: str) -> tuple[xr.Dataset, dict[str, Any], list[str]]:
+    """The telemetry, with summary and lines on what it holds and what can be learnt from it; `vehicle`: the file of `craft`."""
+    samples = read_telemetry(path, craft)
+    time, flag = samples["time"].values, samples["flag"].values
+    gaps = intervals(samples)
+    spread = [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None
+    summary: dict[str, Any] = {
+        "file": str(path),
+        "samples": int(time.size),
+        "synthetic": bool(samples.attrs["synthetic"]),
+        "epoch_utc": str(samples.attrs["epoch_utc"]),
+        "span_s": float(np.ptp(time)) if time.size else 0.0,
+        "interval_s": spread,
+        "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
+    }
+    kind = "synthetic sample" if summary["synthetic"] else "sample"
+    begin = utc_after(float(time.min()), summary["epoch_utc"]) if time.size else summary["epoch_utc"]
+    lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"]
+    if time.size and round(float(time[0])):
+        lines.append(f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample")
+    if spread:
+        lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*spread))
+    for key, text in (("rows_sorted", "put in the order of time"), ("rows_merged", "repeats merged")):
+        if key in samples.attrs:
+            summary[key] = int(samples.attrs[key])
+            lines.append(f"  {summary[key]:6d}  {text}")
+    lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
+    about, more = doubts(craft, samples, vehicle)
+    summary, lines = summary | about, lines + more
+    if "panel" in samples.coords:
+        about, more = _about_panels(craft, samples)
+        summary, lines = summary | about, lines + ([NOT_READ] if summary["panels_misread"] else more)
+    about, more = worth(craft, samples, summary["panels_misread"])
+    return samples, summary | about, lines + more
+
+
+def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
+    threshold = lit_threshold(craft, samples)
+    sun = sun_directions(craft, samples, lit_threshold=threshold)
+    stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
+    found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
+    health = health_summary(found)
+    summary = {
+        "status": status_counts(sun), "noise_from": str(sun.attrs["noise_from"]),
+        **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
+        "noise_made": noise_made(found, -(-samples.sizes["time"] // stride)), "health_of_every": stride,
+    }  # fmt: skip
+    return summary, status_lines(sun) + health_lines(summary)
+
+
+def _counted(n: int, noun: str) -> str:
+    return f"{n} {noun}" + ("" if n == 1 else "s")

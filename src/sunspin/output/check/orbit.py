@@ -1,0 +1,101 @@
+"""Whether telemetry was taken in an orbit: the check in words, and the orbit that may be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.environment.elements import nearest
+from sunspin.estimate.orbit.check import check_orbit
+from sunspin.estimate.orbit.field_calibration import field_calibration
+from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.timeline import utc_after
+
+
+def about_orbit(
+    craft: Vehicle, samples: xr.Dataset, elements: Path | None, shift_sigma: float | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Summary and lines on whether the elements fit the telemetry; nothing where there are none."""
+    orbit = orbit_of(craft, samples, elements, shift_sigma)
+    if orbit is None:
+        return {}, []
+    one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
+    found = check_orbit(orbit, craft, samples)
+    return {"orbit": _age(orbit, samples, one) | _summary(one, found, notes)}, _lines(one, found, notes)
+
+
+def orbit_used(
+    craft: Vehicle, samples: xr.Dataset, elements: Path | None, shift_sigma: float | None
+) -> tuple[Any, Any, dict[str, Any], list[str]]:
+    """The orbit that the telemetry allows to use (None: no), the magnetometer's calibration along it, and summary and lines on the
+    orbit; nothing where there are no elements."""
+    orbit = orbit_of(craft, samples, elements, shift_sigma)
+    if orbit is None:
+        return None, None, {}, []
+    one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
+    used, found, words = judged_orbit(orbit, craft, samples)
+    summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
+    calibration = None if used is None else field_calibration(used, craft, samples, found.made)
+    return used, calibration, {"orbit": summary}, [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
+
+
+def _nearest(orbit: Any, samples: xr.Dataset) -> Any:
+    return nearest(orbit.elements, orbit.instants(samples["time"].values).middle)
+
+
+def _age(orbit: Any, samples: xr.Dataset, one: Any) -> dict[str, Any]:
+    """Epoch of elements, and their age in the middle of the telemetry."""
+    middle = orbit.instants(samples["time"].values).middle
+    day, fraction = one.epoch_jd
+    return {"epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"), "age_days": one.days_to(middle)}
+
+
+def _named(one: Any) -> str:
+    return f"{one.name} ({one.number})" if one.name else f"satellite {one.number}"
+
+
+def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
+    summary = {
+        "satellite": one.number, "name": one.name, "verdict": found.verdict.name.lower(), "copies": found.copies,
+        "better_copies": found.better, "copies_expected_better_by_chance": found.mistaken,
+        "node_turn_rad": found.turn_rad, "node_turn_times": found.turn_times,
+        "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border,
+        "drift_s_day": found.drift_s_day, "drift_sigma_s_day": found.drift_sigma_s_day, "samples": found.samples,
+        "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
+        "sign_turned": found.sign_turned,
+        "clock_behind_s": found.clock_behind_s, "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0],
+        "notes": notes,
+    }  # fmt: skip
+    if found.matrix is not None and found.zero is not None:
+        summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
+    return summary
+
+
+def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
+    lines = [f"Orbit of {_named(one)}: {found.verdict.value}", *(f"  {note}" for note in notes)]
+    if off := clock_off(found):
+        lines.append(f"  {off}")
+    if found.sign_turned:
+        lines.append("  the magnetometer reads the field with the opposite sign: turn its `matrix` round")
+    used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
+    if not used:
+        return [*lines, "  no sample shows a field, the Sun or the dark"]
+    lines.append(f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)")
+    if found.turn_times > 1.05:
+        turn = f"with the node turned by {np.degrees(found.turn_rad):+.0f} deg"
+        lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
+    border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
+    both = " (with the clock: of both, the data determine the sum)"
+    lines.append(f"  shift along the track {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}")
+    if np.isfinite(found.strength_residual_T):
+        angle = np.degrees(found.angle_residual_rad)
+        sun = f", of its angle to the Sun {angle:.1f} deg" if np.isfinite(angle) else ""
+        lines.append(f"  residuals in the middle: of the field's strength {1e6 * found.strength_residual_T:.2f} uT{sun}")
+    seen, dark = found.eclipse
+    if dark:
+        lines.append(f"  {dark} samples lie in the Earth's shadow; {seen} of them show a Sun")
+    return lines

@@ -1,0 +1,34 @@
+"""The files that a user starts from."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+
+from sunspin.base.errors import OutputError, sentence
+
+TEMPLATES = ("vehicle.toml", "telemetry.csv")
+
+
+def write_templates(folder: Path) -> list[Path]:
+    """A commented vehicle.toml and a telemetry.csv: both or none, what was written is taken back when the second cannot be."""
+    source = resources.files("sunspin").joinpath("template")
+    targets = [folder / name for name in TEMPLATES]
+    for target in targets:
+        if os.path.lexists(target):
+            raise OutputError(sentence("this file is there already", do="choose another folder", where=str(target)))
+    written: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for target in targets:
+            with open(target, "x", encoding="utf-8") as file:
+                written.append(target)
+                file.write(source.joinpath(target.name).read_text(encoding="utf-8"))
+    except OSError as error:
+        for target in written:
+            target.unlink(missing_ok=True)
+        raise OutputError(
+            sentence(f"files cannot be written here ({error.strerror or error})", do="choose another folder", where=str(folder))
+        ) from None
+    return targets

@@ -1,0 +1,61 @@
+"""Passes estimated in one process or in several: the same bits, the same effort, and an end at once when it is asked for."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import active_children
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.estimate.effort import BATCH, Effort, may_go_on, spend
+from sunspin.estimate.rates.side_by_side import each, processes
+from validation.passes import FACES, seen, spin
+
+
+def work(count):
+    """What may be done of so much."""
+    done = 0
+    while done < count and may_go_on():
+        spend(1)
+        done += 1
+    return done
+
+
+def test_each_task_has_its_own_effort_wherever_it_runs():
+    with ThreadPoolExecutor(2) as pool:
+        for executor in (None, pool):
+            with Effort(4.0 * (1 + BATCH)) as whole:  # less than all may take: a task knows nothing of the others
+                found = list(each(work, [(2,), (5,), (1,)], 3.0 * (1 + BATCH), whole, executor))
+                assert found == [(2, False), (3, True), (1, False)]
+                assert whole.spent == 6 * (1 + BATCH) and not may_go_on()
+
+
+def test_processes_end_with_an_error_at_once():
+    others, begin = set(active_children()), time.monotonic()
+    with pytest.raises(KeyboardInterrupt), processes(2) as pool, Effort(1.0) as spent:
+        running = pool.submit(time.sleep, 1000.0)
+        while not running.running():
+            time.sleep(0.05)
+        raise KeyboardInterrupt
+    assert time.monotonic() - begin < 60 and not set(active_children()) - others and not spent.cut
+
+
+def test_one_process_is_this_one():
+    with processes(1) as pool:
+        assert pool is None
+
+
+@pytest.mark.long
+def test_the_result_does_not_depend_on_the_workers():
+    """Eight passes of four samples of a cube."""
+    t = np.concatenate([np.arange(0.0, 80.0, 20.0) + start for start in 3000.0 * np.arange(8)])
+    each_pass = [spin(np.radians([1.0, -0.5, 0.8]), part) for part in np.split(t, 8)]
+    omega, attitude = (np.concatenate(parts) for parts in zip(*each_pass, strict=True))
+    made = seen(FACES, omega, attitude, t, 0.01, np.random.default_rng(3))
+    setting = {"max_rate_rad_s": 0.03, "acceleration_noise": 1e-5}
+    one, two = (ss.rates(made.vehicle, made.telemetry, workers=workers, **setting) for workers in (1, 2))
+    assert one.sizes["pass_id"] == 8
+    xr.testing.assert_identical(one.drop_attrs(), two.drop_attrs())
+    assert one.attrs["verdict"] == two.attrs["verdict"] and one.attrs["effort"] == two.attrs["effort"]
