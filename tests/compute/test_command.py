@@ -9,6 +9,7 @@ import pytest
 from posteriors import philae_draws
 from sunspin.base.errors import InputError, OutputError
 from sunspin.compute.campaign import command, kept, rows_folder
+from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.landing import sampling
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import contributions, twin
@@ -87,4 +88,4 @@ def test_contributions_of_another_telemetry_are_refused(tmp_path, capsys):
     tree.attrs["samples"] = 7
     path = write_netcdf(tmp_path / "posterior.nc", tree)
     assert contributions.main([str(path)]) == 2 and "not that of the posterior" in capsys.readouterr().err
-    assert json.loads(tree.attrs["priors_given"]) == {}
+    assert json.loads(tree.attrs["priors_given"]) == AS_DRAWN

@@ -96,7 +96,7 @@ def test_sample_times_are_irregular_by_seconds():
 
 
 def test_delta_of_free_flight_is_that_of_panels_turned_so_far(sun):
-    """0.017 in the mean of ten seeds, published 0.015: within the tolerance of its row, though no seed was picked for it."""
+    """0.017 in the mean of twenty seeds, published 0.015: within the tolerance of its row, though no seed was picked for it."""
     delta = sun["delta"].values[free_flight() & is_reconstructed(sun["status"])]
     assert delta.mean() == pytest.approx(0.017, abs=0.0015)
     assert delta.mean() == pytest.approx(published["delta_mean"], abs=0.002)

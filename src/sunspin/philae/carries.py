@@ -31,7 +31,7 @@ MOST_IMPOSSIBLE = 0.02
 SHUFFLES = 20
 NEIGHBOUR_SHUFFLES = 200
 ORDERED = 0.5
-"""The descent's E must be below this part of the smallest among the shuffled ones: right files reach a five-hundredth."""
+"""The descent's E must be below this part of the smallest among the shuffled ones: right files reach a twentieth."""
 
 
 @dataclass(frozen=True)

@@ -159,8 +159,8 @@ def _twin(result: Descent) -> str:
 
 def _put_in(result: Descent) -> str:
     made = (
-        "synthetic telemetry: its panels stand off by angles chosen so that the mean E of ten seeds is as published; that of one "
-        f"comes back if within a factor of {FACTOR_OF_E:g}; "
+        "synthetic telemetry: its panels stand off by angles chosen so that the mean E of twenty seeds is as published; "
+        f"that of one comes back if within a factor of {FACTOR_OF_E:g}; "
     )
     return made if result.synthetic else ""
 

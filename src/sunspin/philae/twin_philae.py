@@ -17,9 +17,9 @@ or chosen here, and said where it is:
   patterns.
 
 - panels: each off by `tilt_rad`, and all together turned by `turned_rad` against the axes of inertia and wheel, drawn from the
-  seed with the vehicle file's sigmas. These were chosen so that E and Delta of the descent are as published in the mean of ten
-  seeds, and noise alone gives a tenth of that E; the published first direction is what the panels show, and the true one what
-  lies behind it;
+  seed with the vehicle file's sigmas. These were chosen so that E and Delta of the descent are as published in the mean of
+  twenty seeds, and noise alone gives a tenth of that E; the published first direction is what the panels show, and the true one
+  what lies behind it;
 - first samples at rest (`rest_seen`): a rock covers panel 1 only after them, so that these give a direction, wrong by 25 degrees
   and with a large Delta: the paper's Fig. 4D has directions after the landing.
 
