@@ -20,7 +20,7 @@ CHUNK = 4
 """Twins between two looks at the clock: a twin takes half a second."""
 
 SHIPPED = "worth.json"
-"""The result that comes with the case: 400 twins of each kind on the paper's whole grid, made by the command that it names."""
+"""The result that comes with the case: 300 twins of each kind on the paper's whole grid, made by the command that it names."""
 
 
 def compute(
