@@ -100,6 +100,13 @@ def test_any_two_exchanged_panels_are_noticed(first, second):
     assert not carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None).one_sun
 
 
+def test_panels_that_stand_off_as_stated_are_not_held_against_a_file():
+    """Six samples of this twin have patterns forbidden to panels as drawn, more than 2 %; with the stated sigmas one."""
+    case = rb.with_telemetry(CASE, ss.twin("philae", seed=8))
+    found = carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None)
+    assert found.impossible > carries.MOST_IMPOSSIBLE * found.early and found.unexplained <= 1 and found.one_sun
+
+
 @pytest.mark.long
 def test_shuffled_samples_take_the_descent_and_cannot_move_the_scan(found):
     """EMD does not use the order of samples: its rows are those of the right file, and the first line says why."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from sunspin.estimate.posterior.tilt import stated_sigma
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae import rebound as rb
 from sunspin.philae.coverage_rows import LEAST_TOLD
@@ -19,7 +20,8 @@ from sunspin.philae.descent import Descent
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
-from sunspin.telemetry.synthetic import generator
+from sunspin.telemetry.synthetic import drawn_tilts, generator
+from sunspin.vehicle.response.panels import patterns_of_turned
 from sunspin.vehicle.timeline import utc_seconds
 
 SHADOWED_PHASES = ("deployment", "settling", "rest")
@@ -27,6 +29,9 @@ SHADOWED_PHASES = ("deployment", "settling", "rest")
 
 MOST_IMPOSSIBLE = 0.02
 """Share of samples before the second touchdown whose lit pattern no Sun makes: the paper has none of them."""
+
+TURNS = 100
+"""Draws of panels that stand off as the vehicle file's sigmas say: a pattern that none of them shows, no Sun makes on such."""
 
 SHUFFLES = 20
 NEIGHBOUR_SHUFFLES = 200
@@ -41,7 +46,8 @@ class Carries:
     Attributes
     ----------
     delta : mean Delta of the directions outside `SHADOWED_PHASES`; `directions`, how many there are
-    impossible, early : samples before the second touchdown with a forbidden lit pattern, and all of them
+    impossible, early : samples before the second touchdown with a lit pattern forbidden to panels as drawn, and all of them
+    unexplained : of the former, those that panels which stand off as the vehicle file's sigmas say do not show either
     told : directions between first touchdown and collision
     descent_E, shuffled_E : E of the descent's best spin, and of the best spins of `SHUFFLES` orders of its directions; None and
         empty where the descent could not be fitted
@@ -55,6 +61,7 @@ class Carries:
     delta: float
     directions: int
     impossible: int
+    unexplained: int
     early: int
     told: int
     descent_E: float | None
@@ -127,26 +134,40 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     status = sun["status"].values
     kept = is_reconstructed(status) & whole_panels(case, sun)
     early = (sun["time"].values < rb.case_seconds(case, sun, "second_touchdown")) & (status != SunStatus.MISSING)
-    impossible = int(np.count_nonzero(early & (status == SunStatus.IMPOSSIBLE)))
+    forbidden = sun.isel(time=early & (status == SunStatus.IMPOSSIBLE))
     samples = rb.rebound_samples(case, sun)
     told = is_reconstructed(samples["status"])
     delta = float(sun["delta"].values[kept].mean()) if kept.any() else float("nan")
     rng = generator(seed, 9)
+    limit = case.published["delta_max"].value
+    unexplained = int(np.count_nonzero((forbidden["delta"].values > limit) | ~_turned_show(case, forbidden["lit"].values)))
     error, shuffled = (None, np.zeros(0)) if descent is None else _descent_order(descent, rng)
     near, chance = _neighbours(samples["sun_B"].values[told], rng)
-    limit = case.published["delta_max"].value
     reasons = []
     if delta > limit:
         reasons.append(f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample")
-    if impossible > MOST_IMPOSSIBLE * int(early.sum()):
-        reasons.append(f"{impossible} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "
+    if unexplained > MOST_IMPOSSIBLE * int(early.sum()):
+        reasons.append(f"{unexplained} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "
             "Sun makes")
     if told.sum() < LEAST_TOLD:
         reasons.append(f"only {int(told.sum())} samples between first touchdown and collision give a direction")
     return Carries(
-        case, bool(sun.attrs.get("synthetic")), delta, int(kept.sum()), impossible, int(early.sum()), int(told.sum()), error,
-        shuffled, near, chance, tuple(reasons),
+        case, bool(sun.attrs.get("synthetic")), delta, int(kept.sum()), forbidden.sizes["time"], unexplained,
+        int(early.sum()), int(told.sum()), error, shuffled, near, chance, tuple(reasons),
     )  # fmt: skip
+
+
+def _turned_show(case: Case, lit: np.ndarray) -> np.ndarray:
+    """Which of the sets of lit panels (n, n_panel) some Sun makes on panels turned as far as the vehicle file's sigmas let them be.
+
+    One turn of all panels forbids and allows nothing: it is a turn of the Sun.
+    """
+    own, _ = stated_sigma(case.vehicle)
+    if not len(lit) or not own.any():
+        return np.zeros(len(lit), dtype=bool)
+    rng, names = generator(0, 10), np.array(case.vehicle.input_names)
+    shown = patterns_of_turned(case.vehicle, np.array([drawn_tilts(case.vehicle, own, rng) for _ in range(TURNS)]))
+    return np.array([frozenset(names[row].tolist()) in shown for row in lit])
 
 
 def _descent_order(descent: Descent, rng: np.random.Generator) -> tuple[float, np.ndarray]:
@@ -179,7 +200,8 @@ def rows(r: Carries) -> list[Row]:
     found = [
         row(
             case, "carries_patterns", r.impossible / max(r.early, 1), tolerance=MOST_IMPOSSIBLE,
-            holds=r.impossible <= MOST_IMPOSSIBLE * r.early, whose=whose, impossible=r.impossible, early=r.early,
+            holds=r.unexplained <= MOST_IMPOSSIBLE * r.early, whose=whose, impossible=r.impossible, early=r.early,
+            unexplained=r.unexplained,
         ),
         row(case, "carries_delta", r.delta, published=misfit, holds=bool(r.delta <= largest), whose=whose, directions=r.directions),
     ]  # fmt: skip

@@ -151,9 +151,7 @@ def posterior(
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
     unknown = under(replace(unknown, device=device), acting(torques, environment, start_s))
-    chosen = plan(unknown, data, scale)
-    if (priors or {}).get("max_rate_rad_s"):
-        require_few(unknown, chosen)
+    chosen = (require_few if (priors or {}).get("max_rate_rad_s") else plan)(unknown, data, scale)
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
     search = Search(workers, None if store is None else Path(store), progress)

@@ -141,13 +141,22 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     return Plan(anchor, around, edge, found, min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)))
 
 
-def require_few(model: Model, chosen: Plan) -> None:
-    """Refuse a ball of rates that the caller gave and that could not be searched, with the number of starts and the limit."""
-    starts = c.cell_count(model.max_rate, chosen.edge) * len(chosen.suns)
-    if starts > c.MAX_STARTS:
-        most = c.largest_ball(c.MAX_STARTS / len(chosen.suns), chosen.edge)
-        what = f"max_rate_rad_s asks for {starts:.2g} starts, and {c.MAX_STARTS:.0e} at most can be tried in an hour"
-        raise InputError(sentence(what, got=f"{model.max_rate:g}", do=f"with these samples give {0.99 * most:.3g} at most"))
+def require_few(model: Model, data: Readings, scale: float) -> Plan:
+    """The plan of a search; refused, with the number of starts and the limit, where the caller gave a ball of rates too large."""
+    chosen = plan(model, data, scale)
+    asked = _starts(model, chosen)
+    if asked <= c.MAX_STARTS:
+        return chosen
+    smaller = model
+    while _starts(smaller, chosen) > c.MAX_STARTS:  # with a smaller ball another reference may be the best one
+        smaller = replace(smaller, max_rate=float(f"{0.99 * c.largest_ball(c.MAX_STARTS / len(chosen.suns), chosen.edge):.3g}"))
+        chosen = plan(smaller, data, scale)
+    what = f"max_rate_rad_s asks for {asked:.2g} starts, and {c.MAX_STARTS:.0e} at most can be tried in an hour"
+    raise InputError(sentence(what, got=f"{model.max_rate:g}", do=f"with these samples give {smaller.max_rate:.3g} at most"))
+
+
+def _starts(model: Model, chosen: Plan) -> float:
+    return c.cell_count(model.max_rate, chosen.edge) * len(chosen.suns)
 
 
 def _runs_on(model: Model, after_s: float) -> bool:

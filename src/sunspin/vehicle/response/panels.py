@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from sunspin.vehicle.response.protocol import sphere
+
 if TYPE_CHECKING:
     from sunspin.vehicle import Vehicle
 
 Pattern = frozenset[str]  # of panel names: the lit ones
+
+SUNS = 4000
+"""Directions of the Sun that are tried over panels turned otherwise than drawn, 3 degrees apart."""
 
 
 def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
@@ -45,6 +50,13 @@ def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     vehicle.require_panels()
     response = vehicle.response_in()
     return named(vehicle, np.concatenate([response.regions().lit, response.edges()]))
+
+
+def patterns_of_turned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[Pattern]:
+    """The lit patterns of the same panels, turned by any of `turns_B` (k, n_panel, 3), rotation vectors in rad in B."""
+    response, suns = vehicle.response_in(), sphere(SUNS)
+    lit = [np.unique(response.power(suns, tilt=np.broadcast_to(turn, (SUNS, *turn.shape))) > 0, axis=0) for turn in turns_B]
+    return named(vehicle, np.unique(np.concatenate(lit), axis=0))
 
 
 def named(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
