@@ -44,11 +44,11 @@ def _quiet_descriptor():
             os.close(kept)
 
 
-def sunspin(*arguments: str) -> Told:
+def sunspin(*arguments: str, piped: bytes = b"") -> Told:
     """The entry point on these arguments. Output is strict UTF-8, warnings are shown each time: as on a terminal, but worse."""
     from sunspin import cli
 
-    kept = sys.argv, sys.stdout, sys.stderr, sys.unraisablehook
+    kept = sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook
     out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     err = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", errors="backslashreplace", write_through=True)
     code, escaped, accepted = None, "", False
@@ -57,6 +57,7 @@ def sunspin(*arguments: str) -> Told:
         for kind in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
             warnings.simplefilter("ignore", kind)
         sys.argv, sys.stdout, sys.stderr = ["sunspin", *arguments], out, err
+        sys.stdin = io.TextIOWrapper(io.BytesIO(piped))
         sys.unraisablehook = lambda hint: err.write(f"unraisable: {hint.exc_value!r}\n")
         try:
             cli.main()
@@ -67,7 +68,7 @@ def sunspin(*arguments: str) -> Told:
         except BaseException:
             escaped = traceback.format_exc(limit=-4)
         finally:
-            sys.argv, sys.stdout, sys.stderr, sys.unraisablehook = kept
+            sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook = kept
         below.seek(0)
         said = err.buffer.getvalue() + below.read()
     return Told(code, out.buffer.getvalue().decode("utf-8"), said.decode("utf-8", "replace"), escaped, accepted)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -68,8 +69,16 @@ def test_results_made_of_pipes_are_refused(home, soon):
     assert judge(sunspin("report", ".")).what == "fine"
 
 
-def test_standard_input_is_refused_by_its_name(home):
-    assert "standard input" in sunspin("check", "vehicle.toml", "-").err
+def test_telemetry_may_be_piped_in(home, monkeypatch):
+    content = (home / "telemetry.csv").read_bytes()
+    by_name = sunspin("sun", "vehicle.toml", "telemetry.csv", "--json")
+    piped = sunspin("sun", "vehicle.toml", "-", "--json", piped=content)
+    assert piped.code == 0 and json.loads(piped.out)["status"] == json.loads(by_name.out)["status"]
+    monkeypatch.setattr("sunspin.base.tables.MAX_FILE_BYTES", 10_000)
+    monkeypatch.setattr("sunspin.cli.common.PIECE", 1000)
+    for endless, words in ((20 * content, "is smaller than 0.01 MB"), (b"", "empty")):
+        told = sunspin("check", "vehicle.toml", "-", piped=endless)
+        assert judge(told).what == "refused" and words in told.err, told
 
 
 @pytest.mark.parametrize("rate", [5.0, 1e3, 1e20, 1e30])

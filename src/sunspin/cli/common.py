@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from sunspin.vehicle import Vehicle
+
+
+PIECE = 1_000_000
+"""Bytes of standard input that are taken at once."""
+
 
 class Listed(NamedTuple):
     """A command: the module that has it, the heading of --help under which it stands, its line there."""
@@ -118,7 +124,7 @@ def output_options(default: str | None = None, out: bool = True) -> Callable:
 def data_option(command: Callable) -> Callable:
     return click.option(
         "--data", envvar="SUNSPIN_DATA", type=click.Path(path_type=Path),
-        help="Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA).",
+        help="Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA); TELEMETRY may be - for standard input.",
     )(command)  # fmt: skip
 
 
@@ -152,7 +158,8 @@ def run_options(command: Callable) -> Callable:
 
 
 def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Path:
-    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry.
+    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry, and `-` for
+    what is piped in.
 
     Without a path it is that of the case whose name `vehicle` is.
     """
@@ -163,7 +170,7 @@ def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Pa
             raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
         return own
     if path == "-":
-        raise InputError(sentence("telemetry is read from a file and not from standard input", do="save it to a file"))
+        return _from_standard_input()
     given = Path(path)
     if given.name == path and not given.suffix and not given.exists():
         from sunspin.telemetry.case import case_telemetry
@@ -176,6 +183,20 @@ def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Pa
         except (OSError, ValueError):
             return given
     return given
+
+
+def _from_standard_input() -> Path:
+    """What is piped in, as a file for as long as the command runs: readers take files, whose size they know before they begin."""
+    from sunspin.base.tables import MAX_FILE_BYTES
+
+    if sys.stdin is None or sys.stdin.isatty():
+        raise InputError(sentence("nothing is piped into standard input", do="pipe telemetry in, or name a file"))
+    folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="sunspin-"))
+    path, size = Path(folder) / "standard-input", 0
+    with open(path, "wb") as file:
+        while size <= MAX_FILE_BYTES and (part := sys.stdin.buffer.read(PIECE)):
+            size += file.write(part)
+    return path
 
 
 def read_both(vehicle: Any, telemetry: str, data: Path | None) -> tuple[Vehicle, xr.Dataset]:
