@@ -19,7 +19,6 @@ from rowsets import ELSEWHERE, Waves, heed_interrupts
 from sunspin.compute.rows import ensemble
 
 distributed = pytest.importorskip("distributed", reason='needs Dask: pip install "sunspin[cluster]"')
-from distributed.cfexecutor import ClientExecutor  # noqa: E402 (only where Dask is installed)
 
 from sunspin.compute import cluster as dask  # noqa: E402
 
@@ -99,14 +98,14 @@ def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
 
 def test_few_chunks_are_in_flight(client, monkeypatch):
     given, most = [], []
-    submit = ClientExecutor.submit
+    submit = dask._Tasks.submit
 
     def watched(self, *arguments):
         given.append(submit(self, *arguments))
         most.append(sum(not future.done() for future in given))
         return given[-1]
 
-    monkeypatch.setattr(ClientExecutor, "submit", watched)
+    monkeypatch.setattr(dask._Tasks, "submit", watched)
     assert same(ensemble(ROWS, scheduler=client, chunk=10))
     assert len(most) == 100 and max(most) <= 4 * 2
 

@@ -10,9 +10,11 @@ import asyncio
 import logging
 import signal
 from collections.abc import Generator, Iterable
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 import dask.config
 from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, rpc
@@ -47,7 +49,7 @@ def on_cluster(function: RowFunction, scheduler: Any, n_workers: int) -> Generat
         client = _connect(scheduler, n_workers, stack)
         # sent once, as the result of a task: Dask knows how to get it again when the worker that has it dies
         shared = client.submit(_same, function, pure=False)
-        executor = client.get_executor(pure=False)
+        executor = _Tasks(client)
         threads: Any = client.nthreads()  # a coroutine only where the client is asynchronous, which this is not
 
         def abandon(futures: Iterable[Future]) -> list[Future]:
@@ -70,6 +72,35 @@ def on_cluster(function: RowFunction, scheduler: Any, n_workers: int) -> Generat
         finally:
             with suppress(Exception):
                 shared.cancel()
+
+
+class _Tasks(Executor):
+    """The cluster as an executor.
+
+    Dask has one as well, which waits for the result of a task and then asks for its state: if the worker that holds the result dies
+    between the two, neither result nor error is handed on, although Dask computes the task again.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client: Client = client
+        self._waited_for: WeakSet[Any] = WeakSet()
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future:
+        task, future = self._client.submit(fn, *args, pure=False, **kwargs), Future()
+        self._waited_for.add(task)
+        task.add_done_callback(partial(_hand_on, future))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._client.cancel(list(self._waited_for))
+
+
+def _hand_on(future: Future, task: Any) -> None:
+    """The outcome of a task that has ended; one whose result is lost by now is waited for again."""
+    try:
+        future.set_result(task.result())
+    except BaseException as error:
+        future.set_exception(error)
 
 
 def _same(function: RowFunction) -> RowFunction:
