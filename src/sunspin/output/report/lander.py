@@ -19,8 +19,9 @@ from sunspin.vehicle import Vehicle
 MOST_INSTANTS = 12_000
 """Instants of one motion put into the page; longer ones are thinned where they turn slowly enough, else cut."""
 
-LARGEST_TURN = 0.7
-"""rad between instants; beyond, a path between two attitudes could not be told."""
+LARGEST_TURN, TOLD_TURN = 0.7, 2.0
+"""rad between instants: no instant is left out where the body turned by more, and beyond the second number a path between two
+attitudes could not be told."""
 
 PLATE_M = 0.5
 """Distance of a panel's plate from the middle where the vehicle's file has no hull."""
@@ -120,7 +121,7 @@ def _even(data: xr.Dataset) -> tuple | None:
     last = t.size if good.all() else int(np.argmin(good))
     even = np.abs(np.diff(t) - step).max() <= 1e-3 * step
     turn = step * np.linalg.norm(columns["omega_B"], axis=1).max()
-    if last < 2 or not even or turn > LARGEST_TURN:
+    if last < 2 or not even or turn > TOLD_TURN:
         return None
     stride = max(1, min(int(LARGEST_TURN // max(turn, 1e-9)), -(-last // MOST_INSTANTS)))
     keep = np.arange(0, last, stride)[:MOST_INSTANTS]
