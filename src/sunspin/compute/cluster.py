@@ -92,6 +92,7 @@ class _Tasks(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Give up what has not ended, whatever is asked: nothing may be expected of a cluster any more."""
         self._client.cancel(list(self._waited_for))
 
 

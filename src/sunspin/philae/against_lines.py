@@ -36,7 +36,7 @@ class Against:
     sets : name -> (points (m, 3) in rad/s or None, volume in (rad/s)^3)
     lines : (point, direction) of L1..L4; `nearest`: the one nearest to the posterior's mean, counted from 0; `distance` from it
     truth : (3) rad/s, where the telemetry is the case's own twin
-    step : of the grid, rad/s
+    step : of the grid, rad/s; `omega_z`: ends of the scanned range, rad/s
     """
 
     omega_B: np.ndarray
@@ -47,6 +47,7 @@ class Against:
     distance: float
     truth: np.ndarray | None
     step: float
+    omega_z: tuple[float, float]
     synthetic: bool
 
     @property
@@ -87,7 +88,7 @@ def against(case: Case, tree: Any, coarser: int = 1, workers: int | None = None,
     apart = distances(omega.mean(axis=0)[None], origin, along)[:, 0]
     return Against(
         omega, posterior_volume(tree), sets, lines, int(np.argmin(apart)), float(apart.min()), rb.twin_truth(case), step,
-        bool(case.telemetry.attrs.get("synthetic")),
+        (low, high), bool(case.telemetry.attrs.get("synthetic")),
     )
 
 

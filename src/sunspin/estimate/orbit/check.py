@@ -121,11 +121,11 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     enough = max(np.isfinite(seen.field).all(axis=1).sum(), np.isfinite(seen.light).sum()) >= FEWEST
     verdict = Verdict.REFUSED if better > BETTER or times > TIMES else Verdict.FITS
     verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
-    lowest = min(fit.cost.min() for fit in ([own, *fits] if verdict is Verdict.REFUSED else [own]))
-    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), float(lowest))
+    lowest = float((best if verdict is Verdict.REFUSED else own).cost.min())
+    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), lowest)
     if verdict is Verdict.FITS:
         return _with_sun_sensors(answer, orbit, vehicle, telemetry)
-    return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, min(fit.cost.min() for fit in [own, *fits])))
+    return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, best.cost.min()))
 
 
 class _Grid(NamedTuple):

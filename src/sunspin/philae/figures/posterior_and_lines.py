@@ -13,12 +13,9 @@ from sunspin.philae.against_lines import Against, along_line
 
 SHOWN = 2500
 
-LINES = (-0.3, 0.3)
-"""rad/s; ends of the printed lines in omega_z."""
-
 
 def draw(result: Against) -> Figure:
-    """Three views of rate space with the paper's level set, the printed lines (omega_z within `LINES`) and the draws; below the
+    """Three views of rate space with the paper's level set, the printed lines (over the scanned omega_z) and the draws; below the
     draws enlarged, with one cell of the paper's grid."""
     figure = Figure(figsize=(12.5, 6.6), layout="constrained")
     grid = figure.subplots(2, 3)
@@ -48,7 +45,7 @@ def _power(value: float) -> str:
 
 def _lines(axes: Any, result: Against, i: int, j: int) -> None:
     for k, line in enumerate(result.lines):
-        ends = along_line(line, *LINES)
+        ends = along_line(line, *result.omega_z)
         axes.plot(ends[:, i], ends[:, j], "-", lw=1.3, color=COLOURS[k], label=f"L{k + 1}", zorder=3)
 
 
