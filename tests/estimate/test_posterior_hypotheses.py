@@ -76,7 +76,7 @@ def sampled(what: str, log_evidence: float, middle: list[float], sigma: float, l
     omega = middle + sigma * rng.standard_normal((500, 3))
     state = State(omega, np.tile(SUN, (500, 1)), np.zeros((500, 2)))
     drawn = Sample(state, np.full(500, log_evidence), np.zeros(500), np.zeros(500, dtype=int), np.ones(1), np.zeros(1, dtype=int),
-                   500.0, 0.0, log_evidence, np.zeros((1, 3)), bent=None, ridge=np.zeros(1, dtype=int))  # fmt: skip
+                   500.0, 0.0, log_evidence, np.zeros((1, 3)), ridge=np.zeros(1, dtype=int))  # fmt: skip
     likelihood = SimpleNamespace(data=SimpleNamespace(reach_s=100.0), model=SimpleNamespace(unknowns=(0, 0)))
     modes = SimpleNamespace(hits=np.array([3]))
     one: Any = SimpleNamespace(what=what, log_prior=log_prior, likelihood=likelihood, modes=modes)
