@@ -15,10 +15,10 @@ import sunspin as ss
 from posteriors import tree_of
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.hypotheses import Sampled, mixed
+from sunspin.estimate.posterior.importance import NO_MASS, Sample, _over_sizes
 from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State, model, pushed
 from sunspin.estimate.posterior.predict import drawn_rows, run_to
-from sunspin.estimate.posterior.widths import NO_MASS, Sample, _over_sizes
 from sunspin.estimate.terms.steady_torque import TURNED, sizes
 from validation.torque_command import BOX
 

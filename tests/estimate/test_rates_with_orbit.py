@@ -14,7 +14,7 @@ from sunspin.environment import Surroundings
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.rates.observe import FIELD_ALONE, observations, usable
-from sunspin.estimate.rates.seed import field_leads
+from sunspin.estimate.rates.search import field_leads
 from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque

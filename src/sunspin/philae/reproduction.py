@@ -18,10 +18,10 @@ from sunspin.output.report import write_report
 from sunspin.output.text import number_text
 from sunspin.philae import impulse, touchdown
 from sunspin.philae import rebound as rb
+from sunspin.philae.files import store
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import draw
 from sunspin.philae.row import Row
-from sunspin.philae.stored import store
 from sunspin.philae.study import SECTIONS, Options, Reproduction, compute, require_wheel, sections, titles, with_vehicle
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.reader import read_telemetry

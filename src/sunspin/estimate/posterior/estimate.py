@@ -34,13 +34,13 @@ from sunspin.estimate.posterior.hypotheses import (
     others,
     searched,
 )
+from sunspin.estimate.posterior.importance import Known, resampled, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
-from sunspin.estimate.posterior.widths import Known, resampled, sample
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
