@@ -12,6 +12,8 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.terms.panels import Instants
+from sunspin.output.folder import write_netcdf
+from sunspin.telemetry.stored import stored_telemetry
 from sunspin.vehicle.file import parse_vehicle
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
@@ -162,37 +164,34 @@ noise_rad_s = 0.001
 """
 
 
-def stored(tmp_path, vehicle):
-    """Telemetry with a gyro and a Sun vector, and the file of it in a results folder."""
+@pytest.fixture
+def stored(tmp_path):
+    """A vehicle, its telemetry with a gyro and a Sun vector, and the file of it as results folders have it."""
+    vehicle = parse_vehicle(VEHICLE.format(telemetry='time_column = "t"') + SENSORS, "test")
     (tmp_path / "t.csv").write_text("t,pa,pb,sx,sy,sz,gx,gy,gz,phase\n2026-01-01T00:00:00Z,1,0,1,0,0,1,2,4,dark\n"
                                     "2026-01-01T00:01:00Z,0.5,1,0,1,0,1,5,4,lit\n")  # fmt: skip
     data = ss.read_telemetry(tmp_path / "t.csv", vehicle)
-    data.sunspin.save(tmp_path / "out")
-    return data, tmp_path / "out" / "telemetry.nc"
+    return vehicle, data, write_netcdf(tmp_path / "telemetry.nc", data)
 
 
-def test_what_a_results_folder_holds_is_read_as_it_was(tmp_path, undrawn):
-    vehicle = parse_vehicle(VEHICLE.format(telemetry='time_column = "t"') + SENSORS, "test")
-    data, path = stored(tmp_path, vehicle)
+def test_what_a_results_folder_holds_is_read_as_it_was(stored):
+    vehicle, data, path = stored
     again = ss.read_telemetry(path, vehicle)
     xr.testing.assert_identical(again.drop_attrs(), data.drop_attrs())
     assert dict(again.attrs) == dict(data.attrs) and again["gyro_B"].values[1].tolist() == [0.0, 0.03, 0.01]
 
 
-def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(tmp_path, undrawn):
-    vehicle = parse_vehicle(VEHICLE.format(telemetry='time_column = "t"') + SENSORS, "test")
-    data, path = stored(tmp_path, vehicle)
-    other = replace(vehicle, panels=tuple(replace(panel, name=f"{panel.name}2") for panel in vehicle.panels))
-    with pytest.raises(ss.TelemetryError, match="not that of this vehicle .found other panels.*vehicle.toml"):
-        ss.read_telemetry(path, other)
+def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(stored):
+    vehicle, data, path = stored
     spoilt = (
+        (data.assign_coords(panel=["a", "c"]), "other panels.*vehicle.toml"),
+        (data.isel(panel=[0]), "1 of panel"),
+        (data.rename(power_W="current_A"), "no power_W"),
         (data.drop_vars("flag"), "no flags"),
         (data.assign(gyro_B=("time", ["a", "b"])), "gyro_B without numbers"),
         (data.assign(power_W=1e300 * data["power_W"]), "power_W without numbers"),
         (data.assign_coords(time=[0.0, np.inf]), "times that are no numbers"),
-        (data.isel(panel=[0]), "1 of panel"),
     )
     for wrong, why in spoilt:
-        wrong.to_netcdf(path, engine="h5netcdf")
-        with pytest.raises(ss.TelemetryError, match=why):
-            ss.read_telemetry(path, vehicle)
+        with pytest.raises(ss.TelemetryError, match=f"not that of this vehicle .found {why}"):
+            stored_telemetry(wrong, vehicle, path)
