@@ -179,18 +179,23 @@ def test_what_a_results_folder_holds_is_read_as_it_was(stored):
     again = ss.read_telemetry(path, vehicle)
     xr.testing.assert_identical(again.drop_attrs(), data.drop_attrs())
     assert dict(again.attrs) == dict(data.attrs) and again["gyro_B"].values[1].tolist() == [0.0, 0.03, 0.01]
+    xr.testing.assert_identical(stored_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data)
 
 
 def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(stored):
     vehicle, data, path = stored
     spoilt = (
         (data.assign_coords(panel=["a", "c"]), "other panels.*vehicle.toml"),
-        (data.isel(panel=[0]), "1 of panel"),
-        (data.rename(power_W="current_A"), "no power_W"),
+        (data.drop_vars("panel"), "other panels"),
+        (data.isel(panel=[0]), "other panels"),
         (data.drop_vars("flag"), "no flags"),
-        (data.assign(gyro_B=("time", ["a", "b"])), "gyro_B without numbers"),
-        (data.assign(power_W=1e300 * data["power_W"]), "power_W without numbers"),
-        (data.assign_coords(time=[0.0, np.inf]), "times that are no numbers"),
+        (data.assign(flag=("time", [0.0, np.nan])), "another form of flag"),
+        (data.assign(gyro_B=("time", ["a", "b"])), "another form of gyro_B"),
+        (data.assign(power_W=("time", [1.0, 1.0])), "another form of power_W"),
+        (data.assign(power_W=1e300 * data["power_W"]), "power_W beyond all measure"),
+        (data.assign_coords(time=[0.0, np.inf]), "no times"),
+        (data.assign_attrs(epoch_utc="never"), "no epoch"),
+        (data[["flag"]], "no flags, or no reading"),
     )
     for wrong, why in spoilt:
         with pytest.raises(ss.TelemetryError, match=f"not that of this vehicle .found {why}"):

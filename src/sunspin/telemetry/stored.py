@@ -2,61 +2,74 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import TelemetryError, sentence
-from sunspin.telemetry.sensors import ABSURD
+from sunspin.base.tables import Table
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
 from sunspin.vehicle import Vehicle
 
 KIND = "telemetry"
 """`attrs["kind"]` of such a file."""
 
+TEXTS = ("epoch_utc", "unused_columns", "missing_sensors")
+"""Attributes that are read as texts."""
+
 
 def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Dataset:
-    """What `read_telemetry` gave when the folder was written, if it is that vehicle's.
+    """What `read_telemetry` gave when the folder was written, if it is that vehicle's; what it never gives is left out.
 
     Raises
     ------
     TelemetryError
         The file belongs to a vehicle with other panels, sensors or wheels, or somebody has changed it.
     """
-    wrong = _wrong(data, vehicle)
-    if wrong:
+    known = _known(vehicle)
+    data = data.drop_vars([name for name in data.variables if name not in known and name not in ("time", "panel", "axis", "phase")])
+    if wrong := _wrong(data, vehicle, known):
         do = "give the vehicle.toml that lies beside it, or the file from which it was read"
         raise TelemetryError(sentence("the stored telemetry is not that of this vehicle", got=wrong, do=do, where=str(path)))
     return data
 
 
-def _wrong(data: xr.Dataset, vehicle: Vehicle) -> str:
+def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
+    """The variables that telemetry of a vehicle may have, of one sample."""
+    columns = sensor_columns(vehicle)
+    of_sensors = read_sensors(vehicle, Table(columns, [["0"] * len(columns)], [1], [], ""))
+    panels = ("time", "panel"), np.zeros((1, len(vehicle.input_names)))
+    found = {"flag": ("time", np.zeros(1, np.uint8)), "received_s": ("time", np.zeros(1)), "panel_temperature_C": panels}
+    return {name: xr.Variable(*form[:2]) for name, form in (found | {vehicle.telemetry.quantity: panels} | of_sensors).items()}
+
+
+def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) -> str:
     """What speaks against it, in words; nothing if it may be used."""
-    quantity = vehicle.telemetry.quantity
-    sizes = {"panel": len(vehicle.input_names), "sun_sensor": len(vehicle.sensors.sun_sensors), "wheel": len(vehicle.wheels)}
-    other = [f"{data.sizes[name]} of {name}" for name, n in sizes.items() if data.sizes.get(name, n) != n]
-    if other:
-        return ", ".join(other)
-    if "panel" in data.sizes and [str(name) for name in _values(data, "panel")] != list(vehicle.input_names):
+    if not all(isinstance(data.attrs.get(name), str) for name in TEXTS) or not _is_utc(data.attrs["epoch_utc"]):
+        return "no epoch, or no word on its columns"
+    time, phase = data.variables.get("time"), data.variables.get("phase")
+    if time is None or time.dims != ("time",) or time.dtype.kind != "f" or not (time.size and (np.abs(time.values) < ABSURD).all()):
+        return "no times, or times that are no numbers"
+    if phase is not None and (phase.dims != ("time",) or phase.dtype.kind not in "UO"):
+        return "phases that are no texts"
+    panels = [str(name) for name in data["panel"].values] if "panel" in data.coords else []
+    if "panel" in data.sizes and panels != list(vehicle.input_names):
         return "other panels"
-    if "panel" in data.sizes and quantity not in data:
-        return f"no {quantity}"
-    if not _is_sound(data, "time") or not np.isfinite(_values(data, "time")).all() or not data.sizes["time"]:
-        return "times that are no numbers"
-    if "flag" not in data or not isinstance(data.attrs.get("epoch_utc"), str):
-        return "no flags, or no epoch"
-    strange = [str(name) for name in data.data_vars if not _is_sound(data, str(name))]
-    return f"{strange[0]} without numbers of a sensible size for each time" if strange else ""
+    if "flag" not in data or len(data.data_vars) == 1:
+        return "no flags, or no reading"
+    for name, one in data.variables.items():
+        form = known.get(str(name))
+        if form is not None and (one.dims != form.dims or one.shape[1:] != form.shape[1:] or one.dtype.kind != form.dtype.kind):
+            return f"another form of {name}"
+        if form is not None and np.any(np.abs(one.values[~np.isnan(one.values)]) > ABSURD):
+            return f"{name} beyond all measure"
+    return ""
 
 
-def _values(data: xr.Dataset, name: str) -> Any:
-    return data[name].values if name in data.variables else np.zeros(0)
-
-
-def _is_sound(data: xr.Dataset, name: str) -> bool:
-    """Whether a variable is a row of numbers for each time, none beyond all measure."""
-    variable = data.variables.get(name)
-    if variable is None or variable.dims[:1] != ("time",) or variable.dtype.kind not in "fiu":
+def _is_utc(text: str) -> bool:
+    try:
+        return datetime.fromisoformat(text.replace("Z", "+00:00")).tzinfo is not None
+    except ValueError:
         return False
-    return not np.any(np.abs(np.nan_to_num(np.asarray(variable.values, dtype=np.float64), posinf=np.inf)) > ABSURD)
