@@ -40,6 +40,9 @@ def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
     """The variables that telemetry of a vehicle may have, of one sample."""
     columns = sensor_columns(vehicle)
     of_sensors = read_sensors(vehicle, Table(columns, [["0"] * len(columns)], [1], [], ""))
+    for name in ("B", "cov_B"):  # this sample does not leave open how to read it, others may
+        if f"sun_sensor_{name}" in of_sensors:
+            of_sensors[f"sun_sensor_other_{name}"] = of_sensors[f"sun_sensor_{name}"]
     panels = ("time", "panel"), np.zeros((1, len(vehicle.input_names)))
     found = {"flag": ("time", np.zeros(1, np.uint8)), "received_s": ("time", np.zeros(1)), "panel_temperature_C": panels}
     return {name: xr.Variable(*form[:2]) for name, form in (found | {vehicle.telemetry.quantity: panels} | of_sensors).items()}
