@@ -1,20 +1,27 @@
 """A scan in two grades: the motions of a coarser grid, then each further one whose place in a set asked for they leave open.
 
-EMD is a smooth function of the initial rates in most of a grid, and rough in connected parts of it: where a motion crosses an unstable
-spin while the wheel runs down, neighbours end up on either side. How rough it is around a motion is seen at the nodes of the coarser grid:
-by how much each differs from the curve through its neighbours. The largest such difference nearby bounds the error of an interpolated
-motion. Whatever is interpolated nearer to a limit than its bound is run, and each scan tries the bounds on motions drawn at random.
+EMD is a smooth function of the initial rates in most of a grid, and rough in connected parts of it: where motions cross an unstable
+spin while the wheel runs down, neighbours end up on either side. How rough it is around a motion is seen at the nodes of the
+coarser grid: by how much each differs from the curve through its neighbours. The largest such difference nearby bounds the error
+of an interpolated motion. What is interpolated nearer to a limit than its bound is run, and each scan tries the bounds on motions
+drawn at random.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
+from sunspin.base.errors import InputError, sentence
+from sunspin.compute.identity import bits
+from sunspin.compute.rows import ensemble
 from sunspin.dynamics.ensemble import Outcome
+from sunspin.estimate.scan.rows import EmdRows
 
 STRIDE = 2
 """The coarser grid has every second motion along each axis. With every fourth first, more was left open in the end: 34 for 21 % of
@@ -23,15 +30,12 @@ the paper's grid were run, for 1.1 times the smallest."""
 FEWEST_POINTS = 9
 """An axis with fewer points is not made coarser: curves go through four neighbours of a node."""
 
-FEWEST_ROWS = 20_000
-"""Smaller scans are exact throughout: trying the bounds would cost as much as they."""
-
 REACH = 2
-"""Roughness is the largest difference of a node within so many nodes along each axis. With one, 300 for 99 of the 363,621 interpolated
-motions of the paper's grid lay beyond their bounds."""
+"""Roughness is the largest difference of a node within so many nodes along each axis. With one, 300 for 99 of the 363,621
+interpolated motions of the paper's grid lay beyond their bounds."""
 
-FLOOR = 2e-3
-"""Added to the roughness: what a few nodes do not show."""
+ROUGHNESS, FLOOR = 1.0, 2e-3
+"""A bound is so many times the roughness and a floor: what a few nodes do not show."""
 
 CLASSES = (4e-3, 8e-3, 16e-3)
 """Bounds at which the classes of interpolated motions part."""
@@ -84,10 +88,17 @@ class Graded:
     def _limits(self) -> list[float]:
         return [*(factor * self._smallest() for factor in self.factors), *self.thresholds]
 
-    def _run(self, chosen: np.ndarray) -> None:
-        index = np.flatnonzero(chosen)
+    def _run(self, chosen: np.ndarray) -> np.ndarray:
+        """Run these motions, and say which lay beyond their bounds: motions near one of those may err as much as it."""
+        index, interpolated, bound = np.flatnonzero(chosen), self.emd.copy(), self.bound
         self.emd.ravel()[index], self.outcome.ravel()[index] = self.run(index)
         self.exact |= chosen
+        error = np.where(chosen, np.abs(self._known() - interpolated), 0.0)
+        beyond = error > bound  # false where either is NaN
+        if beyond.any():
+            nearby = maximum_filter(np.where(beyond, error, 0.0), size=2 * REACH * STRIDE + 1, mode="constant")
+            self.first_bound = np.where(self.exact, self.first_bound, np.maximum(self.first_bound, nearby))
+        return beyond
 
     def _interpolate(self) -> None:
         """Run the coarser grid and interpolate the motions between, with their bounds."""
@@ -101,7 +112,7 @@ class Graded:
             if len(x[k]) < len(axis):
                 emd, rough = _between(emd, k, x[k], axis), _larger(rough, k, x[k], axis)
         self.emd = np.where(self.exact, self.emd, emd)
-        self.first_bound = np.where(self.exact, 0.0, rough + FLOOR)
+        self.first_bound = np.where(self.exact, 0.0, ROUGHNESS * rough + FLOOR)
 
     def _settle(self) -> None:
         """Run what may be the smallest or on either side of a limit, until nothing is: limits fall with the smallest."""
@@ -115,12 +126,11 @@ class Graded:
             self._run(chosen)
 
     def _check(self) -> None:
-        """Try the bounds; those of a class that has a motion beyond are doubled, what that opens is run, and they are tried again."""
+        """Try the bounds; those of a class with a motion beyond are doubled, what that opens is run, and they are tried again."""
         rng, doubtful = np.random.default_rng(0), np.ones(len(self.scale), dtype=bool)
         while doubtful.any():
-            chosen, kind, bound, before = self._sample(rng, doubtful), self._class(), self.bound, self.emd.copy()
-            self._run(chosen)
-            beyond = chosen & ~(np.abs(self._known() - before) <= bound)
+            chosen, kind = self._sample(rng, doubtful), self._class()
+            beyond = self._run(chosen)
             tried, bad = (np.bincount(kind[of], minlength=len(self.scale)) for of in (chosen, beyond))
             self.tried, self.violations, doubtful = self.tried + tried, self.violations + bad, bad > 0
             self.scale[doubtful] *= 2
@@ -136,6 +146,14 @@ class Graded:
                 chosen.ravel()[rng.choice(there, min(CHECKED // len(classes), len(there)), replace=False)] = True
         return chosen
 
+    def reorder(self, places: Sequence[np.ndarray]) -> None:
+        """Put the points of each axis where `places` says."""
+        at = np.ix_(*places)
+        self.axes = [axis[of] for axis, of in zip(self.axes, places, strict=True)]
+        self.emd, self.outcome, self.exact, self.first_bound = (
+            values[at] for values in (self.emd, self.outcome, self.exact, self.first_bound)
+        )
+
     def attributes(self) -> dict[str, Any]:
         """What the result says of the bounds, by class; `violation_share_below` is the 95 % limit of the share beyond them."""
         from scipy.stats import beta
@@ -145,6 +163,51 @@ class Graded:
             "class_from_bound": [0.0, *CLASSES], "class_bound_factor": self.scale.tolist(), "class_tried": self.tried.tolist(),
             "class_violations": self.violations.tolist(), "violation_share_below": beta.ppf(0.95, bad + 1, tried - bad).tolist(),
         }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ChosenRows:
+    """Some rows of a scan, as rows of their own: what a stage of a scan in two grades runs and keeps."""
+
+    rows: EmdRows
+    chosen: np.ndarray
+
+    outputs = EmdRows.outputs
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.chosen)
+
+    def identity(self) -> dict[str, Any]:
+        return self.rows.identity() | {"chosen": bits(self.chosen)}
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        return self.rows(self.chosen[index])
+
+
+def in_two_grades(
+    rows: EmdRows, factors: Sequence[float], thresholds: Sequence[float], store: str | Path | None = None, **settings: Any
+) -> Graded:
+    """The grid of `rows` in two grades, in the order of its axes; `settings` as in :func:`sunspin.compute.rows.ensemble`.
+
+    A `store` gets a folder for each stage, so that other limits find there what they share.
+    """
+    if store is not None and (Path(store) / "zarr.json").exists():
+        raise InputError(sentence("the store is of a scan that runs each motion", do="choose another folder", where=str(store)))
+    start = rows.start
+    axes = (start.omega_x, start.omega_y, start.omega_z)
+    order = [np.argsort(axis) for axis in axes]
+    number = np.arange(rows.n_rows).reshape(start.shape)[np.ix_(*order)].ravel()
+
+    def run(index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        chosen = number[index]
+        folder = None if store is None else Path(store) / bits(chosen)[:16]
+        out = ensemble(ChosenRows(rows, chosen), store=folder, label="scan", **settings)
+        return out["emd"], out["outcome"]
+
+    found = Graded([axis[of] for axis, of in zip(axes, order, strict=True)], factors, thresholds, run)
+    found.reorder([np.argsort(of) for of in order])
+    return found
 
 
 def _nodes(n: int) -> np.ndarray:
