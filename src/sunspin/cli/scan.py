@@ -86,13 +86,14 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     x, y, z = grid(omega_x, "--omega-x"), grid(omega_y, "--omega-y"), grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
         raise InputError(sentence("--factor must exceed 1", got=factor))
-    limits = {} if not interpolate else {"factors": [factor]} if threshold is None else {"thresholds": [threshold]}
     claim(out, "scan")
     volume = run_scan(
         craft, target, track["sun_B"].values[0], x, y, z, speeds or None, float(track["time"].values[-1]),
         wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
         device=device, progress=on_terminal(quiet), mask=None if study.mask == "everywhere" else study.mask,
-        weights=None if metric == "E" else target_weights(study.target_weights, track["time"].values), **limits,
+        weights=None if metric == "E" else target_weights(study.target_weights, track["time"].values),
+        factors=[factor] if interpolate and threshold is None else [],
+        thresholds=[threshold] if interpolate and threshold is not None else [],
     )  # fmt: skip
     found = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
     deliver(found, out, as_json, quiet, made.file, samples, {"seed": seed}, main="scan.nc")

@@ -20,8 +20,11 @@ from scipy.ndimage import maximum_filter
 from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import bits
 from sunspin.compute.rows import ensemble
+from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.ensemble import Outcome
+from sunspin.dynamics.friction import spin_down_speed
 from sunspin.estimate.scan.rows import EmdRows
+from sunspin.vehicle import Wheel
 
 STRIDE = 2
 """The coarser grid has every second motion along each axis. With every fourth first, more was left open in the end: 34 for 21 % of
@@ -34,7 +37,10 @@ REACH = 2
 """Roughness is the largest difference of a node within so many nodes along each axis. With one, 300 for 99 of the 363,621
 interpolated motions of the paper's grid lay beyond their bounds."""
 
-ROUGHNESS, FLOOR = 1.0, 2e-3
+FEWEST_ROWS = 20_000
+"""Of smaller grids each motion is run: to try the bounds of what is interpolated would cost as much."""
+
+ROUGHNESS, FLOOR = 1.25, 3e-3
 """A bound is so many times the roughness and a floor: what a few nodes do not show."""
 
 CLASSES = (4e-3, 8e-3, 16e-3)
@@ -183,6 +189,30 @@ class ChosenRows:
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         return self.rows(self.chosen[index])
+
+
+def applies(rows: EmdRows) -> bool:
+    """Whether a scan may interpolate: many rows, and wheels that slow down.
+
+    Motions near an unstable spin differ from their neighbours. Where wheels keep their momentum these are thin surfaces in the grid, which
+    the coarser one does not see; a wheel that slows down carries them over many points, all of which become rough.
+    """
+    start, vehicle = rows.start, rows.vehicle
+    commands = k.check_commands(vehicle, rows.wheel_mode)
+    given_off = sum(
+        wheel.inertia_kg_m2 * abs(speed - _slowed(wheel, speed, rows.duration_s))
+        for wheel, speed, command in zip(vehicle.wheels, start.wheel_speed_rad_s, commands, strict=True)
+        if command != "hold"
+    )
+    steps = [np.diff(np.sort(axis)).max() for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS]
+    widest = max(steps, default=np.inf) * np.linalg.eigvalsh(vehicle.inertia_kg_m2).max()
+    return rows.n_rows >= FEWEST_ROWS and given_off >= REACH * STRIDE * widest
+
+
+def _slowed(wheel: Wheel, speed_rad_s: float, duration_s: float) -> float:
+    """Speed (rad/s) of a wheel at the end of a run, on a fixed body and by friction alone."""
+    friction = wheel.friction
+    return float(spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, wheel.inertia_kg_m2, speed_rad_s, duration_s))
 
 
 def in_two_grades(

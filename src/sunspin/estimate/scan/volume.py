@@ -35,9 +35,6 @@ MANY_ROWS = 5_000
 """Grids from here on nearly always hold motions near an unstable spin, which are run again by the other method: its kernel is
 compiled beside the first."""
 
-FEWEST_GRADED = 20_000
-"""Of smaller grids each motion is run: to try the bounds of what is interpolated would cost as much."""
-
 GPU_CHUNK = 65_536
 """Rows that a GPU is given at once: 255 registers let one with 132 processors run 33,792. Each takes 1.5 kB of its memory."""
 
@@ -95,8 +92,8 @@ def scan(
         Instead, error wanted (rad) of the simulated Sun's direction at the end; for a track 1e-3 unless given.
     factors, thresholds : lists of numbers, optional
         For EMD, in two grades: which motion is the smallest, and which lie below each factor (above 1) times the smallest and below
-        each threshold, is settled by motions that are run; the others are interpolated. Without any, each motion is run. Grids of
-        fewer than 20,000 motions are run in any case.
+        each threshold, is settled by motions that are run; the others are interpolated. Without any, each motion is run; so are
+        grids of fewer than 20,000 motions, and those whose wheels do not slow down by several steps of the grid's momentum.
     workers : int, optional
         Threads, or worker processes of the scheduler "local"; default one per core.
     store : path, optional
@@ -143,12 +140,13 @@ def scan(
         "workers": workers, "chunk": chunk, "store": store, "scheduler": scheduler, "progress": progress,
     }  # fmt: skip
     count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
-    if limits and isinstance(rows, EmdRows) and n_rows >= FEWEST_GRADED:
-        from sunspin.estimate.scan.grades import in_two_grades  # imports scipy.ndimage, which other scans do not need
+    if limits and isinstance(rows, EmdRows):
+        from sunspin.estimate.scan import grades  # imports scipy.ndimage, which other scans do not need
 
-        found = in_two_grades(rows, factors, thresholds, **settings)
-        result = volume(vehicle, start, name, found.emd, found.outcome, mask, wheel_mode, device, directions=count)
-        return _graded(result, found.exact, found.bound, limits | found.attributes())
+        if grades.applies(rows):
+            found = grades.in_two_grades(rows, factors, thresholds, **settings)
+            result = volume(vehicle, start, name, found.emd, found.outcome, mask, wheel_mode, device, directions=count)
+            return _graded(result, found.exact, found.bound, limits | found.attributes())
     out = ensemble(rows, label="scan", **settings)
     result = volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count)
     return _graded(result, np.ones(start.shape, dtype=bool), np.zeros(start.shape), limits) if limits else result
