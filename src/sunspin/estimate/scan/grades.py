@@ -20,8 +20,7 @@ from scipy.ndimage import maximum_filter
 from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import bits
 from sunspin.compute.rows import ensemble
-from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.ensemble import Outcome
+from sunspin.dynamics.ensemble import Outcome, check_commands
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.estimate.scan.rows import EmdRows
 from sunspin.vehicle import Wheel
@@ -194,18 +193,18 @@ class ChosenRows:
 def applies(rows: EmdRows) -> bool:
     """Whether a scan may interpolate: many rows, and wheels that slow down.
 
-    Motions near an unstable spin differ from their neighbours. Where wheels keep their momentum these are thin surfaces in the grid, which
-    the coarser one does not see; a wheel that slows down carries them over many points, all of which become rough.
+    Motions near an unstable spin differ from their neighbours. Where wheels keep their momentum these are thin surfaces in the
+    grid, which the coarser one does not see; a wheel that slows down carries them over many points, all of which become rough.
     """
     start, vehicle = rows.start, rows.vehicle
-    commands = k.check_commands(vehicle, rows.wheel_mode)
+    commands = check_commands(vehicle, rows.wheel_mode)
     given_off = sum(
         wheel.inertia_kg_m2 * abs(speed - _slowed(wheel, speed, rows.duration_s))
         for wheel, speed, command in zip(vehicle.wheels, start.wheel_speed_rad_s, commands, strict=True)
         if command != "hold"
     )
     steps = [np.diff(np.sort(axis)).max() for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS]
-    widest = max(steps, default=np.inf) * np.linalg.eigvalsh(vehicle.inertia_kg_m2).max()
+    widest = max(steps, default=np.inf) * np.linalg.eigvalsh(np.asarray(vehicle.inertia_kg_m2, dtype=np.float64)).max()
     return rows.n_rows >= FEWEST_ROWS and given_off >= REACH * STRIDE * widest
 
 
