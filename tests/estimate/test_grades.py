@@ -119,7 +119,7 @@ def test_a_set_that_was_not_asked_for_is_refused_where_it_is_open(small):
         near_minimum(found, 1.5)
 
 
-@pytest.mark.parametrize("change", [{"wheel_mode": "hold"}, {"wheel_speed_rad_s": 0.0}, {"duration_s": 60.0}])
+@pytest.mark.parametrize("change", [{"wheel_mode": "hold"}, {"wheel_speed_rad_s": 0.0}, {"duration_s": 60.0}, {"duration_s": 6000.0}])
 def test_where_wheels_do_not_slow_down_each_motion_is_run(small, change):
     start = Start.on_grid(PHILAE, GRID, FIRST_SUN, change.get("wheel_speed_rad_s", 865.0))
     settings = {"duration_s": 2640.0, "wheel_mode": "coast"} | {key: one for key, one in change.items() if "speed" not in key}

@@ -23,7 +23,6 @@ from sunspin.compute.rows import ensemble
 from sunspin.dynamics.ensemble import Outcome, check_commands
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.estimate.scan.rows import EmdRows
-from sunspin.vehicle import Wheel
 
 STRIDE = 2
 """The coarser grid has every second motion along each axis. With every fourth first, more was left open in the end: 34 for 21 % of
@@ -191,27 +190,23 @@ class ChosenRows:
 
 
 def applies(rows: EmdRows) -> bool:
-    """Whether a scan may interpolate: many rows, and wheels that slow down.
+    """Whether a scan may interpolate: many rows, and wheels that slow down all the time.
 
     Motions near an unstable spin differ from their neighbours. Where wheels keep their momentum these are thin surfaces in the
-    grid, which the coarser one does not see; a wheel that slows down carries them over many points, all of which become rough.
+    grid, which the coarser one does not see; a wheel that slows down carries them over many points, all of which become rough. So
+    in each half of the run the wheels must give off what REACH nodes of the coarser grid are apart.
     """
     start, vehicle = rows.start, rows.vehicle
+    given_off = np.zeros(2)
     commands = check_commands(vehicle, rows.wheel_mode)
-    given_off = sum(
-        wheel.inertia_kg_m2 * abs(speed - _slowed(wheel, speed, rows.duration_s))
-        for wheel, speed, command in zip(vehicle.wheels, start.wheel_speed_rad_s, commands, strict=True)
-        if command != "hold"
-    )
-    steps = [np.diff(np.sort(axis)).max() for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS]
-    widest = max(steps, default=np.inf) * np.linalg.eigvalsh(np.asarray(vehicle.inertia_kg_m2, dtype=np.float64)).max()
-    return rows.n_rows >= FEWEST_ROWS and given_off >= REACH * STRIDE * widest
-
-
-def _slowed(wheel: Wheel, speed_rad_s: float, duration_s: float) -> float:
-    """Speed (rad/s) of a wheel at the end of a run, on a fixed body and by friction alone."""
-    friction = wheel.friction
-    return float(spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, wheel.inertia_kg_m2, speed_rad_s, duration_s))
+    for wheel, speed, command in zip(vehicle.wheels, start.wheel_speed_rad_s, commands, strict=True):
+        times, friction = rows.duration_s * np.array([0.0, 0.5, 1.0]), wheel.friction
+        slowed = spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, wheel.inertia_kg_m2, speed, times)
+        given_off += wheel.inertia_kg_m2 * np.abs(np.diff(slowed)) * (command != "hold")
+    axes = [axis for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS]
+    step = max((np.diff(np.sort(axis)).max() for axis in axes), default=np.inf)
+    apart = REACH * STRIDE * step * np.linalg.eigvalsh(vehicle.require_inertia())[-1]
+    return rows.n_rows >= FEWEST_ROWS and bool(np.all(given_off >= apart))
 
 
 def in_two_grades(
