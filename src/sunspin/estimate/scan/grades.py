@@ -115,7 +115,7 @@ class Graded:
         for k, axis in enumerate(self.axes):
             if len(x[k]) < len(axis):
                 emd, rough = _between(emd, k, x[k], axis), _larger(rough, k, x[k], axis)
-        self.emd = np.where(self.exact, self.emd, emd)
+        self.emd = np.where(self.exact, self.emd, np.clip(emd, 0, 1))
         self.first_bound = np.where(self.exact, 0.0, ROUGHNESS * rough + FLOOR)
 
     def _settle(self) -> None:
