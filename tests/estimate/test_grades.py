@@ -4,13 +4,16 @@ import shutil
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.dynamics.ensemble import Outcome
 from sunspin.estimate.scan import grades, volume
+from sunspin.estimate.scan.chosen import stored_near_minimum, with_chosen
 from sunspin.estimate.scan.rows import EmdRows, Start
 from sunspin.estimate.scan.volume import below, near_minimum
+from sunspin.output.kinds.scan import scan_summary
 from vehicles import FIRST_SUN
 
 PHILAE = ss.load_vehicle("philae")
@@ -117,6 +120,16 @@ def test_a_set_that_was_not_asked_for_is_refused_where_it_is_open(small):
     found = scanned(TARGETS[1], factors=[1.1])
     with pytest.raises(InputError, match="leaves open on which side"):
         near_minimum(found, 1.5)
+
+
+def test_what_was_run_is_kept_and_told(small, tmp_path):
+    found = scanned(TARGETS[1], factors=[1.1])
+    with_chosen(found, xr.Dataset(), 1.1, None, 0, 0).to_netcdf(tmp_path / "scan.nc")
+    assert np.array_equal(stored_near_minimum(tmp_path / "scan.nc", 1.1), near_minimum(found, 1.1))
+    with pytest.raises(InputError, match="leaves open on which side"):
+        stored_near_minimum(tmp_path / "scan.nc", 1.5)
+    told = scan_summary(found)
+    assert told.numbers["rows_run"] == int(found["exact"].sum()) and "interpolated; of" in told.lines[1]
 
 
 @pytest.mark.parametrize(
