@@ -129,7 +129,7 @@ def test_what_was_run_is_kept_and_told(small, tmp_path):
     with pytest.raises(InputError, match="leaves open on which side"):
         stored_near_minimum(tmp_path / "scan.nc", 1.5)
     told = scan_summary(found)
-    assert told.numbers["rows_run"] == int(found["exact"].sum()) and "interpolated; of" in told.lines[1]
+    assert told["rows_run"] == int(found["exact"].sum()) and "interpolated; of" in told.lines[1]
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ from sunspin.cli.values import grid, numbers
 @click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
               "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
 @click.option("--interpolate", is_flag=True, help="Run every second motion along each axis, then those whose place in the set "
-              "chosen is open; interpolate the others. For EMD and 20,000 motions or more; 2 to 5 times as fast.")
+              "chosen is open; interpolate the others. For EMD and 20,000 motions or more; 2 to 4 times as fast.")
 @device_option
 @click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
 @store_option()

@@ -25,15 +25,14 @@ from sunspin.dynamics.friction import spin_down_speed
 from sunspin.estimate.scan.rows import EmdRows
 
 STRIDE = 2
-"""The coarser grid has every second motion along each axis. With every fourth first, more was left open in the end: 34 for 21 % of
-the paper's grid were run, for 1.1 times the smallest."""
+"""The coarser grid has every second motion along each axis; docs/decisions.md says why not every fourth first."""
 
 FEWEST_POINTS = 9
 """An axis with fewer points is not made coarser: curves go through four neighbours of a node."""
 
 REACH = 2
-"""Roughness is the largest difference of a node within so many nodes along each axis. With one, 300 for 99 of the 363,621
-interpolated motions of the paper's grid lay beyond their bounds."""
+"""Roughness is the largest difference of a node within so many nodes along each axis; with one, three times as many motions lay
+beyond their bounds."""
 
 FEWEST_ROWS = 20_000
 """Of smaller grids each motion is run: to try the bounds of what is interpolated would cost as much."""
