@@ -193,19 +193,19 @@ def applies(rows: EmdRows) -> bool:
 
     Motions near an unstable spin differ from their neighbours. Where wheels keep their momentum these are thin surfaces in the
     grid, which the coarser one does not see; a wheel that slows down carries them over many points, all of which become rough. So
-    in each half of the run the wheels must give off what REACH nodes of the coarser grid are apart.
+    in each half of the run the wheels must give off more momentum than a motion has REACH nodes of the coarser grid farther on.
     """
     start, vehicle = rows.start, rows.vehicle
-    given_off = np.zeros(2)
+    given_off_B = np.zeros((2, 3))
     commands = check_commands(vehicle, rows.wheel_mode)
     for wheel, speed, command in zip(vehicle.wheels, start.wheel_speed_rad_s, commands, strict=True):
         times, friction = rows.duration_s * np.array([0.0, 0.5, 1.0]), wheel.friction
         slowed = spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, wheel.inertia_kg_m2, speed, times)
-        given_off += wheel.inertia_kg_m2 * np.abs(np.diff(slowed)) * (command != "hold")
+        given_off_B += np.outer(wheel.inertia_kg_m2 * np.diff(slowed) * (command != "hold"), wheel.axis_B)
     axes = [axis for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS]
     step = max((np.diff(np.sort(axis)).max() for axis in axes), default=np.inf)
     apart = REACH * STRIDE * step * np.linalg.eigvalsh(vehicle.require_inertia())[-1]
-    return rows.n_rows >= FEWEST_ROWS and bool(np.all(given_off >= apart))
+    return rows.n_rows >= FEWEST_ROWS and bool(np.all(np.linalg.norm(given_off_B, axis=1) >= apart))
 
 
 def in_two_grades(
