@@ -1,12 +1,15 @@
 """Panel health: allowed patterns, the smallest explanation, and what noise alone may have done."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 import sunspin as ss
-from sunspin.telemetry.health import explanations, noise_alone, noise_made
+from sunspin.telemetry.health import TURNS, explanations, made_by, noise_alone, noise_made
 from sunspin.vehicle import Panel, Vehicle
+from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.response.panels import panel_power
 
 PHILAE = ss.load_vehicle("philae")
@@ -110,6 +113,23 @@ def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
     strict = ss.panel_health(PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
     assert strict["explanations"] == [("1",)] and not noise_made(strict, len(dead))
     assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
+
+
+@pytest.mark.evidence("panel_health", "modelled", "500 samples of panels turned by 1 and by 8 stated sigmas")
+def test_panels_turned_within_their_stated_sigmas_are_not_accused():
+    """The same file is accused where no sigma is stated, and where panels are turned by many."""
+    rng, sun, names = np.random.default_rng(2), random_suns(500, 6), PHILAE.panel_names
+    drawn = replace(PHILAE, facts={})
+    stated = replace(PHILAE, facts={f"panel.{name}.normal_B": Fact((0.0, 0.0, 0.0), 0.03) for name in names})
+    across = np.cross(rng.normal(size=(6, 3)), PHILAE.panel_normals_B)
+    across *= 0.03 / np.linalg.norm(across, axis=1, keepdims=True)
+    for sigmas, accused in ((1, False), (8, True)):
+        power = drawn.response_in().power(sun, tilt=np.broadcast_to(sigmas * across, (500, 6, 3)))
+        noisy = np.maximum(power + 0.2 * rng.normal(size=power.shape), 0.0)
+        as_drawn, found = (ss.panel_health(craft, noisy, noise=0.2, lit_threshold=0.6) for craft in (drawn, stated))
+        assert as_drawn["impossible"] == found["impossible"] and made_by(as_drawn, 500) == ""
+        assert made_by(found, 500) == ("" if accused else TURNS)
+        assert bool(found["explanations"]) <= accused and np.isnan(as_drawn["turned"].values).all()
 
 
 def test_the_probability_of_a_pattern_is_its_share_under_that_sun():

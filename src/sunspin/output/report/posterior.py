@@ -151,14 +151,14 @@ def _cloud(draws: Draws) -> Plot:
     for k, (number, share) in enumerate(chosen):
         at = np.flatnonzero(draws.region == number)
         at = at[thin(at.size, MOST // len(chosen))]
-        x, y, z = draws.omega[at].T
+        x, y, z = np.degrees(draws.omega[at]).T
         data.append({
             "type": "scatter3d", "mode": "markers", "x": packed(x), "y": packed(y), "z": packed(z), "showlegend": True,
             "name": f"region {number + 1}, weight {share:.2g}",
             "marker": {"size": 3, "color": COLOURS[k], "symbol": SYMBOLS[k % 4]},
         })  # fmt: skip
     layout: dict[str, Any] = {
-        "scene": {f"{d}axis": {"title": {"text": f"ω{d} (rad/s)"}, "showspikes": False} for d in "xyz"},
+        "scene": {f"{d}axis": {"title": {"text": f"ω{d} (deg/s)"}, "showspikes": False} for d in "xyz"},
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
     return Plot(

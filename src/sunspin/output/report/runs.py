@@ -29,8 +29,9 @@ def rates(results: Results) -> Section | None:
             speed, at_s = ("", "") if mode else (rate.speed, utc_text(rate.at_s, results.epoch_utc))
             if not mode:  # of the others only the mean over the pass is kept
                 mean, sigma = rate.omega, rate.sigma
+            begin = utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True)
             rows.append([
-                str(k + 1), utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True), str(at.size), str(mode + 1),
+                str(int(found["pass_id"].values[k])), begin, str(at.size), str(mode + 1),
                 f"{weight[mode]:.3f}", speed, at_s or "mean of the pass",
                 *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), said[k],
             ])  # fmt: skip
@@ -54,6 +55,8 @@ def _rests_on(results: Results, found: xr.Dataset) -> Table:
     samples = s.get("samples")
     for text, count in samples.items() if isinstance(samples, dict) else ():
         rows.append(["samples", f"{count} {text}"])
+    if isinstance(silent := s.get("panels_left_out"), list) and silent:
+        rows.append(["panels left out, as they never read anything", ", ".join(map(str, silent))])
     return Table(["what", "value"], rows, "What the rates rest on")
 
 
