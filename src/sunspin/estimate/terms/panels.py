@@ -114,8 +114,8 @@ class Panels(SunTerm):
     @property
     def left_out(self) -> tuple[str, ...]:
         """Panels (inputs) that count in no sample: dead, or never in the Sun."""
-        silent = np.isinf(self.dark_sigma).all(axis=0)
-        return () if silent.all() else tuple(name for name, is_out in zip(self.names, silent, strict=True) if is_out)
+        silent = np.flatnonzero(np.isinf(self.dark_sigma).all(axis=0))
+        return tuple(self.names[k] for k in silent) if len(silent) < len(self.names) else ()
 
     def _differing(self) -> Self:
         """For the search: of two opposite panels only their difference, good to what no beam explains."""

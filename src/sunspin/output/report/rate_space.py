@@ -14,7 +14,7 @@ from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.output.kinds.scan import DIMS, chosen
 from sunspin.output.report.drawn import item
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, packed, thin
+from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, camera, packed, thin
 from sunspin.output.text import counted, number_text
 
 PRINTED = "scan_published_lines"
@@ -70,7 +70,7 @@ def lines(results: Results) -> Section | None:
     layout = {
         "scene": {
             **{f"{d[-1]}axis": {**axis, "title": {"text": f"ω{d[-1]} (rad/s)"}} for d in DIMS}, "aspectmode": "data",
-            "camera": {"eye": {"x": 1.15, "y": 1.5, "z": 0.7}},
+            "camera": camera(1.4, 1.85, 0.85),
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip

@@ -10,7 +10,7 @@ from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table, utc_text
-from sunspin.output.text import with_sigma
+from sunspin.output.text import number_text, with_sigma
 
 
 def rates(results: Results) -> Section | None:
@@ -60,8 +60,15 @@ def _rests_on(results: Results, found: xr.Dataset) -> Table:
     return Table(["what", "value"], rows, "What the rates rest on")
 
 
+END = {"omega_B": "body rate (rad/s)", "sun_B": "direction to the Sun, body axes", "wheel_speed_rad_s": "wheel speeds (rad/s)"}
+"""What `simulate` says of the last instant, by its key in the summary."""
+
+
 def trajectory(results: Results) -> Section | None:
     """Rates and wheel speeds of simulated motions that are no candidates of a study."""
     if not any(not name.startswith("motion-") for name, _ in results.having("omega_B", "momentum_B", "wheel_speed_rad_s")):
         return None
-    return Section("trajectory", "Rates and wheel speeds", [], [*drawn(results, "trajectory")])
+    s = results.summary
+    rows = [[what, number_text(s[key])] for key, what in END.items() if isinstance(s.get(key), list) and s[key]]
+    end = [Table(["what", "components"], rows, f"At the end, after {number_text(s.get('t_s'))} s")] if rows else []
+    return Section("trajectory", "Rates and wheel speeds", [], [*drawn(results, "trajectory"), *end])
