@@ -115,23 +115,23 @@ def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
     assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
 
 
-@pytest.mark.evidence("panel_health", "modelled", "500 samples of panels turned by their stated sigma; one of them dead")
+@pytest.mark.evidence("panel_health", "modelled", "300 samples of panels turned within their stated sigmas; one of them dead")
 def test_panels_turned_within_their_stated_sigmas_are_not_accused():
-    """The same file is accused where no sigma is stated; and a panel that is dead, whatever the sigmas."""
-    rng, sun = np.random.default_rng(2), random_suns(500, 6)
-    drawn = replace(PHILAE, facts={})
-    stated = replace(PHILAE, facts={f"panel.{name}.normal_B": Fact((0.0, 0.0, 0.0), 0.03) for name in PHILAE.panel_names})
-    tilt = np.cross(rng.normal(size=(6, 3)), PHILAE.panel_normals_B)
-    tilt *= 0.03 / np.linalg.norm(tilt, axis=1, keepdims=True)
-    power = drawn.response_in().power(sun, tilt=np.broadcast_to(tilt, (500, 6, 3)))
-    noisy = np.maximum(power + SIGMA / 10 * rng.normal(size=power.shape), 0.0)
-    options = {"noise": SIGMA / 10, "lit_threshold": 0.4 * SIGMA}
-    as_drawn, found = (ss.panel_health(craft, noisy, **options) for craft in (drawn, stated))
+    """Opposite panels that lean to one side are lit together. The same file is accused where no sigma is stated, and a dead panel
+    is named whatever the sigmas."""
+    normals = np.vstack([np.eye(3), -np.eye(3), np.ones(3) / np.sqrt(3)])
+    drawn = Vehicle("box", panels=[Panel("xyzXYZd"[k], normal, 100.0) for k, normal in enumerate(normals)])
+    stated = replace(drawn, facts={f"panel.{panel.name}.normal_B": Fact((0.0, 0.0, 0.0), 0.03) for panel in drawn.panels})
+    tilt = np.zeros((300, 7, 3))
+    tilt[:, 0, 1], tilt[:, 3, 1] = -0.05, 0.05  # x and X lean towards z
+    power = drawn.response_in().power(random_suns(300, 6), tilt=tilt)
+    noisy = np.maximum(power + 0.3 * np.random.default_rng(2).normal(size=power.shape), 0.0)
+    as_drawn, found = (ss.panel_health(craft, noisy, noise=0.3, lit_threshold=1.5) for craft in (drawn, stated))
     assert as_drawn["impossible"] and as_drawn["impossible"] == found["impossible"]
-    assert (made_by(as_drawn, 500), made_by(found, 500)) == ("", TURNS)
+    assert (made_by(as_drawn, 300), made_by(found, 300)) == ("", TURNS)
     assert found["explanations"] == [] and np.isnan(as_drawn["turned"].values).all()
-    dead = ss.panel_health(stated, noisy * [0, 1, 1, 1, 1, 1], **options)
-    assert (made_by(dead, 500), dead["explanations"]) == ("", [("1",)])
+    dead = ss.panel_health(stated, noisy * [1, 1, 1, 1, 1, 1, 0], noise=0.3, lit_threshold=1.5)
+    assert (made_by(dead, 300), dead["explanations"]) == ("", [("d",)])
 
 
 def test_the_probability_of_a_pattern_is_its_share_under_that_sun():
