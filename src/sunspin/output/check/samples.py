@@ -111,7 +111,7 @@ def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     clear = 180 / usual
     near = gaps[gaps < 6 * usual]
     jitter = float(np.std(near) / usual)
-    lines = [f"  sampling: rates up to {clear:.3g} deg/s are told without doubt about whole turns between samples"]
+    lines = [f"  sampling: rates up to {clear:.3g} deg/s can be determined unambiguously (half a turn between samples)"]
     if jitter < 0.02:
         lines.append(f"  the samples are evenly spaced: a rate and one that differs by {360 / usual:.3g} deg/s look alike")
     return {"clear_rate_deg_s": clear, "relative_jitter": jitter}, lines
