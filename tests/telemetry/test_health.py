@@ -130,7 +130,8 @@ def test_panels_turned_within_their_stated_sigmas_are_not_accused():
     assert as_drawn["impossible"] and as_drawn["impossible"] == found["impossible"]
     assert (made_by(as_drawn, 300), made_by(found, 300)) == ("", TURNS)
     assert found["explanations"] == [] and np.isnan(as_drawn["turned"].values).all()
-    dead = ss.panel_health(stated, noisy * [1, 1, 1, 1, 1, 1, 0], noise=0.3, lit_threshold=1.5)
+    whole = drawn.response_in().power(random_suns(300, 6)) * [1, 1, 1, 1, 1, 1, 0]
+    dead = ss.panel_health(stated, whole, noise=0.3, lit_threshold=1.5)
     assert (made_by(dead, 300), dead["explanations"]) == ("", [("d",)])
 
 
