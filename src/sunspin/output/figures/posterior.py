@@ -66,7 +66,7 @@ def search_figure(tree: Any) -> Figure:
     left.set_ylabel("hypotheses")
     left.legend(fontsize=8)
     right.plot(sampling["log_evidence"].values, "o-", color=COLOURS[0])
-    right.set_xlabel("round of sampling; share of effective draws; Pareto's k")
+    right.set_xlabel("round, effective share, Pareto's k")
     right.set_ylabel("log evidence")
     rounds = np.arange(sampling.sizes["round"])[:: max(1, -(-sampling.sizes["round"] // MOST_ROUNDS))]
     shares, tails = sampling["effective_share"].values[rounds], sampling["pareto_k"].values[rounds]

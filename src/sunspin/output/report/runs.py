@@ -10,7 +10,7 @@ from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table, utc_text
-from sunspin.output.text import number_text, with_sigma
+from sunspin.output.text import number_text, rate_text, with_sigma
 
 
 def rates(results: Results) -> Section | None:
@@ -60,7 +60,10 @@ def _rests_on(results: Results, found: xr.Dataset) -> Table:
     return Table(["what", "value"], rows, "What the rates rest on")
 
 
-END = {"omega_B": "body rate (rad/s)", "sun_B": "direction to the Sun, body axes", "wheel_speed_rad_s": "wheel speeds (rad/s)"}
+END = {
+    "omega_B": ("body rate", rate_text), "sun_B": ("direction to the Sun, body axes", number_text),
+    "wheel_speed_rad_s": ("wheel speeds (rad/s)", number_text),
+}  # fmt: skip
 """What `simulate` says of the last instant, by its key in the summary."""
 
 
@@ -69,6 +72,6 @@ def trajectory(results: Results) -> Section | None:
     if not any(not name.startswith("motion-") for name, _ in results.having("omega_B", "momentum_B", "wheel_speed_rad_s")):
         return None
     s = results.summary
-    rows = [[what, number_text(s[key])] for key, what in END.items() if isinstance(s.get(key), list) and s[key]]
+    rows = [[what, text(s[key])] for key, (what, text) in END.items() if isinstance(s.get(key), list) and s[key]]
     end = [Table(["what", "components"], rows, f"At the end, after {number_text(s.get('t_s'))} s")] if rows else []
     return Section("trajectory", "Rates and wheel speeds", [], [*drawn(results, "trajectory"), *end])
