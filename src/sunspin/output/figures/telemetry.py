@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import ABOVE, COLOURS, named, titled
+from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, named, titled
 from sunspin.telemetry.sun import STATUS_TEXT, SunStatus
 
 MOST_JOINED = 80
@@ -125,7 +125,8 @@ def sun_directions_figure(
         at = float(place.x(np.asarray(second / 3600)))
         for axes in parts:
             axes.axvline(at, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
-        low.text(at, 20 / 4 ** (k % 3), f" {event}", fontsize=7, va="center", ha="right" if k % 2 == 0 and k else "left")
+        low.text(at, 20 / 4 ** (k % 3), f" {event}", fontsize=7, va="center", ha="right" if k % 2 == 0 and k else "left",
+                 bbox=ON_PAPER)  # fmt: skip
     return figure
 
 
