@@ -266,6 +266,7 @@ def _times(
         moments = [moment for moment in parsed if moment is not None]
         if len(moments) < len(parsed):
             raise bad(parsed.index(None))
+        _one_clock(cells, table, path, form)
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
     numbers = np.array([_number(cell) for cell in cells]) * form.time_scale_s
@@ -279,6 +280,20 @@ def _times(
         return numbers, fixed
     epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
+
+
+def _one_clock(cells: list[str], table: Table, path: Path, form: TelemetryForm) -> None:
+    """Refuse times with a zone other than UTC beside times without any: of the latter nobody knows whether they are UTC."""
+    zones = [re.search(r":.*([+-]\d\d:?\d\d|Z|UTC|GMT)$", cell.strip()) for cell in cells]
+    local = any(zone and zone[1].strip("+-:0") not in ("", "Z", "UTC", "GMT") for zone in zones)
+    if local and None in zones:
+        i = zones.index(None)
+        raise TelemetryError(
+            sentence(
+                "other times of this file have a time zone and this one has none", got=cells[i],
+                do="give each its zone, or Z for UTC", where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
+            )
+        )  # fmt: skip
 
 
 def _in_order(

@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_note, vector
-from sunspin.output.text import counted
+from sunspin.output.text import counted, rate_text
 
 DIMS = ("omega_x", "omega_y", "omega_z")
 DEFAULT_FACTOR = 1.1
@@ -42,7 +42,7 @@ def scan_summary(scan: Any) -> Summary:
     against = f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
     near = f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}"
     lines = [
-        f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {vector(best)} rad/s; "
+        f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {rate_text(best)}; "
         f"{counted(len(points), 'point')} {near}"
     ]
     if "exact" in volume.coords:
@@ -66,7 +66,7 @@ def lines_summary(lines: Any) -> Summary:
         {"point": p.tolist(), "direction": d.tolist(), "points": int(c)}
         for p, d, c in zip(lines["point"].values, lines["direction"].values, lines["count"].values, strict=True)
     ]
-    text = [f"  line through {vector(x['point'])} along {vector(x['direction'])}" for x in found]
+    text = [f"  line through {vector(x['point'])} rad/s along {vector(x['direction'])}" for x in found]
     return Summary({"lines": found}, text)
 
 
