@@ -138,6 +138,8 @@ def test_a_gyro_is_calibrated_by_rates_found_without_it():
         sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
         off.append((fit.values - [0.01, -0.02, 0.005, 1.04]) / sigma)
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(off))) < 1.5 and fit.passes == 8
+    found["decided"][2:] = False
+    assert fit_gyro(gyro, data, found) is None, "two passes do not show how far off their rates are"
 
 
 @pytest.mark.evidence("calibrate_sensors", "modelled", "a gyro off by a known zero and scale, from telemetry to the file's keys")

@@ -16,7 +16,8 @@ SCALE_SIGMA = 0.2
 STUDENT, ROUNDS = 4.0, 8
 
 FEWEST_PASSES = 3
-"""With fewer passes their scatter says nothing of the errors."""
+"""With fewer passes nothing shows the errors of their rates: a torque fitted to one pass of five samples, where there was none,
+made its gyro's scale 2.6 times as large as it was, with a sigma of 0.6."""
 
 
 class GyroFit(NamedTuple):
@@ -32,7 +33,7 @@ class GyroFit(NamedTuple):
 
 
 def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | None:
-    """Fit to the passes of `found` (a result of `rates` without the gyro) in which one motion is decided; None where there is none.
+    """Fit to the passes of `found` (a result of `rates` without the gyro) that are decided; None where there are too few.
 
     The error of a pass's rate is taken as common to its samples, as smoothing leaves it, beside the noise of each reading.
     """
@@ -41,7 +42,7 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | 
     read = telemetry["gyro_B"].values[at]
     decided = found["decided"].values[found["pass_of"].values]
     use = np.isfinite(read).all(axis=1) & decided & (telemetry["time"].values[at] == found["time"].values)
-    if not use.any():
+    if len(np.unique(found["pass_of"].values[use])) < FEWEST_PASSES:
         return None
     rate, cov, pass_of = found["omega_B"].values[use], found["omega_cov_B"].values[use], found["pass_of"].values[use]
     read = read[use]
@@ -63,9 +64,8 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | 
         covariance = np.linalg.inv(model)
         value = covariance @ right
         more *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), 0.5, 3.0))
-    meat = scores.T @ scores * len(passes) / max(len(passes) - 1, 1) + np.diag(prior**-2.0)
-    robust = covariance @ meat @ covariance if len(passes) >= FEWEST_PASSES else covariance
-    return GyroFit(value, covariance, robust, prior, int(use.sum()), len(passes))
+    meat = scores.T @ scores * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
+    return GyroFit(value, covariance, covariance @ meat @ covariance, prior, int(use.sum()), len(passes))
 
 
 def _whitened(

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import InputError, MotionError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
+from sunspin.estimate.calibrate.gyro import FEWEST_PASSES, GyroFit, fit_gyro
 from sunspin.estimate.orbit.check import Verdict, check_orbit, start_of
 from sunspin.estimate.orbit.sensor_calibration import FEWEST, SUN_KEYS, Calibration, Readings, fit_in_orbit, priors, readings
 from sunspin.estimate.rates.estimate import rates
@@ -267,7 +267,7 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: b
         return []
     fit = fit_gyro(gyro, telemetry, found)
     if fit is None:
-        notes.append("gyro: not determined, as without it no pass is decided")
+        notes.append(f"gyro: not determined, as without it fewer than {FEWEST_PASSES} passes are decided")
         return []
     notes.append(f"gyro: compared with {fit.passes} passes that are decided without it")
     return _gyro_keys(gyro, fit)
