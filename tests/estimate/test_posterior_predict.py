@@ -15,7 +15,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import intervals, predict
-from sunspin.landing.afterwards import predicted
+from sunspin.landing.predictions import predicted
 from sunspin.vehicle import Friction
 
 TOUCHDOWN, COLLISION, LATER = 25143.98, 27900.0, 31800.0
@@ -98,7 +98,7 @@ def test_another_vehicle_is_refused(craft):
 
 def test_it_is_written_drawn_and_told(craft, tmp_path):
     from sunspin.cli.values import times
-    from sunspin.landing.afterwards import with_predictions
+    from sunspin.landing.predictions import with_predictions
     from sunspin.output.figures.predicted import predicted_figure
     from sunspin.output.kinds.posterior import predictions_summary
 
@@ -109,7 +109,7 @@ def test_it_is_written_drawn_and_told(craft, tmp_path):
     told = predictions_summary(tree["predictions"].to_dataset())
     assert len(told["predicted"]) == 30 and json.dumps(told)
     text = str(told)
-    assert "at 2014-11-12T17:25 UTC, after the collision" in text and "angular speed 0.48" in text
+    assert "at 2014-11-12T17:25 UTC, after the collision" in text and "angular speed 27." in text
     figure = predicted_figure(tree["predictions"].to_dataset(), list(asked.values()))
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 12
     with pytest.raises(InputError, match="no epoch"):

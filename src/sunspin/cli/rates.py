@@ -11,8 +11,9 @@ from sunspin.cli.common import claim, data_option, deliver, on_terminal, output_
 from sunspin.cli.orbit import orbit_options
 from sunspin.cli.values import between, period_option, periods_of
 from sunspin.cli.values import effort as effort_given
+from sunspin.vehicle.sensors import VARIABLES
 
-UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
+UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
 
 
@@ -78,6 +79,6 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
         periods=evidence, effort=effort, workers=worker_count(workers), progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)
-    doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}
-    lines = [*(line for line in lines if "WRONG UNIT" in line), *orbit_lines]
+    doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
+    lines = [*(line for line in lines if "WRONG" in line), *orbit_lines]
     deliver(result, out, as_json, quiet, vehicle, samples, also=doubted | orbit_summary, lines=lines)

@@ -34,13 +34,13 @@ from sunspin.estimate.posterior.hypotheses import (
     others,
     searched,
 )
+from sunspin.estimate.posterior.importance import Known, resampled, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
-from sunspin.estimate.posterior.widths import resampled, sample
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
@@ -189,15 +189,15 @@ def posterior(
 
 
 def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, first: Sampled | None = None) -> list[Sampled]:
-    """The posteriors under hypotheses, about their modes; the others than the `first` have their bends from it."""
+    """The posteriors under hypotheses, about their modes; the others than the `first` may learn from its draws."""
     made = []
     for one in every:
-        bent, least = None, -np.inf
+        known, least = None, -np.inf
         if first is not None:
             pairs = zip(first.hypothesis.likelihood.model.unknowns, one.likelihood.model.unknowns, strict=False)
-            bent = first.drawn.bent.counted_in(np.array([wider.sigma / own.sigma for own, wider in pairs]))
+            known = Known(first.drawn, np.array([wider.sigma / own.sigma for own, wider in pairs]))
             least = first.drawn.evidence - one.log_prior + np.log(LOST)
-        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, bent, least)
+        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, known, least)
         made.append(Sampled(one, draws))
     return made
 
@@ -347,7 +347,7 @@ def _judge(
     if likeliest != STATED:
         text += f"; the readings ask for {likeliest} (weight {weight:.2f})"
     if word == "not explained":
-        text += f"; rates up to {tree.attrs['searched_rate_rad_s']:.3g} rad/s were searched"
+        text += f"; rates up to {np.degrees(tree.attrs['searched_rate_rad_s']):.3g} deg/s were searched"
     tree.attrs |= {
         "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
         "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,

@@ -72,14 +72,6 @@ class Table:
 
 
 @dataclass
-class Text:
-    """Paragraphs."""
-
-    paragraphs: Sequence[str]
-    kind: str = "text"
-
-
-@dataclass
 class Special:
     """A part with a template of its own: `kind` names it, `content` is its data for the template, `data` for the script."""
 
@@ -96,6 +88,11 @@ class Section:
     title: str
     lead: Sequence[str] = ()
     items: list[Any] = field(default_factory=list)
+
+
+def camera(x: float, y: float, z: float) -> dict[str, Any]:
+    """Where a plot in space is seen from, with room below for the names of its axes."""
+    return {"eye": {"x": x, "y": y, "z": z}, "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
 def packed(values: Any, dtype: str = "f4") -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
-from sunspin.telemetry.health import named_panels
+from sunspin.telemetry.health import NOISE, named_panels
 from sunspin.telemetry.sun import is_reconstructed
 
 SETS = 8
@@ -36,7 +36,7 @@ def telemetry_summary(samples: Any) -> Summary:
 
 
 def telemetry_drawings(samples: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import signals_figure
+    from sunspin.output.figures.telemetry import signals_figure
 
     if "panel" in samples.coords:
         yield Drawing(
@@ -74,7 +74,7 @@ def status_lines(sun: Any) -> list[str]:
 
 
 def sun_drawings(sun: Any, beside: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import sun_directions_figure
+    from sunspin.output.figures.telemetry import sun_directions_figure
 
     if "time" not in sun.coords:
         return
@@ -115,7 +115,7 @@ def quality_summary(quality: Any) -> Summary:
 
 
 def quality_drawings(quality: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import gains_figure
+    from sunspin.output.figures.telemetry import gains_figure
 
     yield Drawing(
         "panel-quality", lambda: gains_figure(quality), "Gain of each panel with its error bar.",
@@ -148,8 +148,9 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
     often = sorted(numbers["impossible"].items(), key=lambda one: -one[1])
     seen = ", ".join(f"{pattern} ({n})" for pattern, n in often[:SETS])
     seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
-    if numbers.get("noise_made"):
-        return [f"  sets of lit panels that the Sun cannot light, as noise alone makes them: {seen}"]
+    if made_by := numbers.get("made_by"):
+        verb = "makes" if made_by == NOISE else "make"
+        return [f"  sets of lit panels that the Sun cannot light, as {made_by} {verb} them: {seen}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
     why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
     chance = numbers["noise_probability"]
@@ -160,7 +161,7 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
 
 
 def health_drawings(health: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import health_figure
+    from sunspin.output.figures.telemetry import health_figure
 
     yield Drawing(
         "panel-health", lambda: health_figure(health),

@@ -46,6 +46,7 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
         "frame_N": SUN_Z_LOCAL,
+        "panels_left_out": ", ".join(name for x in o.terms if isinstance(x, Panels) for name in x.left_out),
     }  # fmt: skip
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
@@ -200,7 +201,7 @@ def _seen_alone(result: xr.Dataset) -> str:
             "; the magnetometer was used WITHOUT AN ORBIT: the Sun and the attitude in space are not known, a turn about the field "
             "is seen only through the motion, and the field itself turns by some 0.1 deg/s, which the sigmas contain"
         )
-    if any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
+    if any(result.attrs[f"{sensor.name}_used"] for sensor in SENSORS):
         return ""
     text = "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     if result.attrs["no_sphere"]:
