@@ -1,5 +1,6 @@
 """Rows on a Dask cluster: the same bits, also when a worker is killed; nothing listens to the outside; plain refusals."""
 
+import asyncio
 import logging
 import os
 import signal
@@ -94,6 +95,31 @@ def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
         killer.join()
     assert victim not in client.run(os.getpid).values()
     assert same(ensemble(ROWS, store=store))
+
+
+def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypatch):
+    """The result is here and its state is not asked for yet: Dask's own executor takes the state that follows for the outcome."""
+    gather, states = distributed.Client._gather, []
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+
+        async def die_after(self, futures, **options):
+            result = await gather(self, futures, **options)
+            if not states:
+                (task,) = futures
+                (holder,) = (worker for worker in cluster.workers.values() if task.key in worker.data)
+                await holder.close()
+                while task.status == "finished":
+                    await asyncio.sleep(0)
+                states.append(task.status)
+            return result
+
+        monkeypatch.setattr(distributed.Client, "_gather", die_after)
+        rows = Waves(n_rows=1000, seconds_per_row=2e-4)  # longer than the news of a loss takes
+        assert same(ensemble(rows, scheduler=client, chunk=500))
+    assert states == ["lost"]
 
 
 def test_few_chunks_are_in_flight(client, monkeypatch):

@@ -158,6 +158,13 @@ def test_eclipse_lasts_as_long_as_the_shadow_is_wide():
     assert part[0] == 1.0 and part[len(part) // 2] == 0.0 and part.min() >= 0 and part.max() <= 1
 
 
+def test_the_shadow_is_as_flat_as_the_earth():
+    """Two kilometres inside and outside the limb of WGS 84: the polar radius is 21.4 km shorter than that of the equator."""
+    pole = 6_356_752.3
+    behind = np.array([[-1e5, 0, pole - 2e3], [-1e5, 0, pole + 2e3], [-1e5, EQUATOR_M - 2e3, 0], [-1e5, EQUATOR_M + 2e3, 0]])
+    assert lit(behind, np.array([[1.495978707e11, 0, 0]])).tolist() == [0, 1, 0, 1]
+
+
 def test_light_of_the_full_earth_is_the_closed_form():
     """Far away over the noon point the Earth is a Lambert sphere at full phase: 2/3 albedo (R / d)^2."""
     d = 1e10

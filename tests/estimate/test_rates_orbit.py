@@ -113,7 +113,7 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
 @pytest.mark.parametrize(
     ("i", "without"),
     [
-        pytest.param(13, (MagneticTorque, "beside", lambda noise: MagneticTorque(0.0)), id="torque"),
+        pytest.param(13, (MagneticTorque, "beside", lambda noise, field_N: MagneticTorque(0.0)), id="torque"),
         pytest.param(8, (Magnetometer, "freed", lambda self, t_s: self), id="field", marks=pytest.mark.slow),
     ],
 )

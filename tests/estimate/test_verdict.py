@@ -1,7 +1,10 @@
 """What may be believed of an estimate: three questions, one function. The passes are simulated."""
 
+import itertools
+
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from sunspin.estimate.passes import PassMotions, speeds, table
 from sunspin.estimate.verdict import Misfit, answers, in_sigma, misfit
@@ -41,6 +44,16 @@ def test_spikes_are_forgiven_and_runs_are_not():
     together[40:46] = 9.0
     assert misfit(strewn).fits and not misfit(together).fits
     assert misfit(strewn).share == misfit(together).share == pytest.approx(0.06)
+
+
+def test_the_chance_of_few_runs_is_that_of_all_arrangements():
+    """Five of ten far off, in all 252 orders: mean and variance of their runs, and the chance of two by the normal law."""
+    runs = []
+    for far in itertools.combinations(range(10), 5):
+        beyond = np.isin(np.arange(10), far)
+        runs.append(1 + np.count_nonzero(beyond[1:] != beyond[:-1]))
+    expected = norm.cdf((2 - np.mean(runs)) / np.std(runs))
+    assert misfit(np.repeat([1.0, 9.0], 5)).chance == pytest.approx(expected, rel=1e-12)
 
 
 def test_too_many_far_off_fit_nothing_however_they_are_strewn():

@@ -101,6 +101,15 @@ def test_without_turning_the_lowest_point_touches_at_its_own_time():
     np.testing.assert_allclose(found.t_s, 60 - reach / 0.1, atol=0.2 / c.REFINE + 1e-9)
 
 
+def test_the_rate_at_the_contact_is_that_of_its_time():
+    """About the ground's normal, growing evenly: at 0.01 rad/s2 the rate is a hundredth of the time."""
+    shape, t = box(), np.linspace(0, 60, 7)
+    up = np.broadcast_to([0.0, 0.0, 1.0], (1, 7, 3))
+    found = c.first_contact(shape, t, up, 0.01 * t[:, None] * up, np.array([0.1]))
+    assert found.t_s[0] == pytest.approx(30.0, abs=10 / c.REFINE)  # half a side of 3 m at 0.1 m/s
+    np.testing.assert_allclose(found.omega_B[0], [0, 0, 0.01 * found.t_s[0]], atol=1e-12)
+
+
 @pytest.mark.evidence("outcomes", "verified", "a dense search in time")
 def test_a_turning_rod_touches_where_a_dense_search_says():
     """Height of the centre v (T - t) against L |cos(angle)|, the angle growing at a constant rate."""

@@ -6,6 +6,7 @@ import pytest
 import sunspin as ss
 from sunspin.dynamics.ensemble import Rows
 from sunspin.landing.flight import carry, fly, legs_of, sun_height_shares
+from sunspin.vehicle import Friction, Vehicle, Wheel
 from vehicles import FIRST_SUN
 
 SUN = FIRST_SUN / np.linalg.norm(FIRST_SUN)
@@ -73,6 +74,16 @@ def test_shares_of_time_are_those_of_a_dense_track_and_sum_to_one():
         run = ss.propagate(vehicle, start.omega_B[i], SUN, 865.0, t, wheel_mode=list(SCHEDULES["delayed"]), rtol=1e-9)
         dense = np.histogram(run["sun_B"].values[:, 2], 80, (-1, 1))[0] / t.size
         assert np.abs(np.cumsum(share[i]) - np.cumsum(dense)).max() < 0.01
+
+
+def test_shares_of_time_count_each_leg_by_its_length():
+    """At rest for 700 s with the wheel held; friction then turns the body about x by torque t^2 / (2 inertia) for 300 s more."""
+    wheel = Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 0.0))
+    craft = Vehicle("wheel on x", np.diag([3.0, 2.5, 2.0]), wheels=[wheel])
+    start = Rows(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([[100.0]]))
+    share, _ = sun_height_shares(craft, start, SCHEDULES["delayed"], 0.0, 1000.0, 80)
+    moved = np.sqrt(2 * (3.0 - 0.01) * np.arccos(1 - 2 / 80) / 1e-4)  # s until r_z leaves the highest bin
+    assert share[0, -1] == pytest.approx((700 + moved) / 1000, abs=0.01)
 
 
 def test_legs_of_a_schedule():

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -202,6 +204,12 @@ def test_the_command_writes_a_study_that_can_be_read_again(tmp_path, framed):
     assert lv.twins_of(found)["grid"].n == 10 and f"--coarser {COARSE}" in found.attrs["command"]
     page = (out / "report.html").read_text("utf-8")
     assert "Synthetic telemetry" in page and (out / "worth.png").is_file() and (out / "coverage.nc").is_file()
+
+
+def test_results_of_coverage_have_their_accessor_in_a_fresh_process():
+    """The command uses it before any public name is asked for, which would register it."""
+    code = "import xarray, sunspin.philae.coverage_results; assert hasattr(xarray.Dataset, 'sunspin')"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 def test_the_command_refuses_before_the_work(tmp_path):

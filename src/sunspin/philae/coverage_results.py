@@ -10,6 +10,7 @@ from typing import Any
 
 import xarray as xr
 
+import sunspin.output.result  # noqa: F401  (results answer to `.sunspin` from here on)
 from sunspin.estimate.scan.coverage import check_confidence
 from sunspin.output.folder import results_folder
 from sunspin.output.report import write_report
