@@ -36,7 +36,7 @@ from sunspin.estimate.posterior.hypotheses import (
 )
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
-from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
+from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, standing, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
@@ -194,7 +194,8 @@ def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, fi
     for one in every:
         bent, least = None, -np.inf
         if first is not None:
-            pairs = zip(first.hypothesis.likelihood.model.unknowns, one.likelihood.model.unknowns, strict=False)
+            models = (first.hypothesis.likelihood.model, one.likelihood.model)
+            pairs = zip(*(standing(model)[0].unknowns for model in models), strict=False)
             bent = first.drawn.bent.counted_in(np.array([wider.sigma / own.sigma for own, wider in pairs]))
             least = first.drawn.evidence - one.log_prior + np.log(LOST)
         draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, bent, least)

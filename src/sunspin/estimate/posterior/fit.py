@@ -10,11 +10,11 @@ import numpy as np
 
 from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.least_squares import least_squares, shortened, take
 from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import moved
+from sunspin.solve.rotations import moved, tangents
 
 FILES = (
     "estimate/posterior/data.py", "estimate/posterior/model.py", "estimate/posterior/likelihood.py", "estimate/posterior/fit.py",
@@ -23,6 +23,7 @@ FILES = (
     "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
     "estimate/terms/sun_direction.py",
     "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "estimate/posterior/tilt.py",
+    "estimate/posterior/turns.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
@@ -127,17 +128,19 @@ class Fit:
 
 
 class _Search:
-    """A batch of starts on its way; every row by itself."""
+    """A batch of starts on its way; every row by itself. Derivatives of the motion are found once, by many runs, and then corrected
+    by what each step shows, which takes one."""
 
     def __init__(self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None) -> None:
         self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
+        self._moving = [*range(5), *(5 + i for i in likelihood.model.moving if not still)]
         self._prior = np.concatenate([np.zeros(5), likelihood.model.precision])
         self._factor = 1.0
         self.refresh()
 
     def refresh(self) -> None:
-        """Linearise anew at the present state, the derivatives that steps keep too."""
-        self._system, self._kept = self._seen_from(self.state)
+        """Linearise anew at the present state."""
+        self._system = self._seen_from(self.state)
 
     @property
     def objective(self) -> np.ndarray:
@@ -161,21 +164,26 @@ class _Search:
     def steps(self, count: int) -> None:
         """Steps of least squares, begun anew."""
         found = least_squares(
-            self._linearised, self._moved, dense, (self.state.omega, self.state.sun, self.state.u, self._kept), steps=count,
-            system=self._system, longest=self._longest, limit=self._limited,
+            self._linearised, self._moved, dense, self._carried((self.state.omega, self.state.sun, self.state.u), self._system),
+            steps=count, system=self._system, longest=self._longest, limit=self._limited, carry=self._carried,
         )  # fmt: skip
         self.state, self._system = State(*found.state[:3]), found.system
 
+    def _carried(self, state: tuple[Any, ...], system: Dense) -> tuple[Any, ...]:
+        """States with their derivatives and what is seen there, no step having been taken from them yet."""
+        moves, seen = system.kept[4:]
+        return (*state[:3], moves, Secant(seen, np.zeros((len(seen), len(self._moving)))))
+
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
-        self.state, self._system, self._kept = self.state.take(rows), take(self._system, rows), self._kept[rows]
+        self.state, self._system = self.state.take(rows), take(self._system, rows)
 
     def _linearised(self, state: tuple[np.ndarray, ...]) -> Dense:
-        return self._seen_from(State(*state[:3]), state[3])[0]
+        return self._seen_from(State(*state[:3]), *state[3:])
 
-    def _seen_from(self, state: State, kept: np.ndarray | None = None) -> tuple[Dense, np.ndarray]:
-        base, raw, extra, jacobian, kept = self.likelihood.linearised(state, self.still, kept)
-        return self._weighed(state.u, raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1)), kept
+    def _seen_from(self, state: State, moves: np.ndarray | None = None, secant: Secant | None = None) -> Dense:
+        base, raw, extra, jacobian, moves = self.likelihood.linearised(state, self.still, moves, secant)
+        return self._weighed(state.u, raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1), moves, base.seen)
 
     def _judge(self) -> None:
         """Weigh the same differences anew, under another noise."""
@@ -186,9 +194,11 @@ class _Search:
         cost, s, w = self.likelihood.weigh(raw, extra, self._factor * self.likelihood.noise(u))
         return cost, np.sqrt(w) * raw / s, np.sqrt(w)[:, :, None] * (jacobian / s[:, :, None])
 
-    def _weighed(self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray, fine: np.ndarray) -> Dense:
+    def _weighed(
+        self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray, fine: np.ndarray, *motion: np.ndarray
+    ) -> Dense:
         cost, residual, scaled = self._scaled(u, raw, extra, jacobian)
-        normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
+        normal = np.swapaxes(scaled, 1, 2) @ scaled + np.diag(self._prior)
         gradient = np.einsum("nri,nr->ni", scaled, residual)
         gradient[:, 5:] += self._prior[5:] * u
         if self.free is not None:
@@ -198,7 +208,7 @@ class _Search:
         floor = FLOOR * scale.max(axis=1) + 1e-12
         normal = normal + floor[:, None, None] * np.eye(normal.shape[1])
         cost = np.where(fine, cost + self._of_prior(u), np.inf)
-        return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine))
+        return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine, *motion))
 
     def _whole(self, step: np.ndarray) -> np.ndarray:
         return step if self.free is None else step @ self.free.T
@@ -211,10 +221,16 @@ class _Search:
 
     def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         move = self._whole(step)
-        return state[0] + move[:, :3], moved(state[1], move[:, 3:5]), state[2] + move[:, 5:], state[3]
+        sun, moves, aside = moved(state[1], move[:, 3:5]), np.array(state[3]), move[:, self._moving]
+        across = np.stack(tangents(sun), axis=1) @ np.swapaxes(np.stack(tangents(state[1]), axis=1), 1, 2)
+        moves[:, 3:5] = np.einsum("nij,njkx->nikx", across, moves[:, 3:5])  # directions are told from others there
+        aside[:, 3:5] = (across @ aside[:, 3:5, None])[:, :, 0]
+        return state[0] + move[:, :3], sun, state[2] + move[:, 5:], moves, state[4]._replace(step=aside)
 
     def _limited(self, state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        return shortened(state[0], self.likelihood.model.max_rate), state[1], np.clip(state[2], -FAR, FAR), state[3]
+        omega, u = shortened(state[0], self.likelihood.model.max_rate), np.clip(state[2], -FAR, FAR)
+        whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(axis=1)  # of a step cut off nothing is learnt
+        return omega, state[1], u, state[3], state[4]._replace(step=np.where(whole[:, None], state[4].step, 0.0))
 
     def fit_noise(self, few: bool = False) -> None:
         """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm.
@@ -243,7 +259,7 @@ class _Search:
     def _taken_up(self) -> np.ndarray:
         """How many readings (n) the unknowns of each row answer for, dark ones and priors apart."""
         scaled = self._scaled(self.state.u, *self._system.kept[:3])[2]
-        told = np.einsum("nri,nrj->nij", scaled, scaled)
+        told = np.swapaxes(scaled, 1, 2) @ scaled
         size = np.sqrt(np.einsum("nii->ni", told) + self._prior + 1e-12)  # in these units no number is large
         told /= size[:, :, None] * size[:, None, :]
         whole = told + np.eye(told.shape[1]) * (self._prior / size**2 + 1e-9)[:, :, None]
@@ -252,7 +268,7 @@ class _Search:
     def curvature(self) -> np.ndarray:
         """Second derivatives (n, D, D) of minus the log posterior, by Gauss and Newton."""
         _, residual, scaled = self._scaled(self.state.u, *self._system.kept[:3])
-        normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
+        normal = np.swapaxes(scaled, 1, 2) @ scaled + np.diag(self._prior)
         model = self.likelihood.model
         for i in model.where("noise"):
             lit = self.likelihood.kinds[1] & self.likelihood.kinds[0]

@@ -18,7 +18,7 @@ from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
-from sunspin.estimate.posterior.model import Model, State, Unknown
+from sunspin.estimate.posterior.model import STANDING, Model, State, Unknown
 from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
@@ -258,26 +258,29 @@ class Search:
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
         """All modes; `model` and `data` have the plan's sample as the reference.
 
-        While the window grows turns of the panels are left alone and counted as noise: there would be as many of them as readings.
-        Starts and looks ahead have room enough for them.
+        While the window grows the panels' own turns are left alone and counted as noise: there would be as many as readings. The
+        turn of all panels stays an unknown: a few samples fit a motion in turned axes, too, and as noise it would let through many
+        more motions than there are. Starts and looks ahead have room enough for turns.
         """
         whole, wide = Likelihood(model, data), replace(data, sigma=tilt.spread(data.sigma, model.vehicle, model.unknowns, scale))
-        model, kept = standing(model)
-        state, hits = self.starts(model, data, chosen, scale)
+        model, kept = standing(model, (tilt.KIND,))
+        few, held = _of_the_motion(model)
+        state, hits = self.starts(few, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
             notes.append(f"only rates up to {chosen.limit:.3g} rad/s could be searched")
         if not len(state):
-            state = _anything(model, chosen)
+            state = _anything(few, chosen)
             hits = np.ones(len(state), dtype=np.int64)
             notes.append("no rate explains even the first samples")
         used = np.sort(np.append(chosen.tried, chosen.anchor))
         trace, first, beside = [], True, np.zeros(len(state))
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
-            part = wide.take(used)
-            likelihood = Likelihood(model, part)
-            still = len(used) < FEW
+            part, still = wide.take(used), len(used) < FEW
+            now = few if still else model
+            state = state if len(now.unknowns) == state.u.shape[1] else _among(state, now, held)
+            likelihood = Likelihood(now, part)
             levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
             limit = likeliest(part, still, noisy)
             hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
@@ -294,10 +297,11 @@ class Search:
                 state, normal, beside = state.take(only), normal[only], beside[only]
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
+                state = _among(state, model, held) if still else state
                 return self._with_images(whole, self._last(whole, _widened(state, whole.model, kept), hits, trace, notes))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
-            keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
+            keep = self._looked(now, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
                 state, hits, beside = state.take(keep), hits[keep], beside[keep]
             used = following
@@ -393,20 +397,33 @@ def _turned(model: Model, state: State) -> list[State]:
     return [replace(state, u=state.u + i * step) for i in range(TURNS)]
 
 
-def standing(model: Model) -> tuple[Model, np.ndarray]:
-    """The model with its panels as drawn, and the places (k) in u of the unknowns that are left."""
-    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in tilt.KINDS], dtype=np.int64)
+def standing(model: Model, kinds: tuple[str, ...] = tilt.KINDS) -> tuple[Model, np.ndarray]:
+    """The model without turns of the panels of these kinds, and the places (k) in u of the unknowns that are left."""
+    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in kinds], dtype=np.int64)
     return (model if len(kept) == len(model.unknowns) else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))), kept
 
 
+def _of_the_motion(model: Model) -> tuple[Model, np.ndarray]:
+    """The model with the body's own constants known, and the places (k) in u of the unknowns that are left. A few samples tell
+    nothing of these, and motions of one body run faster than one body for each."""
+    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind in (*STANDING, "turn")], dtype=np.int64)
+    return replace(model, unknowns=tuple(model.unknowns[i] for i in kept)), kept
+
+
+def _among(state: State, model: Model, places: np.ndarray) -> State:
+    """States with u (n, k) as those of a model that has their unknowns at `places` (k), the others at their centres."""
+    u = np.zeros((len(state), len(model.unknowns)))
+    u[:, places] = state.u
+    return replace(state, u=u)
+
+
 def _widened(state: State, model: Model, kept: np.ndarray) -> State:
-    """States of `standing` as those of the model: panels as drawn, under the noise that is stated."""
+    """States of `standing` as those of the model: what it left out as drawn, under the noise that is stated."""
     if len(kept) == len(model.unknowns):
         return state
-    u = np.zeros((len(state), len(model.unknowns)))
-    u[:, kept] = state.u
-    u[:, model.where("noise")] = 0.0
-    return replace(state, u=u)
+    made = _among(state, model, kept)
+    made.u[:, model.where("noise")] = 0.0
+    return made
 
 
 def _of_the_vehicle(model: Model) -> tuple[Unknown, ...]:
