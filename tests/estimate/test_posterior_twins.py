@@ -9,7 +9,7 @@ import strange_twins
 import sunspin as ss
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, denser, joined, same_mode
+from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, apart, coordinates, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Fit
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
@@ -72,11 +72,14 @@ def test_a_family_is_made_denser_as_the_window_grows():
     tight = np.diag([1e8, 1e8, 1e8, 1e4, 1e4])
     loose = np.array(tight)
     loose[0, 0] = (reach / 3.0) ** 2
-    found, hits, beside = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
+    found, hits, beside, origin = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
     gaps = np.diff(np.unique(np.round(found.omega[:, 0], 9))) * reach
     assert gaps.max() < BESIDE + APART and len(found) > 18
-    assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1}
-    still, _, never = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
+    assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1} and origin[:10].tolist() == list(range(10))
+    off = apart(found, line.take(origin))
+    assert np.linalg.norm(off[:, :3], axis=1).max() * reach == pytest.approx(BESIDE)
+    np.testing.assert_allclose(off[10:13], [coordinates(found.take([i]), line.take(origin[[i]]))[0] for i in (10, 11, 12)])
+    still, _, never, _ = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
     assert len(still) == 10 and np.all(never == 0.0) and np.all(beside == reach)
 
 
@@ -84,7 +87,7 @@ def test_a_family_gets_no_more_neighbours_until_the_window_has_grown():
     line, many = State(np.tile(RATE, (3, 1)), np.tile(SUN, (3, 1)), np.zeros((3, 0))), np.full(3, 1)
     loose = np.tile(np.diag([1e3, 1e8, 1e8, 1e4, 1e4]), (3, 1, 1))
     beside = np.array([100.0, 100.0, 0.0])  # the third was held fast before
-    near, _, set_at = denser(line, loose, many, beside, 110.0, 0.5)
+    near, _, set_at, _ = denser(line, loose, many, beside, 110.0, 0.5)
     assert len(near) > 3 and set_at[:3].tolist() == [100.0, 100.0, 110.0]
     assert len(denser(line, loose, many, np.full(3, 100.0), 110.0, 0.5)[0]) == 3
     assert np.all(denser(line, loose, many, beside, 150.0, 0.5)[2] == 150.0)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
+from sunspin.estimate.posterior.family import apart
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.least_squares import least_squares, shortened, take
@@ -23,7 +24,7 @@ FILES = (
     "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
     "estimate/terms/sun_direction.py",
     "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "estimate/posterior/tilt.py",
-    "estimate/posterior/turns.py",
+    "estimate/posterior/turns.py", "estimate/posterior/family.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
@@ -57,6 +58,40 @@ def asked(function: Any, model: Model) -> dict[str, Any]:
     return {**code(*FILES), **k.device_identity(model.device), type(function).__name__.lower(): plain(function)}
 
 
+class Begun(NamedTuple):
+    """States near those that a fit begins with, a state for each, their derivatives (n, 5 + moving, seen, 3), and what is seen."""
+
+    state: State
+    moves: np.ndarray
+    seen: np.ndarray
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Row -> derivatives of what is seen of a motion, and that."""
+
+    likelihood: Likelihood
+    state: State = field(repr=False)
+    still: bool
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.state)
+
+    @property
+    def outputs(self) -> Mapping[str, Any]:
+        data, moving = self.likelihood.data, [] if self.still else self.likelihood.model.moving
+        seen = len(data) + 2 * len(data.others)
+        return {"moves": ("float64", (5 + len(moving), seen, 3)), "seen": ("float64", (seen, 3))}
+
+    def identity(self) -> dict[str, Any]:
+        return asked(self, self.likelihood.model)
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        found = self.likelihood.linearised(self.state.take(index), self.still)
+        return {"moves": found.moves, "seen": found.prediction.seen}
+
+
 @dataclass(frozen=True)
 class Fit:
     """Row -> the best fit that its start leads to.
@@ -65,6 +100,7 @@ class Fit:
     `still`: leave the unknowns of the motion as they are; `free` (D, q): what these columns do not span too.
     `curved`: give the curvature too, at the noise that fits;
     `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level stay as they are then.
+    `begun`: derivatives of states near by to begin with.
     """
 
     likelihood: Likelihood
@@ -75,6 +111,7 @@ class Fit:
     normal: bool = False
     hopeless: float = np.inf
     free: np.ndarray | None = None
+    begun: Begun | None = field(default=None, repr=False)
 
     @property
     def n_rows(self) -> int:
@@ -93,6 +130,7 @@ class Fit:
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None, self.free)
+        search.refresh(None if self.begun is None else Begun(self.begun.state.take(index), *(x[index] for x in self.begun[1:])))
         (factor, steps), *others = self.levels
         search.go(factor, steps)
         on, left = np.arange(len(index)), None
@@ -136,11 +174,14 @@ class _Search:
         self._moving = [*range(5), *(5 + i for i in likelihood.model.moving if not still)]
         self._prior = np.concatenate([np.zeros(5), likelihood.model.precision])
         self._factor = 1.0
-        self.refresh()
 
-    def refresh(self) -> None:
-        """Linearise anew at the present state."""
-        self._system = self._seen_from(self.state)
+    def refresh(self, begun: Begun | None = None) -> None:
+        """Linearise anew at the present state, or with what is `begun` near by."""
+        if begun is None:
+            self._system = self._seen_from(self.state)
+            return
+        step = apart(self.state, begun.state)[:, self._moving]
+        self._system = self._seen_from(self.state, *_turned(begun.state.sun, self.state.sun, begun.moves, begun.seen, step))
 
     @property
     def objective(self) -> np.ndarray:
@@ -221,11 +262,9 @@ class _Search:
 
     def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         move = self._whole(step)
-        sun, moves, aside = moved(state[1], move[:, 3:5]), np.array(state[3]), move[:, self._moving]
-        across = np.stack(tangents(sun), axis=1) @ np.swapaxes(np.stack(tangents(state[1]), axis=1), 1, 2)
-        moves[:, 3:5] = np.einsum("nij,njkx->nikx", across, moves[:, 3:5])  # directions are told from others there
-        aside[:, 3:5] = (across @ aside[:, 3:5, None])[:, :, 0]
-        return state[0] + move[:, :3], sun, state[2] + move[:, 5:], moves, state[4]._replace(step=aside)
+        sun = moved(state[1], move[:, 3:5])
+        came = _turned(state[1], sun, state[3], state[4].seen, move[:, self._moving])
+        return state[0] + move[:, :3], sun, state[2] + move[:, 5:], *came
 
     def _limited(self, state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         omega, u = shortened(state[0], self.likelihood.model.max_rate), np.clip(state[2], -FAR, FAR)
@@ -275,3 +314,14 @@ class _Search:
             squares = np.sum(np.where(lit, residual**2, 0.0), axis=1)
             normal[:, 5 + i, 5 + i] = 1 + 2 * model.unknowns[i].sigma ** 2 * squares
         return normal
+
+
+def _turned(
+    sun: np.ndarray, there: np.ndarray, moves: np.ndarray, seen: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, Secant]:
+    """Derivatives and a step, given in the tangents at directions `sun`, in those at the directions `there` that it led to."""
+    across = np.stack(tangents(there), axis=1) @ np.swapaxes(np.stack(tangents(sun), axis=1), 1, 2)
+    moves, step = np.array(moves), np.array(step)
+    moves[:, 3:5] = np.einsum("nij,njkx->nikx", across, moves[:, 3:5])
+    step[:, 3:5] = (across @ step[:, 3:5, None])[:, :, 0]
+    return moves, Secant(seen, step)

@@ -74,7 +74,7 @@ class Linearised(NamedTuple):
     raw: np.ndarray
     extra: np.ndarray
     jacobian: np.ndarray
-    kept: np.ndarray
+    moves: np.ndarray
 
 
 class Secant(NamedTuple):

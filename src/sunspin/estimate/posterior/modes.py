@@ -16,7 +16,7 @@ from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
-from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
+from sunspin.estimate.posterior.fit import Begun, Fit, Levels, Slopes, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
 from sunspin.estimate.posterior.model import STANDING, Model, State, Unknown
 from sunspin.solve.least_squares import shortened
@@ -47,6 +47,9 @@ NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 
 GRID_SAMPLES, FEW_STARTS = 3, 2000
 """Samples for which the grid of starts is dense enough: neighbours are set from the next window on, or where they cost little."""
+
+CHILDREN = 2
+"""Hypotheses to each of those whose neighbours they are, from which on derivatives are found at the latter alone."""
 
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
@@ -274,17 +277,20 @@ class Search:
             hits = np.ones(len(state), dtype=np.int64)
             notes.append("no rate explains even the first samples")
         used = np.sort(np.append(chosen.tried, chosen.anchor))
-        trace, first, beside = [], True, np.zeros(len(state))
+        trace, first, beside, origin = [], True, np.zeros(len(state)), np.arange(len(state))
+        parents = state
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
             part, still = wide.take(used), len(used) < FEW
             now = few if still else model
-            state = state if len(now.unknowns) == state.u.shape[1] else _among(state, now, held)
+            if len(now.unknowns) > state.u.shape[1]:
+                state, parents = (_among(x, now, held) for x in (state, parents))
             likelihood = Likelihood(now, part)
             levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
             limit = likeliest(part, still, noisy)
             hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
-            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless)
+            begun = self._begun(likelihood, parents, origin, still)
+            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless, begun=begun)
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
@@ -299,12 +305,20 @@ class Search:
             if len(following) == len(used):
                 state = _among(state, model, held) if still else state
                 return self._with_images(whole, self._last(whole, _widened(state, whole.model, kept), hits, trace, notes))
+            parents, origin = state, np.arange(len(state))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
-                state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
+                state, hits, beside, origin = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(now, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
-                state, hits, beside = state.take(keep), hits[keep], beside[keep]
+                state, hits, beside, origin = state.take(keep), hits[keep], beside[keep], origin[keep]
             used = following
+
+    def _begun(self, likelihood: Likelihood, parents: State, origin: np.ndarray, still: bool) -> Begun | None:
+        """Derivatives to begin with at neighbours of `parents`, `origin` (n) of them: found there, where there are far fewer."""
+        if len(origin) < CHILDREN * len(parents) or likelihood.model.turned:
+            return None
+        found = self.run(Slopes(likelihood, parents, still), "derivatives", chunk_rows(likelihood))
+        return Begun(parents.take(origin), found["moves"][origin], found["seen"][origin])
 
     def _looked(self, model: Model, coming: Readings, state: State, scale: float) -> np.ndarray:
         """Which hypotheses (n) the nearest of the coming samples allows; one run each, where a fit takes fifty."""
