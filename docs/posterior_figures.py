@@ -15,7 +15,7 @@ import xarray as xr
 from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import predictions, run_to
-from sunspin.landing.afterwards import collision_s
+from sunspin.landing.predictions import collision_s
 from sunspin.landing.sampling import widths
 from sunspin.output.figures import sampling as figures_sampling
 from sunspin.output.figures.predicted import predicted_figure

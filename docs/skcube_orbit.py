@@ -16,7 +16,7 @@ from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit.check import start_of
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.judged import judged_orbit
-from sunspin.estimate.orbit.sensors import by_sun_sensors
+from sunspin.estimate.orbit.sensor_calibration import by_sun_sensors
 
 VZLUSAT = """1 42790U 17036AB  17236.90928386  .00002510  00000-0  11640-3 0  9996
 2 42790  97.4437 295.9456 0012835  41.8426 318.3788 15.20921507  9461"""

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimate.rates.told import DECIDED
+from sunspin.estimate.rates.result import DECIDED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
 

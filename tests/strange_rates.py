@@ -26,7 +26,7 @@ from strange_twins import FACES, body, unit
 from sunspin.base.errors import SunspinError
 from sunspin.compute.campaign import command, kept, rows_folder
 from sunspin.estimate.inertia import ASSUMED
-from sunspin.estimate.rates.told import DECIDED
+from sunspin.estimate.rates.result import DECIDED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 

@@ -17,7 +17,7 @@ from sunspin.base.errors import SunspinError
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import candidates, carries, descent, level_set, touchdown
 from sunspin.philae import rebound as rb
-from sunspin.philae.readings import with_own_noise
+from sunspin.philae.reading_noise import with_own_noise
 from sunspin.philae.row import Row, settled
 from sunspin.philae.twin_philae import CELL_W, keep_direction
 from sunspin.telemetry.case import Case, load_case

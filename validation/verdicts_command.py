@@ -12,7 +12,7 @@ import numpy as np
 from sunspin.base.errors import SunspinError
 from sunspin.compute.campaign import kept, rows_folder
 from sunspin.estimate.rates.estimate import rates
-from sunspin.estimate.rates.told import DECIDED
+from sunspin.estimate.rates.result import DECIDED
 from sunspin.estimate.verdict import NARROWER
 from validation.passes import KINDS, Made, make
 

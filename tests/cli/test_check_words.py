@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sunspin.output.check.samples import _lit
-from sunspin.output.kinds.seen import SETS, health_lines
+from sunspin.output.kinds.telemetry import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle.file import parse_vehicle
 from validation.border import sunspin

@@ -20,7 +20,7 @@ from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.calibrate import sensors as calibrate
 from sunspin.estimate.calibrate.gyro import fit_gyro
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict
-from sunspin.estimate.orbit.sensors import Calibration, _clusters
+from sunspin.estimate.orbit.sensor_calibration import Calibration, _clusters
 from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
 

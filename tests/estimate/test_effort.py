@@ -10,7 +10,7 @@ from sunspin.cli.rates import rates as command
 from sunspin.estimate.effort import BATCH, Effort, allowed, may_go_on, spend
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations
-from sunspin.estimate.rates.seed import seeds
+from sunspin.estimate.rates.search import seeds
 from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Panel, Vehicle
 

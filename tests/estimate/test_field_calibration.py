@@ -8,7 +8,7 @@ import numpy as np
 
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, _of_sensors
-from sunspin.estimate.orbit.sensors import Calibration
+from sunspin.estimate.orbit.sensor_calibration import Calibration
 
 
 def made() -> Calibration:

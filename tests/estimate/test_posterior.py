@@ -12,11 +12,11 @@ from scipy.stats import genpareto
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.posterior.importance import _shape, pareto_tail
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
 from sunspin.estimate.posterior.verdict import Found, verdict
-from sunspin.estimate.posterior.widths import _shape, pareto_tail
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 

@@ -15,10 +15,10 @@ import sunspin as ss
 from posteriors import tree_of
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.hypotheses import Sampled, mixed
+from sunspin.estimate.posterior.importance import NO_MASS, Sample, _over_sizes
 from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State, model, pushed
 from sunspin.estimate.posterior.predict import drawn_rows, run_to
-from sunspin.estimate.posterior.widths import NO_MASS, Sample, _over_sizes
 from sunspin.estimate.terms.steady_torque import TURNED, sizes
 from validation.torque_command import BOX
 
@@ -76,7 +76,7 @@ def sampled(what: str, log_evidence: float, middle: list[float], sigma: float, l
     omega = middle + sigma * rng.standard_normal((500, 3))
     state = State(omega, np.tile(SUN, (500, 1)), np.zeros((500, 2)))
     drawn = Sample(state, np.full(500, log_evidence), np.zeros(500), np.zeros(500, dtype=int), np.ones(1), np.zeros(1, dtype=int),
-                   500.0, 0.0, log_evidence, np.zeros((1, 3)), bent=None, ridge=np.zeros(1, dtype=int))  # fmt: skip
+                   500.0, 0.0, log_evidence, np.zeros((1, 3)), ridge=np.zeros(1, dtype=int))  # fmt: skip
     likelihood = SimpleNamespace(data=SimpleNamespace(reach_s=100.0), model=SimpleNamespace(unknowns=(0, 0)))
     modes = SimpleNamespace(hits=np.array([3]))
     one: Any = SimpleNamespace(what=what, log_prior=log_prior, likelihood=likelihood, modes=modes)

@@ -15,7 +15,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import intervals, predict
-from sunspin.landing.afterwards import predicted
+from sunspin.landing.predictions import predicted
 from sunspin.vehicle import Friction
 
 TOUCHDOWN, COLLISION, LATER = 25143.98, 27900.0, 31800.0
@@ -98,7 +98,7 @@ def test_another_vehicle_is_refused(craft):
 
 def test_it_is_written_drawn_and_told(craft, tmp_path):
     from sunspin.cli.values import times
-    from sunspin.landing.afterwards import with_predictions
+    from sunspin.landing.predictions import with_predictions
     from sunspin.output.figures.predicted import predicted_figure
     from sunspin.output.kinds.posterior import predictions_summary
 

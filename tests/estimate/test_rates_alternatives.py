@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.rates.alternatives import Others, _sized, alternatives, counted, weighed
-from sunspin.estimate.rates.common import with_common
+from sunspin.estimate.rates.common_errors import with_common
 from sunspin.estimate.rates.dense import bridge
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import Body

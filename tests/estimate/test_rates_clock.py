@@ -5,7 +5,7 @@ import pytest
 
 import sunspin as ss
 from clock_twins import CUBE, craft, twin
-from sunspin.estimate.rates.common import seen_later
+from sunspin.estimate.rates.common_errors import seen_later
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations
 from sunspin.estimate.rates.state import Motion, Track

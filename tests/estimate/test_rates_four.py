@@ -7,7 +7,7 @@ import pytest
 
 import sunspin as ss
 from coverage_twins import CUBE, FAULTS, FOUR, battery, coverage, twin
-from sunspin.estimate.rates.common import Clock, sun_part
+from sunspin.estimate.rates.common_errors import Clock, sun_part
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import measured

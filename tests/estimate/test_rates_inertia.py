@@ -10,7 +10,7 @@ import pytest
 import strange_rates
 import sunspin as ss
 from sunspin.estimate.inertia import ASSUMED, inertia_errors, stated_sigma
-from sunspin.estimate.rates.common import THINNEST, of_a_body
+from sunspin.estimate.rates.common_errors import THINNEST, of_a_body
 from sunspin.estimate.rates.motion import Body, step
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.rates.alternatives import SWINGS_QUICKLY, Others, alternatives, counted, weighed
-from sunspin.estimate.rates.common import with_common
+from sunspin.estimate.rates.common_errors import with_common
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.state import Motion, Observations, Track

@@ -14,7 +14,7 @@ from sunspin.environment import Surroundings
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.rates.observe import FIELD_ALONE, observations, usable
-from sunspin.estimate.rates.seed import field_leads
+from sunspin.estimate.rates.search import field_leads
 from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
@@ -131,7 +131,8 @@ def test_a_stated_sigma_of_the_zero_counts_once_where_the_orbit_calibrates(twin)
     part = replace(vehicle.sensors.magnetometer, zero_sigma=np.full(3, 4.0))
     stated = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=part))
     here = SunAlongZ(orbit).at(data["time"].values)
-    terms = [Magnetometer.read(craft, data, calibration).placed(here).forgiving() for craft in (vehicle, stated)]
+    read = [replace(Magnetometer.read(craft, data), calibration=calibration) for craft in (vehicle, stated)]
+    terms = [one.placed(here).forgiving() for one in read]
     assert terms[0].known is not None and terms[1].sigma == terms[0].sigma
 
 

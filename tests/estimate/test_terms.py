@@ -12,7 +12,7 @@ import clock_twins
 import sunspin as ss
 from coverage_twins import CUBE
 from sunspin.estimate.rates import estimate
-from sunspin.estimate.rates.common import places_of, with_common
+from sunspin.estimate.rates.common_errors import places_of, with_common
 from sunspin.estimate.rates.hypotheses import AS_STATED, Fit, Hypothesis, odd_one, ranked, sensors_left_out
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations

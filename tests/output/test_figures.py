@@ -8,8 +8,8 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.output.figures import _connected, sun_directions_figure
 from sunspin.output.figures.outcomes import _error_of
+from sunspin.output.figures.telemetry import _connected, sun_directions_figure
 
 
 def directions(hours: list[float], known: list[int], phase: list[str] | None = None) -> xr.Dataset:

@@ -11,9 +11,10 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.figures import _passes_together, save, sun_directions_figure
+from sunspin.output.figures import save
 from sunspin.output.figures.rates import rates_figure, sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
+from sunspin.output.figures.telemetry import _passes_together, sun_directions_figure
 from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report import measured, orbit, posterior, sphere
 from sunspin.output.report.other import unknown

@@ -20,10 +20,10 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.estimate.scan.volume import scan
 from sunspin.philae import coverage as wo
-from sunspin.philae import coverage_told, threshold
+from sunspin.philae import coverage_rows, threshold
 from sunspin.philae import rebound as rb
 from sunspin.philae.coverage_results import Coverage
-from sunspin.philae.coverage_rows import LEAST_TOLD, TwinRows, draw_twin, samples_z, truth_distance
+from sunspin.philae.coverage_twins import LEAST_TOLD, TwinRows, draw_twin, samples_z, truth_distance
 from sunspin.telemetry.case import load_case
 
 CASE = load_case("philae")
@@ -166,7 +166,7 @@ def test_the_bound_is_looked_up_from_where_it_holds_for_good():
 def test_the_shipped_study_says_what_its_rows_say(reached):
     worth = wo.shipped(CASE)
     assert worth.attrs["command"] == "sunspin worth --twins 300 --seed 0" and set(lv.twins_of(worth)) == {"lines", "grid"}
-    rows = {row.id: row for row in coverage_told.rows(CASE, worth)}
+    rows = {row.id: row for row in coverage_rows.rows(CASE, worth)}
     lines = lv.twins_of(worth)["lines"]
     assert rows["worth_truth_in_set"].ours == pytest.approx(np.mean(lines.ratio < 1.1))
     assert rows["worth_truth_in_set"].ours < 0.035 and 2.66 < rows["worth_factor_90"].ours < 5  # both of panels as drawn
@@ -181,7 +181,7 @@ def test_the_shipped_study_says_what_its_rows_say(reached):
 def test_a_coverage_keeps_its_names_beside_its_variables():
     """Scripts ask for rows and sentences by name; a Dataset is what is stored."""
     shipped = wo.shipped(CASE)
-    rows = json.dumps([asdict(row) for row in coverage_told.rows(CASE, shipped)])
+    rows = json.dumps([asdict(row) for row in coverage_rows.rows(CASE, shipped)])
     found = Coverage(shipped.data_vars, shipped.coords, shipped.attrs).assign_attrs(figures=rows, seconds=1.5)
     assert "the truth lies in the set within 1.1 times the smallest EMD" in found["sentences"][0]
     assert {row["id"]: row["ours"] for row in found["figures"]}["worth_factor_90"] > 2.3

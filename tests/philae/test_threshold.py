@@ -14,7 +14,7 @@ from sunspin.estimate.scan.table import HistogramRows, Table, make_table
 from sunspin.philae import carries
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
-from sunspin.philae.readings import dark_sigma, with_own_noise
+from sunspin.philae.reading_noise import dark_sigma, with_own_noise
 from sunspin.philae.twin_philae import CELL_W
 from sunspin.telemetry.sun import sun_directions
 

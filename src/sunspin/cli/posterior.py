@@ -59,7 +59,7 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
     """
     from sunspin.estimate.posterior.estimate import posterior as run
-    from sunspin.landing.afterwards import with_predictions
+    from sunspin.landing.predictions import with_predictions
     from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
 

@@ -11,8 +11,9 @@ from sunspin.cli.common import claim, data_option, deliver, on_terminal, output_
 from sunspin.cli.orbit import orbit_options
 from sunspin.cli.values import between, period_option, periods_of
 from sunspin.cli.values import effort as effort_given
+from sunspin.vehicle.sensors import VARIABLES
 
-UNUSED = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N", "wheels": "wheel_speed_rad_s"}
+UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
 
 

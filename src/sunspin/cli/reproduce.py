@@ -48,24 +48,4 @@ def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | N
         out, telemetry, vehicle=vehicle, candidates=candidates, calibrate=calibrate, seed=seed, workers=workers, coarser=coarser,
         changes=asked(sets, ("study", "collision"), **short), data=data, progress=on_terminal(quiet),
     )  # fmt: skip
-    told = written.summary
-    lines = [
-        *(f"Changed for this run: {line}" for line in told["changes"]),
-        f"What this file can carry: {told['carries']}",
-        "Telemetry: " + ("synthetic (made from published facts)" if told["synthetic_telemetry"] else "measured"),
-        *(f"  {row['what']}: {_short(row)}" for row in told["figures"] if row["id"] in SHOWN),
-        *told["headline"][:2],
-        *told["score"],
-        *told["missing"].values(),
-        *([] if "impulse" in told["missing"] else [told["impulse"]]),
-        f"Report: {written.report} (in {told['seconds']:.0f} s)",
-    ]
-    report(told, lines, as_json, quiet)
-
-
-SHOWN = ("delta_mean", "wheel_stop", "emd_min")
-
-
-def _short(row: dict) -> str:
-    unit = "" if row["unit"] == "1" else f" {row['unit']}"
-    return f"{row['ours']:.4g}{unit} (published {row['published']:.4g})"
+    report(written.summary, written.lines, as_json, quiet)

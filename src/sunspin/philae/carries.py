@@ -15,7 +15,7 @@ import xarray as xr
 from sunspin.estimate.posterior.tilt import stated_sigma
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae import rebound as rb
-from sunspin.philae.coverage_rows import LEAST_TOLD
+from sunspin.philae.coverage_twins import LEAST_TOLD
 from sunspin.philae.descent import Descent
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case

@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.compute.rows import ensemble
 from sunspin.estimate.scan.coverage import QUANTILES, UNITS, Twins, coverage_dataset, from_json
-from sunspin.philae.coverage_rows import FACTORS, LEVELS, PRIORS, TwinRows
+from sunspin.philae.coverage_twins import FACTORS, LEVELS, PRIORS, TwinRows
 from sunspin.telemetry.case import Case
 from sunspin.vehicle.changes import Change, Changes, changes_of
 

@@ -14,7 +14,7 @@ from sunspin.estimate.scan.coverage import check_confidence
 from sunspin.output.folder import results_folder
 from sunspin.output.report import write_report
 from sunspin.philae import coverage as study
-from sunspin.philae import coverage_told
+from sunspin.philae import coverage_rows
 from sunspin.telemetry.case import load_case
 from sunspin.vehicle.assumptions import split
 from sunspin.vehicle.changes import Changes
@@ -84,7 +84,7 @@ def coverage(
     folder = None if out is None else results_folder(out, "worth")  # refused before the work, not after it
     check_confidence(twins, confidence)
     found = study.compute(known, twins, confidence=confidence, changes=changes, **options)
-    figures = json.dumps([asdict(row) for row in coverage_told.rows(known, found)])
+    figures = json.dumps([asdict(row) for row in coverage_rows.rows(known, found)])
     seconds = round(time.perf_counter() - began, 1)
     found = Coverage(found.data_vars, found.coords, found.attrs | {"figures": figures, "seconds": seconds})
     if folder is None:

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.output import figures as fig
+from sunspin.output import figures
 from sunspin.output.figures import outcomes as figures_outcomes
 from sunspin.output.figures.collision import collision_figure
+from sunspin.output.figures.motion import spin_down_figure
+from sunspin.output.figures.telemetry import sun_directions_figure
 from sunspin.output.folder import Picture
 from sunspin.output.kinds.coverage import coverage_drawings
 from sunspin.output.kinds.kind import Beside, Drawing, synthetic_words
@@ -19,7 +21,9 @@ from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.figures import candidates as figures_candidates
 from sunspin.philae.figures import descent as figures_descent
+from sunspin.philae.figures import directions as figures_directions
 from sunspin.philae.figures import health as figures_health
+from sunspin.philae.figures import level_set as figures_level_set
 from sunspin.philae.figures import precession as figures_precession
 from sunspin.philae.figures import sensitivity as figures_sensitivity
 from sunspin.philae.level_set import LevelSet
@@ -33,7 +37,7 @@ def draw(result: Reproduction, folder: Path) -> list[Picture]:
     for part, sheets in SHEETS:
         if part in result.parts:
             for sheet in sheets(result, result.parts[part]):
-                path = fig.save(sheet.make(), folder, sheet.name)[0]
+                path = figures.save(sheet.make(), folder, sheet.name)[0]
                 pictures.append(Picture(path, sheet.alt, sheet.caption))
     return pictures
 
@@ -45,13 +49,13 @@ def _note(result: Reproduction) -> str:
 def _measured(result: Reproduction, _: Any) -> Iterator[Drawing]:
     note = _note(result)
     yield Drawing(
-        "fig03_measured", lambda: fig.sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
+        "fig03_measured", lambda: sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
         "Panel powers, components of the Sun direction and Delta against time",
         "Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no "
         "direction, by reason." + note,
     )  # fmt: skip
     yield Drawing(
-        "fig04_phases", lambda: fig.descent_and_rebound_figure(_phases(result.sun), result.synthetic),
+        "fig04_phases", lambda: figures_directions.descent_and_rebound_figure(_phases(result.sun), result.synthetic),
         "Sun directions on the unit sphere in four phases", "Directions in each phase (paper, Fig. 4). Orange: "
         "best fits to sets of lit panels that the Sun alone cannot light." + note,
     )  # fmt: skip
@@ -73,17 +77,17 @@ def _mechanics(_: Reproduction, part: Any) -> Iterator[Drawing]:
         "rounded friction as printed": fall["printed"],
     }
     yield Drawing(
-        "fig05_spin_down", lambda: fig.spin_down_figure(fall["t_s"], curves), "Wheel speed falling to zero",
+        "fig05_spin_down", lambda: spin_down_figure(fall["t_s"], curves), "Wheel speed falling to zero",
         "Spin-down of the wheel (paper, Fig. 5), drawn from the published coefficients.",
     )  # fmt: skip
     yield Drawing(
-        "fig06_examples", lambda: fig.examples_figure(part.examples),
+        "fig06_examples", lambda: figures_directions.examples_figure(part.examples),
         "Tracks of the Sun on the sphere and its components against time for three initial rates",
         "Simulated tracks of the Sun in body axes (paper, Fig. 6).",
     )  # fmt: skip
     yield Drawing(
-        "fig07_histograms", lambda: fig.histograms_figure(part.examples), "Three histograms of the Sun's z component",
-        "Distribution of the z component in those simulations (paper, Fig. 7).",
+        "fig07_histograms", lambda: figures_directions.histograms_figure(part.examples),
+        "Three histograms of the Sun's z component", "Distribution of the z component in those simulations (paper, Fig. 7).",
     )  # fmt: skip
 
 
@@ -105,7 +109,7 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
     lines, note, near = rb.published_lines(part.case), _note(result), part.near
     synthetic = " (synthetic)" if part.synthetic else ""
     yield Drawing(
-        "fig09_telemetry", lambda: fig.level_set_figure(
+        "fig09_telemetry", lambda: figures_level_set.level_set_figure(
             near.points, near.lines, lines,
             f"EMD < {near.factor:g} EMD_min, target: this telemetry{synthetic}", part.truth.get("omega_B")),
         "Near-minimum points in rate space for the telemetry",
@@ -118,7 +122,7 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
     if part.truth:
         shown["truth of the synthetic telemetry"] = part.truth["z"]
     yield Drawing(
-        "distributions", lambda: fig.distributions_figure(part.measured_z, measured, shown, "What the EMD compares"),
+        "distributions", lambda: figures_level_set.distributions_figure(part.measured_z, measured, shown, "What the EMD compares"),
         "Cumulative distributions of the z component",
         "Measured z components, and motions begun on the printed lines: these four are nearly one distribution (EMD to "
         f"their mean at most {max(rb.pooled_spread(pooled)):.4f}), which is why a line cannot be narrowed to a point."
@@ -129,7 +133,7 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
 def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]:
     lines, clean = rb.published_lines(part.case), part.clean
     yield Drawing(
-        "fig09_lines", lambda: fig.level_set_figure(
+        "fig09_lines", lambda: figures_level_set.level_set_figure(
             clean.points, clean.lines, lines,
             f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines"),
         "Near-minimum points in rate space along four lines",
@@ -138,14 +142,14 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
         f"points, the minimum against so clean a target being {float(clean.emd.min()):.4f}.",
     )  # fmt: skip
     yield Drawing(
-        "thresholds", lambda: fig.thresholds_figure(part.thresholds, clean.factor),
+        "thresholds", lambda: figures_level_set.thresholds_figure(part.thresholds, clean.factor),
         "Size of the near-minimum set and distance of its lines against the factor",
         "What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor "
         "used above. Fewer points than four lines need have no line.",
     )  # fmt: skip
     smallest = float(np.linalg.norm(part.on_lines_touchdown, axis=1).min())
     yield Drawing(
-        "fig12_lines", lambda: fig.backward_figure(part.near_touchdown, part.on_lines_touchdown, smallest,
+        "fig12_lines", lambda: figures_level_set.backward_figure(part.near_touchdown, part.on_lines_touchdown, smallest,
             f"EMD < {clean.factor:g} EMD_min against the printed lines' distribution, run back"),
         "Body rates at the first touchdown of motions on the printed lines",
         "No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).",

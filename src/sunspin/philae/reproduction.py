@@ -18,10 +18,10 @@ from sunspin.output.report import write_report
 from sunspin.output.text import number_text
 from sunspin.philae import impulse, touchdown
 from sunspin.philae import rebound as rb
+from sunspin.philae.files import store
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import draw
 from sunspin.philae.row import Row
-from sunspin.philae.stored import store
 from sunspin.philae.study import SECTIONS, Options, Reproduction, compute, require_wheel, sections, titles, with_vehicle
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.reader import read_telemetry
@@ -41,6 +41,10 @@ SHOWN_BY_THE_PAPER = (
 """What Figs. 1, 2 ... of the paper show."""
 
 
+PRINTED = ("delta_mean", "wheel_stop", "emd_min")
+"""Rows that are printed with their numbers."""
+
+
 @dataclass(frozen=True)
 class Written:
     """Where a study was written: the folder, the page in it, and the summary's content."""
@@ -48,6 +52,27 @@ class Written:
     folder: Path
     report: Path
     summary: dict[str, Any]
+
+    @property
+    def lines(self) -> list[str]:
+        """What is printed of it."""
+        told = self.summary
+        return [
+            *(f"Changed for this run: {line}" for line in told["changes"]),
+            f"What this file can carry: {told['carries']}",
+            "Telemetry: " + ("synthetic (made from published facts)" if told["synthetic_telemetry"] else "measured"),
+            *(f"  {row['what']}: {_beside_published(row)}" for row in told["figures"] if row["id"] in PRINTED),
+            *told["headline"][:2],
+            *told["score"],
+            *told["missing"].values(),
+            *([] if "impulse" in told["missing"] else [told["impulse"]]),
+            f"Report: {self.report} (in {told['seconds']:.0f} s)",
+        ]
+
+
+def _beside_published(row: dict[str, Any]) -> str:
+    unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    return f"{row['ours']:.4g}{unit} (published {row['published']:.4g})"
 
 
 def reproduce(

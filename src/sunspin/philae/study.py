@@ -24,7 +24,7 @@ from sunspin.philae import (
     components,
     contradictions,
     coverage,
-    coverage_told,
+    coverage_rows,
     descent,
     impulse,
     landing,
@@ -39,7 +39,7 @@ from sunspin.philae import (
 )
 from sunspin.philae import inputs as taken
 from sunspin.philae import rebound as rb
-from sunspin.philae.readings import ReadingNoise, with_own_noise
+from sunspin.philae.reading_noise import ReadingNoise, with_own_noise
 from sunspin.philae.row import Row, counts, settled
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
@@ -185,7 +185,7 @@ PARTS = (
          needed=True),
     Part("precession", "Section 3.2: precession on the published lines", "no_telemetry",
          lambda i: precession.compute(i.case), precession.rows),
-    Part("worth", "What the paper's method is worth", "no_telemetry", _worth, lambda r: coverage_told.rows(*r)),
+    Part("worth", "What the paper's method is worth", "no_telemetry", _worth, lambda r: coverage_rows.rows(*r)),
     Part("inputs", "Taken over from the paper", "paper", lambda i: taken.Taken(i.case, i.sun), taken.rows, needed=True),
     Part("contradictions", "Where the paper is ambiguous or contradicts itself", "paper",
          lambda i: contradictions.compute(i.case), contradictions.rows, needed=True),

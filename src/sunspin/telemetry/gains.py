@@ -23,8 +23,9 @@ is dead (with half of it twins with all faults missed by half as much again). An
 scatter of brightness tells nothing: faces of other temperatures, shadows of edges."""
 
 UNKNOWN_SIGMA = 0.2
-"""The same of a gain that is left to the motion to tell (:mod:`sunspin.estimate.rates.common`): no brightness refutes a vehicle
-file whose full scale is wrong by a third, and a wide prior costs little where 40 samples of a motion tell it to a few percent."""
+"""The same of a gain that is left to the motion to tell (:mod:`sunspin.estimate.rates.common_errors`): no brightness refutes a
+vehicle file whose full scale is wrong by a third, and a wide prior costs little where 40 samples of a motion tell it to a few
+percent."""
 
 FEWEST, MOST = 15, 1500
 """Samples needed; and used, evenly chosen."""

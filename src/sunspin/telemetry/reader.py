@@ -20,9 +20,10 @@ from sunspin.base.tables import Table, read_table
 from sunspin.telemetry.columns import column_of, missing_sensors, unused_columns
 from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import UNITS
-from sunspin.telemetry.sensors import ABSURD, read_sensors, unwrapped
+from sunspin.telemetry.sensors import ABSURD, read_sensors
 from sunspin.vehicle import TelemetryForm, Vehicle
 from sunspin.vehicle.craft import OR_CHANNEL
+from sunspin.vehicle.sensors import unwrapped
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""

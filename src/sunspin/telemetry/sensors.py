@@ -8,16 +8,13 @@ import numpy as np
 
 from sunspin.base.tables import Table
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.sensors import Attitude, SunSensor, SunVector
+from sunspin.vehicle.sensors import VARIABLES, SunSensor, SunVector
 
 RADIAL_SIGMA = 0.02
 """Sigma along the direction itself: a chord is shorter than its arc, and the covariance must have full rank."""
 
 ABSURD = 1e12
 """A cell beyond this is no reading in any unit."""
-
-UNIT = 0.02
-"""A quaternion whose length is farther from one than this is none."""
 
 AGREE = 0.5
 """Sensors that see different Suns cancel: a mean direction shorter than this is none."""
@@ -76,19 +73,11 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
             about = {"units": "1", "long_name": "Sun by the Sun sensors, if their y runs the other way"}
             found["sun_sensor_other_B"] = (("time", "axis"), sun, about)
             found["sun_sensor_other_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
-    gyro, magnetometer = sensors.gyro, sensors.magnetometer
-    if gyro is not None and all(name in table.header for name in gyro.columns):
-        value = gyro.scale_rad_s * (unwrapped(_numbers(table, gyro.columns), gyro.wraps_at) - gyro.zero)
-        found["gyro_B"] = (("time", "axis"), value, {"units": "rad s-1", "long_name": "gyro, body axes"})
-    if magnetometer is not None and all(name in table.header for name in magnetometer.columns):
-        value = unwrapped(_numbers(table, magnetometer.columns), magnetometer.wraps_at) - magnetometer.zero
-        about = {"long_name": "magnetometer less its zero, times its matrix, body axes"}
-        found["field_B"] = (("time", "axis"), value @ magnetometer.matrix.T, about)
-    attitude = sensors.attitude
-    if attitude is not None and all(name in table.header for name in attitude.columns):
-        value = _quaternions(attitude, _numbers(table, attitude.columns))
-        about = {"units": "1", "long_name": "attitude as given, scalar last, from reference frame to body"}
-        found["attitude_B_from_N"] = (("time", "quaternion"), value, about)
+    for name, variable in VARIABLES.items():
+        sensor = sensors.with_columns.get(name)
+        if sensor is not None and all(column in table.header for column in sensor.columns):
+            along, value, about = sensor.seen(_numbers(table, sensor.columns))
+            found[variable] = (("time", along), value, about)
     speeds = [wheel.speed_column for wheel in vehicle.wheels]
     if speeds and all(name in table.header for name in speeds if name) and any(speeds):
         nothing = np.full(len(table.rows), np.nan)
@@ -96,22 +85,6 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
                  for w in vehicle.wheels]  # fmt: skip
         found["wheel_speed_rad_s"] = (("time", "wheel"), np.stack(value, axis=1), {"units": "rad s-1"})
     return found
-
-
-def unwrapped(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
-    """Counts whose upper half stands for negative numbers (65535 for -1 where they wrap at 65536)."""
-    return counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
-
-
-def _quaternions(form: Attitude, values: np.ndarray) -> np.ndarray:
-    """Unit quaternions B_from_N (n, 4), scalar last; NaN where the columns hold no unit quaternion."""
-    if form.scalar == "first":
-        values = values[:, [1, 2, 3, 0]]
-    if form.rotates == "B_to_N":
-        values = values * [-1.0, -1.0, -1.0, 1.0]
-    size = np.linalg.norm(values, axis=1, keepdims=True)
-    good = np.abs(size - 1) < UNIT
-    return np.where(good, values / np.where(good, size, 1.0), np.nan)
 
 
 def _numbers(table: Table, names: Any) -> np.ndarray:

@@ -19,7 +19,7 @@ from sunspin.base.untrusted import decoded, read_bytes
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
 from sunspin.vehicle.assumptions import assumed_keys
-from sunspin.vehicle.part import Name, Part, numbers, part, problem
+from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, problem
 from sunspin.vehicle.response.choice import ResponseForm
 
 MAX_FILE_BYTES = 1_000_000
@@ -146,6 +146,7 @@ def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehic
     units = {unit for panel in table.get("panel", ()) for key, unit in parts.GAIN_UNITS.items() if key in panel}
     if len(units) > 1:
         raise VehicleError(sentence("the gains of the panels must all be relative, all gain_W or all gain_A"))
+    alone = {key: getattr(file, key) for key in keys_of(sensors.Sensors) if key != "sun_sensors"}
     return craft.Vehicle(
         name=file.name,
         inertia_kg_m2=file.body.inertia_kg_m2,
@@ -159,9 +160,7 @@ def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehic
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
-        sensors=sensors.Sensors(
-            file.sun_sensor, file.sun_vector, file.gyro, file.attitude, file.magnetometer, file.disturbance, file.clock
-        ),
+        sensors=sensors.Sensors(file.sun_sensor, **alone),
         panel_response=file.panel_response,
         channels=file.channel,
         facts=dict(_facts(table)),

@@ -1,6 +1,6 @@
 """What a vehicle carries beside its panels: Sun sensors, a gyro, a magnetometer; and what is known of its disturbances.
 
-All in body axes.
+All in body axes. A sensor that reads by itself says what its columns mean (`seen`), and `VARIABLES` where telemetry has that.
 """
 
 from __future__ import annotations
@@ -25,6 +25,20 @@ from sunspin.vehicle.part import (
     part,
     unit,
 )
+
+VARIABLES = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N"}
+"""Sensor, by its table in a vehicle file -> the variable of telemetry with what it saw."""
+
+UNIT = 0.02
+"""A quaternion whose length is farther from one than this is none."""
+
+Seen = tuple[str, np.ndarray, dict[str, str]]
+"""Second dimension (the first is time), values (n, 3 or 4) and attributes of a variable of telemetry."""
+
+
+def unwrapped(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
+    """Counts whose upper half stands for negative numbers (65535 for -1 where they wrap at 65536)."""
+    return counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
 
 
 def _sigma_of(key: str, *shape: int) -> PlainValidator:
@@ -131,6 +145,11 @@ class Gyro(Part):
         if self.scale_rad_s == 0:
             raise VehicleError(sentence("{path}.scale_rad_s must not be zero"))
 
+    def seen(self, read: np.ndarray) -> Seen:
+        """Rates of the readings (n, 3) of its columns."""
+        value = self.scale_rad_s * (unwrapped(read, self.wraps_at) - self.zero)
+        return "axis", value, {"units": "rad s-1", "long_name": "gyro, body axes"}
+
 
 def _turns_back(matrix: FloatArray) -> bool:
     return matrix.shape == (3, 3) and bool(np.isfinite(matrix).all()) and np.linalg.cond(matrix) < 1e6
@@ -159,6 +178,11 @@ class Magnetometer(Part):
         default_factory=lambda: frozen_array(np.zeros(3)), validation_alias=AliasPath("zero", "sigma")
     )
 
+    def seen(self, read: np.ndarray) -> Seen:
+        """Fields of the readings (n, 3) of its columns, in their unit."""
+        value = (unwrapped(read, self.wraps_at) - self.zero) @ self.matrix.T
+        return "axis", value, {"long_name": "magnetometer less its zero, times its matrix, body axes"}
+
 
 @part
 class Attitude(Part):
@@ -171,6 +195,15 @@ class Attitude(Part):
     scalar: Literal["first", "last"]
     rotates: Literal["N_to_B", "B_to_N"]
     sigma_rad: Positive
+
+    def seen(self, read: np.ndarray) -> Seen:
+        """Unit quaternions B_from_N, scalar last, of the readings (n, 4) of its columns; NaN where they hold no unit quaternion."""
+        value = read[:, [1, 2, 3, 0]] if self.scalar == "first" else read
+        value = value * [-1.0, -1.0, -1.0, 1.0] if self.rotates == "B_to_N" else value
+        size = np.linalg.norm(value, axis=1, keepdims=True)
+        good = np.abs(size - 1) < UNIT
+        about = {"units": "1", "long_name": "attitude as given, scalar last, from reference frame to body"}
+        return "quaternion", np.where(good, value / np.where(good, size, 1.0), np.nan), about
 
 
 @part

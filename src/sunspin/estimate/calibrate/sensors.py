@@ -16,7 +16,7 @@ from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
 from sunspin.estimate.orbit.check import Verdict, check_orbit, start_of
-from sunspin.estimate.orbit.sensors import FEWEST, SUN_KEYS, Calibration, Readings, fit_in_orbit, priors, readings
+from sunspin.estimate.orbit.sensor_calibration import FEWEST, SUN_KEYS, Calibration, Readings, fit_in_orbit, priors, readings
 from sunspin.estimate.rates.estimate import rates
 from sunspin.estimate.verdict import NARROWER
 from sunspin.telemetry.gains import prior_sigmas, with_gains

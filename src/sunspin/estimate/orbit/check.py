@@ -19,7 +19,7 @@ from scipy.special import erfc
 
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.invariants import FEWEST, Fits, Predicted, Seen, fit, predict, seen_in
-from sunspin.estimate.orbit.sensors import Calibration, Start, by_sun_sensors
+from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
 from sunspin.vehicle import Vehicle
 
 COPIES = 50

@@ -1,7 +1,7 @@
 """What a magnetometer reads in an orbit that is known: zero and matrix (scale, soft iron, axes), with their errors, from a file.
 
 It is the calibration by which the shift along the track is found: with biases and scales of Sun sensors where there are any
-(:mod:`sunspin.estimate.orbit.sensors`), else by strength of the field and its angle to the Sun
+(:mod:`sunspin.estimate.orbit.sensor_calibration`), else by strength of the field and its angle to the Sun
 (:mod:`sunspin.estimate.orbit.invariants`). Of few readings little more comes back than the priors, which are wide: then a fit of
 the motion finds the rest. What is open of the place along the track is part of the errors: a calibration along a shifted orbit is
 another one.
@@ -17,7 +17,7 @@ import xarray as xr
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight
-from sunspin.estimate.orbit.sensors import Calibration, Start, by_sun_sensors
+from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
 from sunspin.vehicle import Vehicle
 
 FEW_SCATTER = 0.02

@@ -1,4 +1,4 @@
-"""Every rate that could do, as starts for least squares.
+"""Grid search for initial rates, as starts for least squares.
 
 The attitude that the body has reached at the samples next to the reference is computed on a grid of rates, fine enough (turns of
 `TURN` rad from point to point at most) to be interpolated between them. Every cell of the grid is looked through on points a

@@ -34,13 +34,13 @@ from sunspin.estimate.posterior.hypotheses import (
     others,
     searched,
 )
+from sunspin.estimate.posterior.importance import Known, resampled, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
-from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, standing, within
+from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
-from sunspin.estimate.posterior.widths import resampled, sample
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
@@ -189,16 +189,15 @@ def posterior(
 
 
 def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, first: Sampled | None = None) -> list[Sampled]:
-    """The posteriors under hypotheses, about their modes; the others than the `first` have their bends from it."""
+    """The posteriors under hypotheses, about their modes; the others than the `first` may learn from its draws."""
     made = []
     for one in every:
-        bent, least = None, -np.inf
+        known, least = None, -np.inf
         if first is not None:
-            models = (first.hypothesis.likelihood.model, one.likelihood.model)
-            pairs = zip(*(standing(model)[0].unknowns for model in models), strict=False)
-            bent = first.drawn.bent.counted_in(np.array([wider.sigma / own.sigma for own, wider in pairs]))
+            pairs = zip(first.hypothesis.likelihood.model.unknowns, one.likelihood.model.unknowns, strict=False)
+            known = Known(first.drawn, np.array([wider.sigma / own.sigma for own, wider in pairs]))
             least = first.drawn.evidence - one.log_prior + np.log(LOST)
-        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, bent, least)
+        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, known, least)
         made.append(Sampled(one, draws))
     return made
 

@@ -19,7 +19,7 @@ from sunspin.solve.rotations import moved, tangents
 
 FILES = (
     "estimate/posterior/data.py", "estimate/posterior/model.py", "estimate/posterior/likelihood.py", "estimate/posterior/fit.py",
-    "estimate/posterior/cells.py", "estimate/posterior/widths.py", "estimate/posterior/tags.py", "estimate/inertia.py",
+    "estimate/posterior/cells.py", "estimate/posterior/importance.py", "estimate/posterior/tags.py", "estimate/inertia.py",
     "estimate/terms/steady_torque.py",
     "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
     "estimate/terms/sun_direction.py",

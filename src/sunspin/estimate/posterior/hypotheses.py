@@ -17,10 +17,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from sunspin.dynamics.torques.acting import OWN, PER_DIRECTION, needed
+from sunspin.estimate.posterior.importance import Sample, pareto_tail
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, pushed
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, distinct, within
-from sunspin.estimate.posterior.widths import Sample, pareto_tail
 from sunspin.estimate.terms.steady_torque import WORDS
 
 STATED = "as stated"

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from sunspin.estimate.posterior.hypotheses import Mixed
+from sunspin.estimate.posterior.importance import pareto_tail
 from sunspin.estimate.posterior.model import Model
 from sunspin.estimate.posterior.verdict import Found, word_of
-from sunspin.estimate.posterior.widths import pareto_tail
 from sunspin.estimate.verdict import LEAST_DRAWS
 
 FACTORS = (0.5, 2.0)

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.common import Common, again, places_of
+from sunspin.estimate.rates.common_errors import Common, again, places_of
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.noise import falling
-from sunspin.estimate.rates.seed import ALIKE_RAD, distinct_index, outline
+from sunspin.estimate.rates.search import ALIKE_RAD, distinct_index, outline
 from sunspin.estimate.rates.smooth import TURN_PRIOR, Intervals, cost_limit, log_noise
 from sunspin.estimate.rates.state import Track
 from sunspin.estimate.rates.wandering import about_most, log_evidence

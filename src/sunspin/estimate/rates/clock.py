@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.common import Clock, has_common, with_common
+from sunspin.estimate.rates.common_errors import Clock, has_common, with_common
 from sunspin.estimate.rates.smooth import smooth
 from sunspin.estimate.rates.state import Motion, Observations, Track
 

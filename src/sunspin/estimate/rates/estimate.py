@@ -22,7 +22,7 @@ from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_cal
 from sunspin.estimate.passes import DOUBTFUL
 from sunspin.estimate.rates.alternatives import Others
 from sunspin.estimate.rates.clock import lateness, suspected
-from sunspin.estimate.rates.common import Clock
+from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading, link
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
@@ -30,11 +30,11 @@ from sunspin.estimate.rates.motion import Body, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
+from sunspin.estimate.rates.result import SUSPECTED, believed, dataset_of, in_space, in_the_field, verdict
 from sunspin.estimate.rates.side_by_side import each, processes
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.rates.told import SUSPECTED, believed, dataset_of, in_space, in_the_field, verdict
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE

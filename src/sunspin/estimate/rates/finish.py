@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.dynamics.torques.acting import needed_around
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
-from sunspin.estimate.rates.common import LOOSER, Clock, Common, with_common
+from sunspin.estimate.rates.common_errors import LOOSER, Clock, Common, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Hypothesis
@@ -19,7 +19,7 @@ from sunspin.estimate.rates.images import images_of
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.noise import settled
 from sunspin.estimate.rates.residuals import Fitted, residuals
-from sunspin.estimate.rates.seed import distinct, distinct_index, field_leads, guesses, out_of_field, search
+from sunspin.estimate.rates.search import distinct, distinct_index, field_leads, guesses, out_of_field, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.common import Clock
+from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.smooth import TURN_PRIOR
 from sunspin.estimate.rates.state import Motion, Observations
 from sunspin.estimate.terms.term import MotionTerm, Term

@@ -12,9 +12,9 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.effort import may_go_on
-from sunspin.estimate.rates.common import Clock, Common, cooler, with_common
+from sunspin.estimate.rates.common_errors import Clock, Common, cooler, with_common
 from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.seed import SEED_NOISE, cooled, guesses, seeds
+from sunspin.estimate.rates.search import SEED_NOISE, cooled, guesses, seeds
 from sunspin.estimate.rates.state import Motion, Observations, Track
 
 NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.common import Clock, places_of
+from sunspin.estimate.rates.common_errors import Clock, places_of
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, StateTerm, SunTerm
 from sunspin.estimate.verdict import in_sigma

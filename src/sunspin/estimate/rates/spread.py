@@ -3,7 +3,7 @@
 The panels' gains are wrong by the same amount in every sample of a pass, and the Earth lights the same side of a turning body, so
 that more samples do not help. Gains that the brightness of all samples has told, and the Earth's light, are "considered" and not
 estimated here: the answer's shift for each, times its sigma, is added to the covariance. Gains that are not told so, a gyro's zero
-and scale and the inertia are estimated (:mod:`sunspin.estimate.rates.common`).
+and scale and the inertia are estimated (:mod:`sunspin.estimate.rates.common_errors`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimate.rates.common import Clock, Common, sun_part
+from sunspin.estimate.rates.common_errors import Clock, Common, sun_part
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.linear import bordered
 

@@ -1,4 +1,4 @@
-"""Where a search of :mod:`sunspin.estimate.rates.seed` starts: rates that take the Sun from one sample to the next.
+"""Where a search of :mod:`sunspin.estimate.rates.search` starts: rates that take the Sun from one sample to the next.
 
 Two directions a known time apart leave a family of constant rates: one angle, the sign of the axis, and whole turns. Where the
 body's own motion or its wheels turn the rate between the two, no constant rate is a start, and a grid of rates takes its place.

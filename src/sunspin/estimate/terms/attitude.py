@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.estimate.terms.term import PairTerm
 from sunspin.solve.rotations import turn_between
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import VARIABLES
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,7 @@ class Attitude(PairTerm):
 
     name: ClassVar[str] = "attitude"
     called: ClassVar[str] = "attitude"
+    table: ClassVar[str] = "attitude"
     per_sample: ClassVar[tuple[str, ...]] = ("B_from_N",)
     measured: ClassVar[tuple[str, ...]] = per_sample
 
@@ -29,12 +31,12 @@ class Attitude(PairTerm):
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
         """That of telemetry, if it has one."""
-        if "attitude_B_from_N" not in telemetry:
+        if VARIABLES[cls.table] not in telemetry:
             return None
-        quaternion = np.asarray(telemetry["attitude_B_from_N"], dtype=np.float64)
+        quaternion = np.asarray(telemetry[VARIABLES[cls.table]], dtype=np.float64)
         read, good = np.full((len(quaternion), 3, 3), np.nan), np.isfinite(quaternion).all(axis=1)
         read[good] = Rotation.from_quat(quaternion[good]).as_matrix().reshape(-1, 3, 3)
-        part = vehicle.sensors.attitude
+        part = vehicle.sensors.with_columns.get(cls.table)
         return cls(read, part.sigma_rad if part is not None else np.inf)
 
     def present(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from scipy.special import gamma
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.term import STUDENT, Residual, Seen, StateTerm, Unknown
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import VARIABLES
 from sunspin.vehicle.sensors import Gyro as Part
 
 
@@ -23,6 +24,7 @@ class Gyro(StateTerm):
 
     name: ClassVar[str] = "gyro"
     called: ClassVar[str] = "gyro"
+    table: ClassVar[str] = "gyro"
     per_sample: ClassVar[tuple[str, ...]] = ("rate_B", "common")
     measured: ClassVar[tuple[str, ...]] = ("rate_B",)
 
@@ -33,9 +35,9 @@ class Gyro(StateTerm):
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
         """That of telemetry, if it has one."""
-        if "gyro_B" not in telemetry:
+        if VARIABLES[cls.table] not in telemetry:
             return None
-        rate, part = np.asarray(telemetry["gyro_B"], dtype=np.float64), vehicle.sensors.gyro
+        rate, part = np.asarray(telemetry[VARIABLES[cls.table]], dtype=np.float64), vehicle.sensors.with_columns.get(cls.table)
         return cls(rate, 1.0 if part is None else part.noise_rad_s, _common(part, rate))
 
     def present(self) -> np.ndarray:

@@ -20,6 +20,7 @@ from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.term import PairTerm, Seen, Term, Unknown, drifting
 from sunspin.solve.rotations import cross_matrix
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import VARIABLES
 
 FIELD_FACTOR = 5.0
 """A field of more than this many times the usual size is a wrapped or broken reading: along an orbit it varies by three."""
@@ -40,6 +41,7 @@ class Magnetometer(PairTerm):
 
     name: ClassVar[str] = "field"
     called: ClassVar[str] = "magnetometer"
+    table: ClassVar[str] = "magnetometer"
     per_sample: ClassVar[tuple[str, ...]] = ("field_B", "drift_N")
     measured: ClassVar[tuple[str, ...]] = ("field_B",)
 
@@ -52,15 +54,15 @@ class Magnetometer(PairTerm):
     known: KnownField | None = None
 
     @classmethod
-    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset, calibration: FieldCalibration | None = None) -> Self | None:
-        """That of telemetry, if it has one; with its `calibration` along an orbit."""
-        if "field_B" not in telemetry:
+    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
+        """That of telemetry, if it has one."""
+        if VARIABLES[cls.table] not in telemetry:
             return None
-        part = vehicle.sensors.magnetometer
+        part = vehicle.sensors.with_columns.get(cls.table)
         noise = part.noise if part is not None else None
-        read = without_outliers(np.asarray(telemetry["field_B"], dtype=np.float64))
+        read = without_outliers(np.asarray(telemetry[VARIABLES[cls.table]], dtype=np.float64))
         zero = np.zeros((0, 3)) if part is None or not part.zero_sigma.any() else (part.matrix * part.zero_sigma).T
-        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), zero_B=zero, calibration=calibration)
+        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), zero_B=zero)
 
     def take(self, index: np.ndarray | slice) -> Self:
         return replace(super().take(index), known=None if self.known is None else self.known.take(index))

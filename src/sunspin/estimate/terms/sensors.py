@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
@@ -17,7 +20,7 @@ from sunspin.estimate.terms.term import Term
 from sunspin.vehicle import Vehicle
 
 SENSORS = (Gyro, Magnetometer, Attitude)
-"""Those beside the Sun's."""
+"""Those beside the Sun's. An orbit calibrates the `Magnetometer` itself, not others of its kind."""
 
 FIELD = "field"
 """Where directions come from without a Sun: a magnetometer."""
@@ -51,11 +54,16 @@ def read_terms(
     part = vehicle.sensors.magnetometer
     if source == FIELD and calibration is None and part is not None:
         field, why = FieldDirection.alone(part, telemetry)
-        more = (Gyro.read(vehicle, telemetry), Attitude.read(vehicle, telemetry))
-        return (field, TurningAxes(), *(term for term in more if term is not None)), why
+        return (field, TurningAxes(), *_read(vehicle, telemetry, Magnetometer)), why
     if source == FIELD:
         sun, why = None, np.full(telemetry.sizes["time"], UNREAD, dtype=object)
     else:
         sun, why = Panels.read(vehicle, telemetry) if source == "panels" else SunDirection.read(vehicle, telemetry, source)
-    others = (Gyro.read(vehicle, telemetry), Magnetometer.read(vehicle, telemetry, calibration), Attitude.read(vehicle, telemetry))
+    others = [replace(x, calibration=calibration) if type(x) is Magnetometer else x for x in _read(vehicle, telemetry)]
     return tuple(term for term in (sun, *others) if term is not None), why
+
+
+def _read(vehicle: Vehicle, telemetry: xr.Dataset, but: type[Term] | None = None) -> Iterator[Term]:
+    """The sensors beside the Sun's that telemetry has, `but` one kind."""
+    found = (sensor.read(vehicle, telemetry) for sensor in SENSORS if sensor is not but)
+    return (term for term in found if term is not None)

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.output.check.samples import doubts, intervals, worth
-from sunspin.output.kinds.seen import health_lines, health_summary, status_counts, status_lines
+from sunspin.output.kinds.telemetry import health_lines, health_summary, status_counts, status_lines
 from sunspin.telemetry.health import noise_made, panel_health
 from sunspin.telemetry.quality import lit_threshold
 from sunspin.telemetry.reader import FLAGS, read_telemetry

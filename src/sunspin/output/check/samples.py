@@ -12,6 +12,7 @@ from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import wrong_units
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import line_of, vehicle_text
+from sunspin.vehicle.sensors import VARIABLES
 
 SHOWN = 30
 """Columns listed by name."""
@@ -42,8 +43,8 @@ def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[d
         about, lines = _panels(craft, samples)
         summary |= about
         lines = [f"  {n:6d}  {text}" for text, n in about["worth"].items()] if misread else lines
-    sensors = {"sun_sensor_B": "Sun sensors", "gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "attitude",
-               "wheel_speed_rad_s": "wheel speeds"}
+    alone = {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
+    sensors = {"sun_sensor_B": "Sun sensors"} | alone | {"wheel_speed_rad_s": "wheel speeds"}
     there = {label: int(np.isfinite(samples[name].values).all(axis=1).sum()) for name, label in sensors.items() if name in samples}
     if there:
         summary["sensors"] = there

@@ -1,4 +1,4 @@
-"""A simulated motion against time."""
+"""A simulated motion, and the spin-down of a wheel, against time."""
 
 from __future__ import annotations
 
@@ -27,4 +27,22 @@ def trajectory_figure(run: xr.Dataset) -> Figure:
         parts[1].set_ylabel("wheel speed (rad/s)")
         parts[1].legend(ncols=4, fontsize=9, **ABOVE)
     parts[-1].set_xlabel("time (s)")
+    return figure
+
+
+def spin_down_figure(
+    t_s: np.ndarray, curves: dict[str, np.ndarray],
+    title: str = "Spin-down of the wheel, computed from published friction (no measured record is public)",
+) -> Figure:  # fmt: skip
+    """Wheel speed against time for several friction laws (paper, Fig. 5), or as recorded and fitted."""
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    for k, (label, speed) in enumerate(curves.items()):
+        axes.plot(t_s / 60, speed, "-" if k == 0 else "--", color=COLOURS[k], label=label)
+    axes.set_xlabel("time (min)")
+    axes.set_ylabel("wheel speed (rad/s)")
+    axes.set_ylim(bottom=-20)
+    axes.axhline(0, lw=0.5, color=COLOURS[7])
+    axes.legend()
+    axes.set_title(title, fontsize=9)
     return figure

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.output.figures import COLOURS, named, titled
 
 SHOWN = 8
@@ -68,8 +69,7 @@ def component(axes: Any, result: xr.Dataset, number: int, k: int, label: str | N
 def sources(result: xr.Dataset) -> str:
     """The sensors that a motion was found from, in words."""
     seen = {"panels": ["panel signals"], "sun_sensor": ["Sun sensors"], "directions": ["Sun directions"], "field": []}
-    words = {"gyro_used": "gyro", "field_used": "magnetometer", "attitude_used": "attitude"}
-    used = [*seen[result.attrs["source"]], *(word for key, word in words.items() if result.attrs.get(key))]
+    used = [*seen[result.attrs["source"]], *(one.called for one in SENSORS if result.attrs.get(f"{one.name}_used"))]
     return used[0] if len(used) == 1 else f"{', '.join(used[:-1])} and {used[-1]}"
 
 

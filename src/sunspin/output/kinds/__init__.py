@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from sunspin.output.kinds import calibration, collision, comparison, coverage, motion, outcomes, posterior, rates, scan, seen
+from sunspin.output.kinds import calibration, collision, comparison, coverage, motion, outcomes, posterior, rates, scan, telemetry
 from sunspin.output.kinds.kind import Kind
 
 KINDS: dict[str, Kind] = {
-    "telemetry": Kind("telemetry", "telemetry.nc", seen.telemetry_summary, seen.telemetry_drawings),
-    "sun_directions": Kind("sun", "sun.nc", seen.sun_summary, seen.sun_drawings, seen.sun_tables),
-    "panel_quality": Kind("panel_quality", "panel-quality.nc", seen.quality_summary, seen.quality_drawings),
-    "panel_health": Kind("panel_health", "panel-health.nc", seen.health_summary, seen.health_drawings),
+    "telemetry": Kind("telemetry", "telemetry.nc", telemetry.telemetry_summary, telemetry.telemetry_drawings),
+    "sun_directions": Kind("sun", "sun.nc", telemetry.sun_summary, telemetry.sun_drawings, telemetry.sun_tables),
+    "panel_quality": Kind("panel_quality", "panel-quality.nc", telemetry.quality_summary, telemetry.quality_drawings),
+    "panel_health": Kind("panel_health", "panel-health.nc", telemetry.health_summary, telemetry.health_drawings),
     "calibration": Kind(
         "calibrate-sensors", "calibration.nc", calibration.calibration_summary, tables=calibration.calibration_tables
     ),

@@ -68,7 +68,7 @@ def spin_down_summary(fit: Any) -> Summary:
 
 
 def spin_down_drawings(fit: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import spin_down_figure
+    from sunspin.output.figures.motion import spin_down_figure
 
     curves = {"recorded": fit["recorded_rad_s"].values, "fitted": fit["fitted_rad_s"].values}
     yield Drawing(

@@ -12,15 +12,15 @@ from sunspin.output.kinds.kind import synthetic_label
 
 OF_A_PASS = ("utc_start", "utc_end", "samples")
 BELIEVED = ("decided", "unique", "informed_x", "informed_y", "informed_z", "fits", "search_complete", "wiring", "utc_at")
-OF_THE_MODEL = ("model", "model_weight")
-"""What only `rates` has."""
+ADDED = ("model", "model_weight")
+"""Columns of a pass that came later, after all others, as scripts read those by place; `posterior` has no models."""
 OF_A_MOTION = ("speed_low", "speed_median", "speed_high", "omega_x", "omega_y", "omega_z", "sigma_x", "sigma_y", "sigma_z")
 """rad/s; each has a column in deg/s too."""
 
 
 def pass_numbers(found: Any, k: int) -> dict[str, Any]:
     """What a summary says of pass number `k` of a Dataset with the variables of :func:`sunspin.estimate.passes.table`."""
-    names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *(name for name in OF_THE_MODEL if name in found))
+    names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *(name for name in ADDED if name in found))
     told = {name: found[name].values[k].item() for name in names}
     return {"pass_id": int(found["pass_id"].values[k])} | told
 
@@ -47,6 +47,6 @@ def write_passes(found: Any, folder: Path, label: Any) -> None:
             first = ("pass_id", *OF_A_PASS)
             rows.append({name: told[name] for name in first} | {name: motion[name] for name in ("mode", "weight")}
                         | {name: told[name] for name in BELIEVED} | motion
-                        | {name: told[name] for name in OF_THE_MODEL if name in told})  # fmt: skip
+                        | {name: told[name] for name in ADDED if name in told})  # fmt: skip
     text = synthetic_label(label) + pd.DataFrame(rows).to_csv(index=False, float_format="%.9g")
     write_whole(folder / "passes.csv", lambda part: part.write_text(text, "utf-8"))

@@ -72,14 +72,6 @@ class Table:
 
 
 @dataclass
-class Text:
-    """Paragraphs."""
-
-    paragraphs: Sequence[str]
-    kind: str = "text"
-
-
-@dataclass
 class Special:
     """A part with a template of its own: `kind` names it, `content` is its data for the template, `data` for the script."""
 

@@ -36,7 +36,7 @@ def telemetry_summary(samples: Any) -> Summary:
 
 
 def telemetry_drawings(samples: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import signals_figure
+    from sunspin.output.figures.telemetry import signals_figure
 
     if "panel" in samples.coords:
         yield Drawing(
@@ -74,7 +74,7 @@ def status_lines(sun: Any) -> list[str]:
 
 
 def sun_drawings(sun: Any, beside: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import sun_directions_figure
+    from sunspin.output.figures.telemetry import sun_directions_figure
 
     if "time" not in sun.coords:
         return
@@ -115,7 +115,7 @@ def quality_summary(quality: Any) -> Summary:
 
 
 def quality_drawings(quality: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import gains_figure
+    from sunspin.output.figures.telemetry import gains_figure
 
     yield Drawing(
         "panel-quality", lambda: gains_figure(quality), "Gain of each panel with its error bar.",
@@ -160,7 +160,7 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
 
 
 def health_drawings(health: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import health_figure
+    from sunspin.output.figures.telemetry import health_figure
 
     yield Drawing(
         "panel-health", lambda: health_figure(health),

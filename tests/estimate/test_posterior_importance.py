@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sunspin.estimate.posterior.importance import BLOCK, DEFENCE, pooled, regions
 from sunspin.estimate.posterior.mixture import Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import State
-from sunspin.estimate.posterior.widths import BLOCK, DEFENCE, pooled, regions
 from sunspin.solve.rotations import moved
 
 UNKNOWNS = 4

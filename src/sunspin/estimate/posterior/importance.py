@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -102,8 +102,8 @@ class Sample:
 
     `region` (n) counts from 0 by falling weight; `of_mode` (modes) is that of each mode; `effective`: as many draws of the
     posterior itself; `tail`: Pareto's k of the largest weights, above 0.7 not to be trusted; `evidence` (log);
-    `trace` (rounds, 3): log evidence, effective share, k. `bent`: the components about modes, bent along their ridges, and
-    `ridge` (modes): on which of them each lies.
+    `trace` (rounds, 3): log evidence, effective share, k; `ridge` (modes): modes of one number lie on one ridge. `bent`: the
+    components about modes, bent along their ridges, where the sampler has such.
     """
 
     state: State
@@ -116,20 +116,31 @@ class Sample:
     tail: float
     evidence: float
     trace: np.ndarray
-    bent: Mixture
     ridge: np.ndarray
+    bent: Mixture | None = None
+
+
+class Known(NamedTuple):
+    """Draws of the same motions under a model with fewer unknowns, of whose sigmas those here are so many `times` as large."""
+
+    drawn: Sample
+    times: np.ndarray
 
 
 def sample(
-    likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int, part: float = 1.0, bent: Mixture | None = None,
+    likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int, part: float = 1.0, known: Known | None = None,
     least: float = -np.inf,
 ) -> Sample:  # fmt: skip
     """The posterior around the modes; `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
-    Where sheets with one soft direction do not become good, others with two are learnt too, and both propose. `bent`: components
-    of the same motions under a model with fewer unknowns, whose bends are taken instead of found; where these do not become good
-    enough, sheets are learnt as otherwise. `least`: the log evidence below which nobody asks how good the draws are.
+    Where sheets with one soft direction do not become good, others with two are learnt too, and both propose. Bends of what is
+    `known` are taken instead of found; where these do not become good enough, sheets are learnt as otherwise. `least`: the log
+    evidence below which nobody asks how good the draws are.
     """
+    bent = None
+    if known is not None and known.drawn.bent is not None:
+        rest = rest_of(likelihood.model)
+        bent = known.drawn.bent.counted_in(known.times[rest[rest < len(known.times)]])
     tracks: list[_Track] = []
     for softs in SOFTS if bent is None else (LENT, *SOFTS):
         lent = bent if softs == LENT else None
@@ -148,7 +159,7 @@ def sample(
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
         last.state, last.log_weight, last.log_likelihood, label, share, of_component[tracks[0].of_mode], last.effective, last.tail,
-        last.evidence, np.array(trace), tracks[best].first, tracks[best].of_mode,
+        last.evidence, np.array(trace), tracks[best].of_mode, tracks[best].first,
     )  # fmt: skip
 
 
@@ -169,7 +180,8 @@ def _taught(
     likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int, part: float, bent: Mixture | None,
     least: float,
 ) -> _Track:  # fmt: skip
-    """Rounds of draws from which a mixture learns; its first components stand first in it. `bent` and `least` as in `sample`."""
+    """Rounds of draws from which a mixture learns; its first components stand first in it. `bent`: components whose bends
+    are taken instead of found; `least` as in `sample`."""
     first, of_mode = _first(likelihood, modes, softs, seed, run, chunk, bent)
     mixture, tried, trace = first, [], []
     count, good = int(part * DRAWS), None
@@ -267,7 +279,7 @@ def _first(
 ) -> tuple[Mixture, np.ndarray]:
     """Components by Laplace's method, bent along their ridges; and the component that each mode belongs to.
 
-    Modes on the ridge of a better one are not given a component of their own. `bent` as in `sample`.
+    Modes on the ridge of a better one are not given a component of their own. `bent` as in `_taught`.
     """
     model, reach = standing(likelihood.model)[0], likelihood.data.reach_s
     d, kept = model.dimension, np.concatenate([np.arange(5), 5 + rest_of(likelihood.model)])

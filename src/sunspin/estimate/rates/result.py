@@ -200,7 +200,7 @@ def _seen_alone(result: xr.Dataset) -> str:
             "; the magnetometer was used WITHOUT AN ORBIT: the Sun and the attitude in space are not known, a turn about the field "
             "is seen only through the motion, and the field itself turns by some 0.1 deg/s, which the sigmas contain"
         )
-    if any(result.attrs[f"{sensor}_used"] for sensor in ("gyro", "field", "attitude")):
+    if any(result.attrs[f"{sensor.name}_used"] for sensor in SENSORS):
         return ""
     text = "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
     if result.attrs["no_sphere"]:
