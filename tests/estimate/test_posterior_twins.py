@@ -10,7 +10,7 @@ import sunspin as ss
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, apart, coordinates, denser, joined, same_mode
-from sunspin.estimate.posterior.fit import Fit
+from sunspin.estimate.posterior.fit import Begun, Fit, Slopes
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.solve.rotations import moved
@@ -120,6 +120,24 @@ def test_a_fit_does_not_hang_on_its_company():
         alone = fit(np.array([i]))
         assert all(np.array_equal(every[name][i], alone[name][0]) for name in every)
     assert np.ptp(every["cost"][:3]) < 0.01
+
+
+def test_a_fit_may_begin_with_the_derivatives_of_a_state_near_by():
+    """And ends where one ends that had its own found; what does not fit then is left as it is."""
+    vehicle = craft(6)
+    data, _, _ = readings(vehicle, samples(vehicle, 6))
+    unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)
+    likelihood, levels, one = Likelihood(unknown, data), ((3.0, 2), (1.0, 3)), np.zeros(3, dtype=int)
+    near = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
+    known = Slopes(likelihood, near, False)(np.arange(1))
+    begun = Begun(near.take(one), known["moves"][one], known["seen"][one])
+    far = np.array([[0.0, 0.0, 0.0], [2e-3, -1e-3, 0.0], [-1e-3, 2e-3, 3e-3]])
+    start = State(RATE + far, moved(np.tile(SUN, (3, 1)), 20 * far[:, :2]), begun.state.u)
+    plain, quick = (Fit(likelihood, start, levels, normal=True, begun=one)(np.arange(3)) for one in (None, begun))
+    np.testing.assert_allclose(quick["cost"], plain["cost"], atol=0.05)
+    np.testing.assert_allclose(quick["omega"], plain["omega"], atol=2e-4)
+    none = Fit(likelihood, start, levels, normal=True, begun=begun, promising=-1e9)(np.arange(3))
+    assert np.isfinite(none["cost"]).all() and none["normal"].shape == plain["normal"].shape
 
 
 def test_brightness_is_guessed_where_no_sample_gives_a_direction():

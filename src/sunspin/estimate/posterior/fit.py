@@ -100,7 +100,8 @@ class Fit:
     `still`: leave the unknowns of the motion as they are; `free` (D, q): what these columns do not span too.
     `curved`: give the curvature too, at the noise that fits;
     `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level stay as they are then.
-    `begun`: derivatives of states near by to begin with.
+    `begun`: derivatives of states near by to begin with; `promising`: rows whose cost is at most that then have their own found,
+    and take two steps more.
     """
 
     likelihood: Likelihood
@@ -112,6 +113,7 @@ class Fit:
     hopeless: float = np.inf
     free: np.ndarray | None = None
     begun: Begun | None = field(default=None, repr=False)
+    promising: float = np.inf
 
     @property
     def n_rows(self) -> int:
@@ -133,29 +135,45 @@ class Fit:
         search.refresh(None if self.begun is None else Begun(self.begun.state.take(index), *(x[index] for x in self.begun[1:])))
         (factor, steps), *others = self.levels
         search.go(factor, steps)
-        on, left = np.arange(len(index)), None
-        if np.isfinite(self.hopeless) and np.any(search.objective > self.hopeless):
-            on, left = np.flatnonzero(search.objective <= self.hopeless), self._told(search)
-            if not len(on):
-                return left
-            search.only(on)
+        on, left = self._dropped(search, self.hopeless, np.arange(len(index)), {})
+        if not len(on):
+            return left
         for factor, steps in others:
             if self.curved:
                 search.refresh()
             search.go(factor, steps)
         if self.free is None:
             search.fit_noise(self.normal)
+        if self.begun is not None:
+            on, left = self._dropped(search, self.promising, on, left)
+            if not len(on):
+                return left
+            search.refresh()
+            search.steps(2)
+            search.fit_noise(self.normal)
         if self.curved:
             for _ in range(2):
                 search.refresh()
                 search.fit_noise()
                 search.steps(2)
+        return self._with(left, on, search)
+
+    def _dropped(
+        self, search: _Search, most: float, on: np.ndarray, left: dict[str, np.ndarray]
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """The rows that go on, those of at most a cost, of the rows `on`; and what is told of all, as they are now."""
+        if not np.any(search.objective > most):
+            return on, left
+        left, rows = self._with(left, on, search), np.flatnonzero(search.objective <= most)
+        search.only(rows)
+        return on[rows], left
+
+    def _with(self, left: dict[str, np.ndarray], on: np.ndarray, search: _Search) -> dict[str, np.ndarray]:
+        """What was told of all rows, with what is told of the rows `on` now."""
         found = self._told(search)
-        if left is None:
-            return found
-        for name, value in found.items():
-            left[name][on] = value
-        return left
+        for name, value in left.items():
+            value[on] = found[name]
+        return left or found
 
     def _told(self, search: _Search) -> dict[str, np.ndarray]:
         state = search.state

@@ -48,8 +48,10 @@ NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 GRID_SAMPLES, FEW_STARTS = 3, 2000
 """Samples for which the grid of starts is dense enough: neighbours are set from the next window on, or where they cost little."""
 
-CHILDREN = 2
-"""Hypotheses to each of those whose neighbours they are, from which on derivatives are found at the latter alone."""
+CHILDREN, MANY = 2, 5_000
+"""Hypotheses to each of those whose neighbours they are, and all together, from which on derivatives are found at the latter alone:
+what fits then has its own found, which takes a tenth of the runs. Where there are few, all have theirs: with derivatives of
+neighbours families look wider than they are."""
 
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
@@ -290,7 +292,8 @@ class Search:
             limit = likeliest(part, still, noisy)
             hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
             begun = self._begun(likelihood, parents, origin, still)
-            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless, begun=begun)
+            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless, begun=begun,
+                              promising=limit + SLACK_STILL)  # fmt: skip
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
@@ -314,8 +317,8 @@ class Search:
             used = following
 
     def _begun(self, likelihood: Likelihood, parents: State, origin: np.ndarray, still: bool) -> Begun | None:
-        """Derivatives to begin with at neighbours of `parents`, `origin` (n) of them: found there, where there are far fewer."""
-        if len(origin) < CHILDREN * len(parents) or likelihood.model.turned:
+        """Derivatives to begin with at many neighbours of far fewer `parents`, `origin` (n): found at these."""
+        if len(origin) < max(CHILDREN * len(parents), MANY) or likelihood.model.turned:
             return None
         found = self.run(Slopes(likelihood, parents, still), "derivatives", chunk_rows(likelihood))
         return Begun(parents.take(origin), found["moves"][origin], found["seen"][origin])
