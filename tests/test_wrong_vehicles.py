@@ -84,6 +84,15 @@ def test_a_sigma_has_the_form_of_its_value(key):
         refused(with_sigma(sigma))
 
 
+def test_the_sigma_of_an_angle_is_no_number_of_degrees():
+    text = made().replace("normal_B = [1, 0, 0]", "normal_B = { value = [1, 0, 0], sigma = HERE }")
+    assert parse_vehicle(text.replace("HERE", "1"), "v.toml").facts["panel.+X.normal_B"].sigma == 1
+    refused(text.replace("HERE", "1.1"), "the sigma of panel.+X.normal_B is in rad and not above 1", "one degree is")
+    turned = "[panel_response]\nturned_B_rad = { value = [0, 0, 0], sigma = 5 }\n"
+    refused(made() + turned, "turned_B_rad is in rad and not above 1")
+    refused(made(gyro='["gx", "gy"]'), "gyro.columns: List should have at least 3 items, not 2")
+
+
 def test_the_sigma_of_a_tensor_is_symmetric_as_the_tensor_is():
     """Else one half of it would be read and the other ignored."""
     rng = random.Random(3)

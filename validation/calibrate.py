@@ -221,17 +221,18 @@ def calibrate(out: Path, kind: str, twins: int, seed: int = 0, max_rate: float =
 
     def row(i: int) -> dict[str, Any]:
         telemetry, truth, unknown, priors = make(craft, kind, max_rate, samples, interval_s, seed, i)
-        stages = folder / f"{i:04d}-stages"
         try:
-            made = judge(craft, telemetry, truth, unknown, priors, seed, workers=workers, store=stages)
+            return judge(craft, telemetry, truth, unknown, priors, seed, workers=workers, store=folder / f"{i:04d}-stages")
         except Interrupted:
             raise
         except SunspinError as error:
-            made = {"refused": str(error)}
-        rmtree(stages, ignore_errors=True)
-        return made
+            return {"refused": str(error)}
 
-    return [kept(folder / f"{i:04d}.json", partial(row, i)) for i in range(twins)]
+    rows = []
+    for i in range(twins):
+        rows.append(kept(folder / f"{i:04d}.json", partial(row, i)))
+        rmtree(folder / f"{i:04d}-stages", ignore_errors=True)  # not before the row is kept: no run goes on from half of them
+    return rows
 
 
 def read(out: Path) -> dict[str, list[dict[str, Any]]]:

@@ -28,8 +28,8 @@ CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
 """rad/s by which a torque or a step changes the rate over a pass, and a strong torque."""
 
 KINDS = {
-    "right model": 24, "steady torque": 8, "step of the rate": 8, "jitter": 12, "columns exchanged": 12, "stop and go": 8,
-    "prior given back": 12, "strong torque in the body": 6, "strong torque in space": 6, "slews": 6, "time tags": 8,
+    "right model": 24, "steady torque": 12, "step of the rate": 12, "jitter": 12, "columns exchanged": 12, "stop and go": 12,
+    "prior given back": 12, "strong torque in the body": 12, "strong torque in space": 12, "slews": 12, "time tags": 12,
     "few samples": 40, "few samples, bad readings": 40, "slow": 12, "60 s apart": 12,
     "even, sampled as jitter": 12,
 }  # fmt: skip

@@ -63,7 +63,7 @@ def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
     if what == "rates":
         return {"form": form, "accused": [words for words in ACCUSED if words in told["verdict"]]}
     about = told["telemetry"]
-    kinds = ("wrong_units", "dead_panels", "missing_sensors", *(() if about["noise_made"] else ("impossible",)))
+    kinds = ("wrong_units", "wrong_axes", "dead_panels", "missing_sensors", *(() if about["made_by"] else ("impossible",)))
     return {"form": form, "accused": [f"{kind}: {about[kind]}" for kind in kinds if about.get(kind)]}
 
 

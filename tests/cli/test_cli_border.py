@@ -12,6 +12,8 @@ import pytest
 
 from rowsets import heed_interrupts
 from sunspin import cli
+from sunspin.base.errors import InputError
+from sunspin.cli import values
 
 START = ["--omega=0.1,0,0", "--sun=0.1959,0.5690,0.7986"]
 
@@ -36,6 +38,21 @@ def refused(outcome, *words):
     assert err.startswith("sunspin: error: ") and err.count("\n") == 1
     for word in words:
         assert word in err
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        (lambda: values.instant("yesterday", "--from", "2026-01-01T00:00:00Z"), "--from takes s from the epoch, or UTC"),
+        (lambda: values.times("soon", None), "--predict takes s from the epoch, or UTC"),
+        (lambda: values.period("13+-1@noon", None), "--period takes s from the epoch, or UTC"),
+        (lambda: values.prior("inertia"), r"takes a number \(found nothing\); for example --prior inertia=0.1"),
+        (lambda: values.observation("gyro", "0,1,2", 3), r"5 numbers .*\(found 0,1,2\); for example --gyro 0.1,0,-0.2,1,0.5"),
+    ],
+)
+def test_what_an_option_takes_is_said_in_its_own_form(read, text):
+    with pytest.raises(InputError, match=text):
+        read()
 
 
 def test_no_arguments_show_the_help(sunspin):

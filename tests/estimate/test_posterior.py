@@ -191,10 +191,10 @@ def _found(**changes):
         ({"p": 1e-4}, "not explained", "no motion fits"),
         ({"noise_sigmas": 5.0}, "not explained", "more than was assumed"),
         ({"tail": 0.9}, "not sure", "rough"),
-        ({"doubts": ["only rates up to 0.2 rad/s could be searched"]}, "not sure", "only rates"),
+        ({"doubts": ["only rates up to 11.5 deg/s could be searched"]}, "not sure", "only rates"),
         ({"length": np.array([0.3])}, "line", "a line"),
         ({"weight": np.array([0.6, 0.4]), "rate": np.array([[0.1, 0, 0], [0.152, 0, 0]]), "length": np.zeros(2)}, "aliases",
-         "0.052 rad/s apart"),
+         "2.98 deg/s apart"),
     ],
 )  # fmt: skip
 def test_the_verdict_in_words(changes, word, part):

@@ -109,7 +109,7 @@ def test_it_is_written_drawn_and_told(craft, tmp_path):
     told = predictions_summary(tree["predictions"].to_dataset())
     assert len(told["predicted"]) == 30 and json.dumps(told)
     text = str(told)
-    assert "at 2014-11-12T17:25 UTC, after the collision" in text and "angular speed 0.48" in text
+    assert "at 2014-11-12T17:25 UTC, after the collision" in text and "angular speed 27." in text
     figure = predicted_figure(tree["predictions"].to_dataset(), list(asked.values()))
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 12
     with pytest.raises(InputError, match="no epoch"):

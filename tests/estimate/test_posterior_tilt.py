@@ -14,11 +14,12 @@ from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.fit import Fit
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
-from sunspin.estimate.posterior.tilt import spread, stated_sigma
+from sunspin.estimate.posterior.tilt import spread
 from sunspin.estimate.posterior.turns import drawn_turns
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.parts import Fact
+from sunspin.vehicle.response.panels import stated_sigma
 
 RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 TILT = 0.04

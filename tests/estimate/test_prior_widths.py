@@ -65,7 +65,7 @@ def test_a_verdict_that_hangs_on_a_prior_is_said():
     assert each["noise", 2.0]["word"] == each["noise", 0.5]["word"] == "unique"
     words = " ".join(prior_sentences("unique", list(each.values())))
     assert 'the verdict changes with inertia doubled ("aliases")' in words
-    assert "not told by these draws: max_rate_rad_s doubled" in words
+    assert "these draws do not reach so far: the verdict with max_rate_rad_s doubled" in words
 
 
 def test_draws_that_cannot_tell_say_so():

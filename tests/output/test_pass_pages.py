@@ -130,7 +130,7 @@ def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert len(texts) == 2 and "between them" in texts[0] and "sigma" in texts[1]
     title, run = dense(result)[0]
-    assert title == "Pass 1" and "equations of motion" in run.attrs["about"]
+    assert title == "Pass 0" and "equations of motion" in run.attrs["about"]
     exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
     np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
     assert dense(result.drop_vars("curve_pass_of")) == []

@@ -1,16 +1,19 @@
 """What a user holds: every result knows its kind and where it comes from, and says, draws and saves itself."""
 
 import json
+import re
 import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
 import sunspin as ss
 from sunspin.output.kinds import KINDS
+from sunspin.output.text import rate_text
 from sunspin.philae.coverage import shipped
 
 NO_FIGURE = {"impact", "lines", "calibration"}
@@ -107,6 +110,27 @@ def test_a_posterior_and_its_predictions(user_runs, tmp_path, framed):
     tree.sunspin.save(tmp_path / "saved")
     names = {path.name for path in (tmp_path / "saved").iterdir()}
     assert {"posterior.nc", "modes.csv", "corner.svg", "predicted.csv"} <= names
+
+
+def test_a_panel_that_was_left_out_of_the_rates_is_said():
+    result = rates()
+    assert result.attrs["panels_left_out"] == "" and "left out" not in str(result.sunspin.summary())
+    said = result.assign_attrs(panels_left_out="+X, -Y").sunspin.summary()
+    assert said["panels_left_out"] == ["+X", "-Y"] and "panel +X, -Y never reads anything" in str(said)
+
+
+def test_rates_are_printed_in_degrees_a_second(user_runs):
+    """Beside those of options, which are in rad/s, so that one finds the other."""
+    tree, made = xr.load_datatree(user_runs["posterior"] / "posterior.nc"), [scan(), motion()]
+    shown = re.search(r"omega \((.*?)\) \+- .* deg/s", str(tree.sunspin.summary()))
+    likeliest = np.degrees(tree["modes"]["omega_B"].values[0])
+    assert shown and [float(x) for x in shown[1].split(", ")] == pytest.approx(likeliest, abs=0.01)
+    for result, key in zip(made, ("best_omega_B", "omega_B"), strict=True):
+        summary = result.sunspin.summary()
+        assert rate_text(summary[key]) in str(summary)
+    assert rate_text([0.1, 0.0, -np.pi]) == "(0.1, 0, -3.1416) rad/s, which is (5.73, 0, -180) deg/s"
+    modes = pd.read_csv(user_runs["posterior"] / "modes.csv", comment="#")
+    np.testing.assert_allclose(modes["omega_x_B_deg_s"], np.degrees(modes["omega_x_B_rad_s"]), rtol=1e-7)
 
 
 def test_strategies_side_by_side(user_runs):

@@ -8,9 +8,12 @@ from importlib import resources
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.terms.panels import Instants
+from sunspin.output.folder import write_netcdf
+from sunspin.telemetry.stored import stored_telemetry
 from sunspin.vehicle.file import parse_vehicle
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
@@ -150,3 +153,50 @@ def test_panels_read_in_turn_and_averaged():
 def test_offsets_that_make_no_sense_are_a_sentence(text):
     with pytest.raises(ss.VehicleError, match="panel that the vehicle does not have|must not be negative|number"):
         craft('time_column = "t"\n' + text)
+
+
+SENSORS = """
+[gyro]
+columns = ["gx", "gy", "gz"]
+scale_rad_s = 0.01
+zero = [1, 2, 3]
+noise_rad_s = 0.001
+"""
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """A vehicle, its telemetry with a gyro and a Sun vector, and the file of it as results folders have it."""
+    vehicle = parse_vehicle(VEHICLE.format(telemetry='time_column = "t"') + SENSORS, "test")
+    (tmp_path / "t.csv").write_text("t,pa,pb,sx,sy,sz,gx,gy,gz,phase\n2026-01-01T00:00:00Z,1,0,1,0,0,1,2,4,dark\n"
+                                    "2026-01-01T00:01:00Z,0.5,1,0,1,0,1,5,4,lit\n")  # fmt: skip
+    data = ss.read_telemetry(tmp_path / "t.csv", vehicle)
+    return vehicle, data, write_netcdf(tmp_path / "telemetry.nc", data)
+
+
+def test_what_a_results_folder_holds_is_read_as_it_was(stored):
+    vehicle, data, path = stored
+    again = ss.read_telemetry(path, vehicle)
+    xr.testing.assert_identical(again.drop_attrs(), data.drop_attrs())
+    assert dict(again.attrs) == dict(data.attrs) and again["gyro_B"].values[1].tolist() == [0.0, 0.03, 0.01]
+    xr.testing.assert_identical(stored_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data)
+
+
+def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(stored):
+    vehicle, data, path = stored
+    spoilt = (
+        (data.assign_coords(panel=["a", "c"]), "other panels.*vehicle.toml"),
+        (data.drop_vars("panel"), "other panels"),
+        (data.isel(panel=[0]), "other panels"),
+        (data.drop_vars("flag"), "no flags"),
+        (data.assign(flag=("time", [0.0, np.nan])), "another form of flag"),
+        (data.assign(gyro_B=("time", ["a", "b"])), "another form of gyro_B"),
+        (data.assign(power_W=("time", [1.0, 1.0])), "another form of power_W"),
+        (data.assign(power_W=1e300 * data["power_W"]), "power_W beyond all measure"),
+        (data.assign_coords(time=[0.0, np.inf]), "no times"),
+        (data.assign_attrs(epoch_utc="never"), "no epoch"),
+        (data[["flag"]], "no flags, or no reading"),
+    )
+    for wrong, why in spoilt:
+        with pytest.raises(ss.TelemetryError, match=f"not that of this vehicle .found {why}"):
+            stored_telemetry(wrong, vehicle, path)

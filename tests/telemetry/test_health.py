@@ -1,12 +1,15 @@
 """Panel health: allowed patterns, the smallest explanation, and what noise alone may have done."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 import sunspin as ss
-from sunspin.telemetry.health import explanations, noise_alone, noise_made
+from sunspin.telemetry.health import TURNS, explanations, made_by, noise_alone, noise_made
 from sunspin.vehicle import Panel, Vehicle
+from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.response.panels import panel_power
 
 PHILAE = ss.load_vehicle("philae")
@@ -110,6 +113,26 @@ def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
     strict = ss.panel_health(PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
     assert strict["explanations"] == [("1",)] and not noise_made(strict, len(dead))
     assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
+
+
+@pytest.mark.evidence("panel_health", "modelled", "300 samples of panels turned within their stated sigmas; one of them dead")
+def test_panels_turned_within_their_stated_sigmas_are_not_accused():
+    """Opposite panels that lean to one side are lit together. The same file is accused where no sigma is stated, and a dead panel
+    is named whatever the sigmas."""
+    normals = np.vstack([np.eye(3), -np.eye(3), np.ones(3) / np.sqrt(3)])
+    drawn = Vehicle("box", panels=[Panel("xyzXYZd"[k], normal, 100.0) for k, normal in enumerate(normals)])
+    stated = replace(drawn, facts={f"panel.{panel.name}.normal_B": Fact((0.0, 0.0, 0.0), 0.03) for panel in drawn.panels})
+    tilt = np.zeros((300, 7, 3))
+    tilt[:, 0, 1], tilt[:, 3, 1] = -0.05, 0.05  # x and X lean towards z
+    power = drawn.response_in().power(random_suns(300, 6), tilt=tilt)
+    noisy = np.maximum(power + 0.3 * np.random.default_rng(2).normal(size=power.shape), 0.0)
+    as_drawn, found = (ss.panel_health(craft, noisy, noise=0.3, lit_threshold=1.5) for craft in (drawn, stated))
+    assert as_drawn["impossible"] and as_drawn["impossible"] == found["impossible"]
+    assert (made_by(as_drawn, 300), made_by(found, 300)) == ("", TURNS)
+    assert found["explanations"] == [] and np.isnan(as_drawn["turned"].values).all()
+    whole = drawn.response_in().power(random_suns(300, 6)) * [1, 1, 1, 1, 1, 1, 0]
+    dead = ss.panel_health(stated, whole, noise=0.3, lit_threshold=1.5)
+    assert (made_by(dead, 300), dead["explanations"]) == ("", [("d",)])
 
 
 def test_the_probability_of_a_pattern_is_its_share_under_that_sun():

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
+from sunspin.estimate.terms.panels import Panels
 from sunspin.telemetry.quality import ALBEDO_DEFAULT, DOWNWEIGHTED, DROPPED, USED, panel_quality
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -45,6 +46,7 @@ def test_a_dead_panel_is_named_and_left_out():
     assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
     assert np.isinf(quality["sigma"].values[:, 2]).all()
     assert quality["missed"].values.tolist() == [False, False, True, False, False, False]
+    assert Panels.read(CUBE, telemetry(value))[0].left_out == ("p2",) and not Panels.read(CUBE, telemetry(clean(60)[0]))[0].left_out
 
 
 def test_a_panel_that_was_never_in_the_sun_is_not_accused():

@@ -107,6 +107,14 @@ def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
     assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data["time"].values.tolist() == [0.0, 60.0]
 
 
+def test_times_without_a_zone_beside_local_ones_are_refused(tmp_path):
+    """Nobody knows whether they are UTC; beside times in UTC they are."""
+    rows = "time,a,b\n2026-01-01T00:00:00{},2,1\n2026-01-01T00:01:00,1,1\n"
+    with pytest.raises(ss.SunspinError, match=r"line 3, column 'time': other times of this file have a time zone .* or Z for UTC"):
+        read(tmp_path, rows.format("+02:00"))
+    assert read(tmp_path, rows.format("Z"))["time"].values.tolist() == [0, 60]
+
+
 def test_small_negative_values_are_noise_where_noise_is_stated(tmp_path):
     data = read(tmp_path, GOOD.replace("0.0", "-0.02"), vehicle(noise=0.01))
     assert data["power_W"].values[1, 1] == -0.02

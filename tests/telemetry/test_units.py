@@ -9,6 +9,7 @@ import pytest
 
 import satellites
 import sunspin as ss
+from sunspin.telemetry.gyro_axes import signed_axes, wrong_gyro_axes
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.quality import panel_quality
 from sunspin.telemetry.sun import best_directions, sun_directions
@@ -130,6 +131,23 @@ def test_degrees_and_radians_of_a_gyro(tmp_path, factor, seed):
     right = parse_vehicle(text, "v.toml").sensors.gyro.scale_rad_s
     (found,) = judged(changed(text, "gyro", "scale_rad_s", factor), made.telemetry)
     assert (found.table, found.key) == ("gyro", "scale_rad_s") and found.value == pytest.approx(right, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_axes_of_a_gyro(tmp_path, seed):
+    """As stated they are believed; in another order or with other signs they are named so that it turns the Sun as seen."""
+    made = satellites.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
+    vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
+    samples = ss.read_telemetry(made.telemetry, vehicle)
+    assert wrong_gyro_axes(vehicle, samples) is None
+    rate, named, ways = samples["gyro_B"].values, 0, list(signed_axes())[1::5]
+    for what, order, sign in ways:
+        read = np.empty_like(rate)
+        read[:, order] = rate * sign  # what the columns hold, if they are to be read so
+        found = wrong_gyro_axes(vehicle, samples.assign(gyro_B=(("time", "axis"), read)))
+        assert found is None or f"the gyro {what} turns" in found
+        named += found is not None
+    assert named >= len(ways) / 2  # the others carry the Sun nearly as well
 
 
 @pytest.mark.parametrize("factor", [60 / (2 * np.pi), 2 * np.pi / 60])

@@ -32,6 +32,26 @@ def test_small_twins_are_recalled_and_resumed(tmp_path):
     assert figures["twins"] == 2 and figures["confident_misses"] == 0 and set(figures["ranks_p"]) == set(QUANTITIES)
 
 
+def test_a_run_killed_while_it_removes_a_twins_stages_goes_on(tmp_path, monkeypatch):
+    """Once they were removed before the row was kept, and the next run found half a store and called the twin refused."""
+    options = {"max_rate": 0.2, "samples": 12, "interval_s": 20.0, "vehicle": cube()}
+
+    def judged(*_, store, **__):
+        store.mkdir()
+        return {"word": "unique"}
+
+    def killed(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as first:
+        first.setattr("validation.calibrate.judge", judged)
+        first.setattr("validation.calibrate.rmtree", killed)
+        with pytest.raises(KeyboardInterrupt):
+            calibrate(tmp_path, "unknown", 1, **options)
+    assert calibrate(tmp_path, "unknown", 1, **options) == [{"word": "unique"}]
+    assert not list(tmp_path.rglob("*-stages"))
+
+
 def test_a_swapped_twin_is_the_same_but_for_the_swap():
     craft = cube()
     telemetry, truth, _, _ = make(craft, "swapped", 0.2, 12, 20.0, 0, 0)

@@ -12,13 +12,16 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.json_rows import json_rows
 from sunspin.base.untrusted import decoded, read_bytes
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 MAX_FILE_BYTES = 500_000_000
 """A year of 1 Hz samples of six panels is about this much."""
@@ -44,13 +47,14 @@ FRAME_COLUMNS = ("timestamp", "frame", "observation_id", "observer")
 
 
 class Table(NamedTuple):
-    """A file as text: header, rows of cells, the line each row stands on, comments, hash."""
+    """A file as text: header, rows of cells, the line each row stands on, comments, hash; and a NetCDF file as it is."""
 
     header: list[str]
     rows: list[list[str]]
     lines: list[int]
     comments: list[str]
     sha256: str
+    data: xr.Dataset | None = None
 
 
 def read_table(path: Path) -> Table:
@@ -60,7 +64,8 @@ def read_table(path: Path) -> Table:
     if content[:4] == b"PAR1":
         return _from_columns(_parquet(content, where), where, content)
     if content[:8] == b"\x89HDF\r\n\x1a\n":
-        return _from_columns(_netcdf(content, where), where, content)
+        columns, data = _netcdf(content, where)
+        return _from_columns(columns, where, content)._replace(data=data)
     if content[:3] == b"CDF":
         raise TelemetryError(sentence("this is NetCDF of version 3", do="convert it to NetCDF-4 (nccopy -k nc4)", where=where))
     return _from_text(content, where)
@@ -170,8 +175,8 @@ def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
         raise TelemetryError(sentence(f"this Parquet file cannot be read ({str(error)[:200]})", where=where)) from None
 
 
-def _netcdf(content: bytes, where: str) -> dict[str, np.ndarray]:
-    """Every variable over the one dimension that the samples share; (time, panel) becomes a column per panel."""
+def _netcdf(content: bytes, where: str) -> tuple[dict[str, np.ndarray], xr.Dataset]:
+    """Every variable over the one dimension that the samples share; (time, panel) becomes a column per panel. And the whole."""
     from sunspin.base.netcdf import read_netcdf
 
     data = read_netcdf(io.BytesIO(content), where, TelemetryError)
@@ -188,7 +193,7 @@ def _netcdf(content: bytes, where: str) -> dict[str, np.ndarray]:
             labels = data[second].values if second in data.coords else range(data.sizes[second])
             for k, label in enumerate(labels):
                 found[str(label)] = variable.transpose(axis, second).values[:, k]
-    return found
+    return found, data
 
 
 def _from_columns(columns: dict[str, np.ndarray], where: str, content: bytes) -> Table:

@@ -79,6 +79,6 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
         periods=evidence, effort=effort, workers=worker_count(workers), progress=on_terminal(quiet),
     )  # fmt: skip
     about, lines = doubts(craft, used, vehicle)
-    doubted = {"wrong_units": about["wrong_units"]} if about["wrong_units"] else {}
-    lines = [*(line for line in lines if "WRONG UNIT" in line), *orbit_lines]
+    doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
+    lines = [*(line for line in lines if "WRONG" in line), *orbit_lines]
     deliver(result, out, as_json, quiet, vehicle, samples, also=doubted | orbit_summary, lines=lines)

@@ -40,6 +40,8 @@ from sunspin.cli.values import grid, numbers
               "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
 @click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
               "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
+@click.option("--interpolate", is_flag=True, help="Run every second motion along each axis, then those whose place in the set "
+              "chosen is open; interpolate the others. For EMD and 20,000 motions or more; 2 to 4 times as fast.")
 @device_option
 @click.option("--lines", "n_lines", type=click.IntRange(0, 20), default=4, show_default=True, help="Lines to fit; 0: none.")
 @store_option()
@@ -50,7 +52,7 @@ from sunspin.cli.values import grid, numbers
 @run_options
 @data_option
 def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, threshold,
-         direction_error, n_lines, store, scheduler, device, sets, out, as_json, quiet, seed, workers,
+         interpolate, direction_error, n_lines, store, scheduler, device, sets, out, as_json, quiet, seed, workers,
          data) -> None:  # fmt: skip
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
@@ -79,6 +81,8 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     if metric == "E" and made.assumptions.changes:
         raise InputError(sentence("mask and target weights are those of EMD", got="--metric E", do="leave one of them out"))
     target = track if metric == "E" else track["sun_B"].values[:, 2]
+    if metric == "E" and interpolate:
+        raise InputError(sentence("E of interpolated motions has no bound", got="--metric E", do="leave out --interpolate"))
     x, y, z = grid(omega_x, "--omega-x"), grid(omega_y, "--omega-y"), grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
         raise InputError(sentence("--factor must exceed 1", got=factor))
@@ -88,6 +92,8 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
         wheel_mode=wheel_mode, direction_error=direction_error, workers=workers, store=store, scheduler=scheduler,
         device=device, progress=on_terminal(quiet), mask=None if study.mask == "everywhere" else study.mask,
         weights=None if metric == "E" else target_weights(study.target_weights, track["time"].values),
+        factors=[factor] if interpolate and threshold is None else [],
+        thresholds=[threshold] if interpolate and threshold is not None else [],
     )  # fmt: skip
     found = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
     deliver(found, out, as_json, quiet, made.file, samples, {"seed": seed}, main="scan.nc")

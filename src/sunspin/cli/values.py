@@ -38,8 +38,14 @@ def _check_number(name: str, value: float) -> None:
         raise InputError(sentence(f"{name} must be {SIZES}", got=str(value)))
 
 
-def numbers(text: str | None, name: str, count: int | None = None) -> list[float]:
-    """Comma-separated numbers of an option."""
+EXAMPLE = ("0.1", "0", "-0.2", "1", "0.5", "0.02")
+"""Numbers of an option, as many as it takes."""
+
+WHEN = "s from the epoch, or UTC such as 2014-11-12T16:20"
+
+
+def numbers(text: str | None, name: str, count: int | None = None, form: str = "") -> list[float]:
+    """Comma-separated numbers of an option; `form`: what it takes, where that is not only numbers."""
     try:
         values = [float(part) for part in text.split(",")] if text else []
     except ValueError:
@@ -47,8 +53,9 @@ def numbers(text: str | None, name: str, count: int | None = None) -> list[float
     for value in values or ():
         _check_number(name, value)
     if values is None or (count is not None and len(values) != count):
-        wanted = f"{count} numbers" if count else "numbers"
-        raise InputError(sentence(f"{name} takes {wanted} separated by commas", got=text, do=f"for example {name} 0.1,0,-0.2"))
+        wanted = form or ("a number" if count == 1 else f"{count or ''} numbers separated by commas".lstrip())
+        do = None if form else f"for example {name}{'=' if name.startswith('--prior ') else ' '}{','.join(EXAMPLE[: count or 3])}"
+        raise InputError(sentence(f"{name} takes {wanted}", got=text or "nothing", do=do))
     return values
 
 
@@ -111,7 +118,7 @@ def period(text: str, epoch_utc: str | None) -> Any:
     sigma, _, when = rest.partition("@")
     if not (value and sigma and when):
         raise InputError(sentence("--period takes SECONDS+-SIGMA@TIME", got=text, do="for example --period 13.0+-0.5@15:50"))
-    return Period(next(iter(times(when, epoch_utc))), *numbers(f"{value},{sigma}", "--period", 2))
+    return Period(next(iter(times(when, epoch_utc, "--period"))), *numbers(f"{value},{sigma}", "--period", 2))
 
 
 def period_option(what: str) -> Any:
@@ -127,14 +134,14 @@ def periods_of(texts: tuple[str, ...], telemetry: Any) -> list[Any]:
     return [period(text, telemetry.attrs.get("epoch_utc")) for text in texts]
 
 
-def times(text: str, epoch_utc: str | None) -> dict[float, str]:
+def times(text: str, epoch_utc: str | None, option: str = "--predict") -> dict[float, str]:
     """s from the epoch -> what was asked for, in order of time."""
     from sunspin.vehicle.timeline import utc_seconds
 
     times = {}
     for part in (piece.strip() for piece in text.split(",")):
         if ":" not in part:
-            times[numbers(part, "--predict", 1)[0]] = f"{part} s"
+            times[numbers(part, option, 1, WHEN)[0]] = f"{part} s"
         elif epoch_utc is None:
             raise InputError(sentence("the telemetry has no epoch, so a time must be in s", got=part))
         else:
@@ -165,4 +172,4 @@ def instant(text: str, option: str, epoch_utc: str) -> float:
     """Seconds from the epoch of a time in UTC, or in seconds from there."""
     from sunspin.vehicle.timeline import utc_seconds
 
-    return utc_seconds(text, epoch_utc) if ":" in text or "T" in text else numbers(text, option, 1)[0]
+    return utc_seconds(text, epoch_utc) if ":" in text or "T" in text else numbers(text, option, 1, WHEN)[0]

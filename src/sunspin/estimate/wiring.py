@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import combinations, islice, permutations, product
+from itertools import combinations, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.effort import may_go_on
+from sunspin.telemetry.gyro_axes import signed_axes
 from sunspin.vehicle import Vehicle
 
 CLEARLY = 10.0
@@ -99,10 +100,8 @@ def of_sensor(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> Iterator[Wi
 
 
 def _axes(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    for order in permutations(range(3)):
-        for sign in product((1.0, -1.0), repeat=3):
-            axes = ", ".join(f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True))
-            yield f"read as ({axes}) of its columns", value[:, list(order)] * sign
+    for what, order, sign in signed_axes():
+        yield what, value[:, order] * sign
 
 
 def _readings(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:

@@ -31,6 +31,11 @@ def digits_of(sigmas: Any) -> int:
     return int(np.clip(-np.floor(np.log10(known.min())), 2, 5)) if len(known) else 2
 
 
+def rate_text(omega_rad_s: Any) -> str:
+    """A body rate as options and files have it, and in deg/s."""
+    return f"{number_text(omega_rad_s)} rad/s, which is {number_text(np.degrees(omega_rad_s), 4)} deg/s"
+
+
 def with_sigma(value: float, sigma: float) -> str:
     """A number and its sigma, both with as many decimals as show two figures of the sigma."""
     if not (np.isfinite(sigma) and sigma > 0):

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.posterior.tilt import stated_sigma
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae import rebound as rb
 from sunspin.philae.coverage_twins import LEAST_TOLD
@@ -21,7 +20,7 @@ from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 from sunspin.telemetry.synthetic import drawn_tilts, generator
-from sunspin.vehicle.response.panels import patterns_of_turned
+from sunspin.vehicle.response.panels import patterns_of_turned, stated_sigma
 from sunspin.vehicle.timeline import utc_seconds
 
 SHADOWED_PHASES = ("deployment", "settling", "rest")

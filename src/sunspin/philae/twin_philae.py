@@ -40,10 +40,10 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.posterior.tilt import stated_sigma
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.synthetic import drawn_tilts, generator, noisy_power, on_time_grid, telemetry_dataset
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import stated_sigma
 
 CELL_W = 0.02
 """Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""

@@ -93,11 +93,11 @@ def estimate_gains(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.nd
     prior = prior_sigmas(vehicle)
     nothing = Gains(np.ones(len(prior)), np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), None, "")
     if vehicle.throttled:
-        return nothing._replace(told="not told by the data: inputs are throttled, and no sample need be in full Sun")
+        return nothing._replace(told="not determined by the data: inputs are throttled, and no sample need be in full Sun")
     if not looks_all_around(vehicle, dead):
-        return nothing._replace(told="not told by the data: the panels do not look all around, a Sun that stands aside looks dim")
+        return nothing._replace(told="not determined by the data: panels do not look all around, a Sun that stands aside looks dim")
     if len(value) < FEWEST:
-        return nothing._replace(told=f"not told by the data: fewer than {FEWEST} samples in full Sun")
+        return nothing._replace(told=f"not determined by the data: fewer than {FEWEST} samples in full Sun")
     value = value[:: -(-len(value) // MOST)]
     log, covariance, spread = np.zeros(len(prior)), np.diag(prior**2), 0.0
     for _ in range(STEPS):

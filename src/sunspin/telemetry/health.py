@@ -1,5 +1,5 @@
 """Panel health: lit patterns that geometry forbids, which panels' loss would explain them (paper, section 4), and whether
-noise alone might have made them.
+noise, or panels that do not stand quite as drawn, might have made them.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
+from sunspin.telemetry.panel_unit import BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import lit_patterns, observable_patterns
+from sunspin.vehicle.response.panels import lit_patterns, observable_patterns, panel_power, stated_sigma
 from sunspin.vehicle.response.protocol import PanelResponse
 
 STEPS, ROUNDING = 60, 1e-12
@@ -27,7 +28,7 @@ squared, at which it ends."""
 
 NOISE_ALONE = 0.01
 """Noise alone does not make forbidden patterns where it would show such readings in so many of a file's samples with a smaller
-probability than this."""
+probability than this; nor do panels turned by their stated sigmas where any of a file's samples is less probable."""
 
 CHUNK = 2000
 """Samples searched at once: each from every cell of the sphere."""
@@ -63,7 +64,8 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
     """Which observed lit patterns the Sun alone cannot make, and the smallest sets of panels whose loss explains all.
 
     A pattern is explained by a set of panels if adding some of them to the lit ones gives a possible pattern: those were in
-    the Sun and gave nothing, being shadowed or dead (paper, section 4).
+    the Sun and gave nothing, being shadowed or dead (paper, section 4). Where the vehicle's file states sigmas of the panels'
+    normals, a pattern that panels turned so far may show needs no explanation.
 
     Parameters
     ----------
@@ -80,7 +82,9 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
         `allowed_lit (allowed_pattern, panel)`: the lit patterns that geometry allows, for directions in no panel's plane;
         `impossible_lit (pattern, panel)` with `samples (pattern)`, their number; `lost (explanation, panel)`: the smallest sets
         of panels, none where nothing needs explaining or nothing explains it; `largest`, `largest_of_pattern` and
-        `log10_together (pattern)` as in `NoiseVerdict`, NaN without powers or without a noise figure. As returned it also has
+        `log10_together (pattern)` as in `NoiseVerdict`, NaN without powers or without a noise figure; `turned (pattern)`, a bound
+        on the probability that noise and the stated turns of panels make its least likely sample, NaN where no turns are
+        stated either. As returned it also has
         ``["allowed"]`` (tuples of names), ``["impossible"]`` ({pattern: number of samples}), ``["explanations"]`` (tuples) and
         ``["noise"]`` ({pattern: `NoiseVerdict`}).
     """
@@ -90,17 +94,46 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
     names = np.array(vehicle.input_names)
     patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
     counts = {pattern: patterns.count(pattern) for pattern in dict.fromkeys(patterns)}
-    sigma, verdicts = float(sun.attrs["noise"]), {}
-    probability = np.zeros(len(patterns))
+    sigma, threshold, verdicts = float(sun.attrs["noise"]), float(sun.attrs["lit_threshold"]), {}
+    probability, turned = np.zeros(len(patterns)), {}
     if not is_sun and patterns and np.isfinite(sigma) and sigma > 0:
-        made = noise_alone(vehicle, _values(telemetry)[forbidden], sigma, float(sun.attrs["lit_threshold"]))
+        power = _values(telemetry)
+        made = noise_alone(vehicle, power[forbidden], sigma, threshold)
         probability = made.probability
         verdicts = {pattern: _verdict(made, [p == pattern for p in patterns]) for pattern in counts}
+        bright = _brightness(vehicle, power, sun["best_B"].values)[forbidden]
+        turned = _turned(vehicle, power[forbidden], bright, sigma, threshold, patterns)
     limit = np.inf if could_be_noise is None else could_be_noise
-    needed = list(dict.fromkeys(p for p, chance in zip(patterns, probability, strict=True) if chance < limit))
+    n = sun.sizes["time"]
+    needed = [p for p, chance in zip(patterns, probability, strict=True) if chance < limit and not _shown(turned.get(p, 0.0), n)]
     about = provenance("panel_health", sun, **vehicle.said)
-    about |= {"noise_sigma": sigma, "lit_threshold": float(sun.attrs["lit_threshold"])}
-    return _health(vehicle, counts, explanations(vehicle, needed), verdicts, about)
+    about |= {"noise_sigma": sigma, "lit_threshold": threshold}
+    return _health(vehicle, counts, explanations(vehicle, list(dict.fromkeys(needed))), verdicts, turned, about)
+
+
+def _brightness(vehicle: Vehicle, power: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
+    """Factor (n) between gains and full Sun: of a sample in which the Sun stands aside of all panels, that of the brighter ones."""
+    shape = panel_power(vehicle, sun_B)
+    own = np.nan_to_num((power * shape).sum(axis=1) / np.maximum((shape**2).sum(axis=1), 1e-300))
+    return np.maximum(own, np.quantile(own, BRIGHT_QUANTILE))
+
+
+def _turned(
+    vehicle: Vehicle, power: np.ndarray, bright: np.ndarray, sigma: float, threshold: float, patterns: list[tuple[str, ...]]
+) -> dict[tuple[str, ...], float]:
+    """Of each pattern the least probability that noise and panels turned by their stated sigmas make one of its samples."""
+    own, _ = stated_sigma(vehicle)  # a turn of all panels together forbids and allows nothing: it is a turn of the Sun
+    if not own.any():
+        return {}
+    by_turn = np.array([np.linalg.norm((own * vehicle.panel_gains)[list(one.panels)]) for one in vehicle.inputs])
+    chance = noise_alone(vehicle, power, sigma, threshold, bright[:, None] * by_turn).probability.tolist()
+    return {pattern: min(p for p, own in zip(chance, patterns, strict=True) if own == pattern) for pattern in set(patterns)}
+
+
+def _shown(least: float, n: int) -> bool:
+    """Whether `n` samples of which the least probable has the probability `least` may be those of turned panels: these are the same
+    in all samples, so that samples are not independent and only the smallest counts."""
+    return bool(least * n > NOISE_ALONE)
 
 
 UNKNOWN = float("nan")
@@ -108,7 +141,7 @@ UNKNOWN = float("nan")
 
 def _health(
     vehicle: Vehicle, counts: dict[tuple[str, ...], int], lost: list[tuple[str, ...]],
-    verdicts: dict[tuple[str, ...], NoiseVerdict], about: dict[str, Any],
+    verdicts: dict[tuple[str, ...], NoiseVerdict], turned: dict[tuple[str, ...], float], about: dict[str, Any],
 ) -> PanelHealth:  # fmt: skip
     names = vehicle.input_names
 
@@ -120,6 +153,8 @@ def _health(
         "bound on the probability that noise alone made the likeliest sample", "probability that noise shows this pattern, at most",
         "log10 of that bound for all samples together",
     )  # fmt: skip
+    least = np.array([turned.get(pattern, UNKNOWN) for pattern in counts], dtype=np.float64)
+    said = "bound on the probability that noise and panels turned by their stated sigmas make the least likely sample"
     return PanelHealth(
         {
             "allowed_lit": (("allowed_pattern", "panel"), rows(lit_patterns(vehicle)), {"long_name": "lit panels, as possible"}),
@@ -130,10 +165,23 @@ def _health(
         | {
             name: ("pattern", np.array([verdict[k] for verdict in noise]), {"units": "1", "long_name": of_noise[k]})
             for k, name in enumerate(NoiseVerdict._fields)
-        },
+        }
+        | {"turned": ("pattern", least, {"units": "1", "long_name": said})},
         coords={"panel": list(names)},
         attrs=about,
     )
+
+
+NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
+"""What may make forbidden patterns although no panel is lost."""
+
+
+def made_by(health: PanelHealth, n: int) -> str:
+    """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing."""
+    if noise_made(health, n):
+        return NOISE
+    least = health["turned"].values
+    return TURNS if least.size and all(_shown(p, n) for p in least) else ""
 
 
 def noise_made(health: PanelHealth, n: int) -> bool:
@@ -206,7 +254,9 @@ def _verdict(made: NoiseMade, member: list[bool]) -> NoiseVerdict:
     return NoiseVerdict(largest, of_pattern, float(together))
 
 
-def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_threshold: float) -> NoiseMade:
+def noise_alone(
+    vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_threshold: float, besides: npt.ArrayLike = 0.0
+) -> NoiseMade:
     """How well each sample's readings agree with some Sun of any direction and brightness, panels being whole.
 
     A lit panel must read what the Sun gives it; a dark one tells only that it got no more than the threshold. With z the
@@ -221,6 +271,8 @@ def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_thresh
         One-sigma Gaussian noise of a reading.
     lit_threshold : float
         Readings above it count as lit.
+    besides : (n, n_panel) or what broadcasts to it
+        One sigma of what else is off in each reading, in that unit: with it, it is not noise alone.
     """
     from scipy.stats import chi2, norm
 
@@ -235,23 +287,25 @@ def noise_alone(vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_thresh
         raise InputError(sentence("lit_threshold must be zero or positive", got=lit_threshold))
     response = vehicle.response_in()
     scale = response.largest  # so that the unknown is of the size of the readings
+    each = np.broadcast_to(np.hypot(1.0, np.asarray(besides) / sigma), readings.shape)
     found = [
-        _nearest_sun(response, scale, readings[at : at + CHUNK] / sigma, lit_threshold / sigma)
+        _nearest_sun(response, scale, readings[at : at + CHUNK] / sigma, lit_threshold / sigma, 1 / each[at : at + CHUNK])
         for at in range(0, len(readings), CHUNK)
     ]
     sun = np.concatenate([part[0] for part in found]) if found else np.zeros((0, 3))
     square = np.concatenate([part[1] for part in found]) if found else np.zeros(0)
     mean, _ = response.under(sun, scale)
     lit = readings > lit_threshold
-    shown = norm.sf(lit_threshold / sigma, mean), norm.cdf(lit_threshold / sigma, mean)
+    shown = norm.sf(lit_threshold / sigma, mean, each), norm.cdf(lit_threshold / sigma, mean, each)
     pattern = np.prod(np.where(lit, *shown), axis=1)
     return NoiseMade(square, chi2.sf(square, n_panel), pattern, sun * sigma / scale, chi2.logsf(square, n_panel))
 
 
 def _nearest_sun(
-    response: PanelResponse, scale: float, readings: np.ndarray, threshold: float
+    response: PanelResponse, scale: float, readings: np.ndarray, threshold: float, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance.
+    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance; a residual
+    counts `weight` (n, n_panel).
 
     A search runs from each region (inside one the squared distance of flat panels is a convex piece), and the best end is taken.
     """
@@ -259,15 +313,16 @@ def _nearest_sun(
     light, _ = response.under(cells, scale)
     bright = np.maximum(readings @ light.T, 0.0) / np.maximum((light**2).sum(axis=1), 1e-300)
     starts = (bright[:, :, None] * cells[None]).reshape(-1, 3)
-    each = np.repeat(readings, len(cells), axis=0)
+    each, weights = (np.repeat(values, len(cells), axis=0) for values in (readings, weight))
 
-    def linearise(state: tuple[np.ndarray, np.ndarray]) -> Dense:
-        value, jacobian = _distance(response, scale, *state, state[1] > threshold, threshold)
-        return Dense.of(value, jacobian, np.ones_like(state[0]))
+    def linearise(state: tuple[np.ndarray, ...]) -> Dense:
+        value, jacobian = _distance(response, scale, *state[:2], state[1] > threshold, threshold)
+        return Dense.of(state[2] * value, state[2][..., None] * jacobian, np.ones_like(state[0]))
 
-    found = least_squares(
-        linearise, lambda state, step: (state[0] + step, state[1]), dense, (starts, each), steps=STEPS, tolerance=ROUNDING
-    )
+    def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
+        return state[0] + step, *state[1:]
+
+    found = least_squares(linearise, retract, dense, (starts, each, weights), steps=STEPS, tolerance=ROUNDING)
     cost = found.system.cost.reshape(len(readings), -1)
     best = np.argmin(cost, axis=1) + len(cells) * np.arange(len(readings))
     return found.state[0][best], 2 * found.system.cost[best]

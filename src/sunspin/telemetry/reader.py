@@ -21,6 +21,7 @@ from sunspin.telemetry.columns import column_of, missing_sensors, unused_columns
 from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import UNITS
 from sunspin.telemetry.sensors import ABSURD, read_sensors
+from sunspin.telemetry.stored import KIND, stored_telemetry
 from sunspin.vehicle import TelemetryForm, Vehicle
 from sunspin.vehicle.craft import OR_CHANNEL
 from sunspin.vehicle.sensors import unwrapped
@@ -42,12 +43,14 @@ UNIX_ZERO, LATEST_UNIX_S = datetime(1970, 1, 1, tzinfo=UTC), 1e11
 LEAST_FACTOR = 0.2
 """A temperature correction below this is beyond any linear law and left out."""
 
+
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
 
     Parameters
     ----------
     path : str or path
+        Also `telemetry.nc` of a results folder, which gives what was read when that was written.
     vehicle : Vehicle
         Its `telemetry` says which columns, unit, clock; its panels which columns must be there. A file that has columns of
         the vehicle's sensors may have none of the panels.
@@ -74,6 +77,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         what = "this is a vehicle's file and not telemetry"
         raise TelemetryError(sentence(what, do="give the vehicle first and then a table of samples", where=str(path)))
     table = read_table(path)
+    if table.data is not None and table.data.attrs.get("kind") == KIND:
+        return stored_telemetry(table.data, vehicle, path)
     if "frame" in table.header and form.time_column not in table.header and set(table.header) & {"timestamp", "observer"}:
         what, do = "the file holds raw frames and no readings", "turn them into a table first, as `sunspin decode` does for skCUBE"
         raise TelemetryError(sentence(what, do=do, where=str(path)))
@@ -261,6 +266,7 @@ def _times(
         moments = [moment for moment in parsed if moment is not None]
         if len(moments) < len(parsed):
             raise bad(parsed.index(None))
+        _one_clock(cells, table, path, form)
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
     numbers = np.array([_number(cell) for cell in cells]) * form.time_scale_s
@@ -274,6 +280,20 @@ def _times(
         return numbers, fixed
     epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
+
+
+def _one_clock(cells: list[str], table: Table, path: Path, form: TelemetryForm) -> None:
+    """Refuse times with a zone other than UTC beside times without any: of the latter nobody knows whether they are UTC."""
+    zones = [re.search(r":.*([+-]\d\d:?\d\d|Z|UTC|GMT)$", cell.strip()) for cell in cells]
+    local = any(zone and zone[1].strip("+-:0") not in ("", "Z", "UTC", "GMT") for zone in zones)
+    if local and None in zones:
+        i = zones.index(None)
+        raise TelemetryError(
+            sentence(
+                "other times of this file have a time zone and this one has none", got=cells[i],
+                do="give each its zone, or Z for UTC", where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
+            )
+        )  # fmt: skip
 
 
 def _in_order(

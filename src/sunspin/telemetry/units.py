@@ -31,8 +31,8 @@ one."""
 BETTER = 0.35
 """A factor carries directions on better than none, and than a body at rest, if its median angle is this part of theirs."""
 
-PAIRS, LAGS = 10, (1, 2, 4, 8)
-"""Pairs of samples needed, and how many samples apart: a slow body must turn far enough to tell."""
+PAIRS, MOST_PAIRS, LAGS = 10, 2000, (1, 2, 4, 8)
+"""Pairs of samples needed and used at most, and how many samples apart: a slow body must turn far enough to tell."""
 
 TOO_FAST = 3.0
 """Median rate of the gyro over the largest rate of the vehicle file."""
@@ -78,9 +78,10 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
     if gyro is None or "gyro_B" not in telemetry:
         return None
     rate = telemetry["gyro_B"].values
-    seen = _directions(vehicle, telemetry)
+    seen = directions_seen(vehicle, telemetry)
+    maps = [factor * np.eye(3) for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
     for lag in LAGS:
-        stated, still, *others = _carried(telemetry["time"].values, seen, rate, lag, [1.0, 0.0, *GYRO_FACTORS.values()])
+        stated, still, *others = carried(telemetry["time"].values, seen, rate, lag, maps)
         best = int(np.argmin(others))
         if stated > TURNS_WRONG and others[best] < min(TURNS_RIGHT, BETTER * stated, BETTER * still):
             name, factor = list(GYRO_FACTORS.items())[best]
@@ -94,21 +95,21 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
     return WrongUnit(what, "gyro", "scale_rad_s")
 
 
-def _carried(time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: int, factors: list[float]) -> list[float]:
-    """Median angle (rad), for each factor on the rates, between directions carried on by them over `lag` samples and seen there.
-
-    Zero where too few are seen."""
+def carried(time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: int, maps: list[np.ndarray]) -> list[float]:
+    """Median angle (rad), for each matrix (3, 3) on the rates, between directions carried on by them over `lag` samples and seen
+    there. Zero where too few are seen."""
     turns = (rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None]
     n = len(time) - lag
     begin = np.arange(max(n, 0))
     good = np.isfinite(turns).all(axis=1) & (np.diff(time) > 0)
     good = np.all([good[begin + k] for k in range(lag)], axis=0)
     pairs = [(k, begin[good & np.isfinite(each[begin] + each[begin + lag]).all(axis=1)]) for k, each in enumerate(seen)]
+    pairs = [(k, at[:: -(-len(at) // MOST_PAIRS) or 1]) for k, at in pairs]
     if sum(len(at) for _, at in pairs) < PAIRS:
-        return [0.0] * len(factors)
+        return [0.0] * len(maps)
     at = np.concatenate([at for _, at in pairs])
     first, then = (np.concatenate([seen[k][at + ahead] for k, at in pairs]) for ahead in (0, lag))
-    return [_median_angle(_turned(first, factor * turns, at, lag), then) for factor in factors]
+    return [_median_angle(_turned(first, turns @ matrix.T, at, lag), then) for matrix in maps]
 
 
 def _turned(direction: np.ndarray, turns: np.ndarray, at: np.ndarray, lag: int) -> np.ndarray:
@@ -124,7 +125,7 @@ def _median_angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.median(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))))
 
 
-def _directions(vehicle: Vehicle, telemetry: xr.Dataset) -> list[np.ndarray]:
+def directions_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> list[np.ndarray]:
     """Unit directions (n, 3) that keep still in space for minutes: the Sun, and the field where it may be used as one."""
     found = []
     if "sun_sensor_B" in telemetry:

@@ -140,6 +140,10 @@ def direction(value: npt.ArrayLike, key: str) -> FloatArray:
     return frozen_array(vector / length)
 
 
+LARGEST_ANGLE_SIGMA = 1.0
+"""rad: a direction that is less certain is none, and a number beyond it is in degrees."""
+
+
 def as_array(value: Any) -> FloatArray:
     """Numbers as an array; what is none, or has rows of unlike length, as an empty one."""
     try:
@@ -163,6 +167,10 @@ def bare(raw: Any, info: ValidationInfo) -> Any:
         if sigma.shape not in ((), value.shape) or np.any(sigma < 0):
             what = "the sigma of {path} must be one number or one for each component, and not negative"
             raise VehicleError(sentence(what, got=raw["sigma"]))
+        angle = info.field_name == "normal_B" or str(info.field_name).endswith("_rad")
+        if angle and np.any(sigma > LARGEST_ANGLE_SIGMA):
+            what = f"the sigma of {{path}} is in rad and not above {LARGEST_ANGLE_SIGMA:g}"
+            raise VehicleError(sentence(what, got=raw["sigma"], do="one degree is 0.01745"))
         raw = raw["value"]
     return numbers(raw)
 
@@ -266,7 +274,7 @@ def problem(error: ValidationError, kind: type, where: str, table: Mapping[str, 
     if found["type"] == "missing":
         return sentence("this key is missing", do="add it", where=where)
     message = found["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("valid tuple", "valid list")
-    message = message.replace("Tuple should", "List should")
+    message = message.replace("Tuple should", "List should").replace(" after validation", "")
     if found["type"] == "dataclass_type":
         message = "should be a table" if table is not None else message.replace("a dictionary or ", "")
     return sentence(message, got=None if isinstance(found["input"], dict) else found["input"], where=where)

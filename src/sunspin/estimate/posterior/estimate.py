@@ -347,7 +347,7 @@ def _judge(
     if likeliest != STATED:
         text += f"; the readings ask for {likeliest} (weight {weight:.2f})"
     if word == "not explained":
-        text += f"; rates up to {tree.attrs['searched_rate_rad_s']:.3g} rad/s were searched"
+        text += f"; rates up to {np.degrees(tree.attrs['searched_rate_rad_s']):.3g} deg/s were searched"
     tree.attrs |= {
         "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
         "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,

@@ -273,7 +273,7 @@ class Search:
         state, hits = self.starts(few, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
-            notes.append(f"only rates up to {chosen.limit:.3g} rad/s could be searched")
+            notes.append(f"only rates up to {np.degrees(chosen.limit):.3g} deg/s could be searched")
         if not len(state):
             state = _anything(few, chosen)
             hits = np.ones(len(state), dtype=np.int64)

@@ -98,7 +98,7 @@ def prior_sentences(word: str, told: list[dict[str, Any]]) -> list[str]:
             f"priors halved and doubled: {stays}; the rate moves by {most['shift']:.2g} sigma at most ({_named(most)})"
         )
     if open_:
-        found.append(f"priors not told by these draws: {', '.join(map(_named, open_))}")
+        found.append(f"not known, as these draws do not reach so far: the verdict with {', '.join(map(_named, open_))}")
     return found
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from sunspin.estimate.terms.term import Unknown
 from sunspin.solve.rotations import tangents
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import stated_sigma
 
 KIND, COMMON = "tilt", "tilt_common"
 """Kinds of the unknowns: of one panel, and of all together."""
@@ -26,24 +27,6 @@ AS_DRAWN = {KIND: 0.0, COMMON: 0.0}
 
 LIT_SINE = 2 / 3
 """Mean square of the sine of the angle between a normal and the Suns that light its panel."""
-
-
-def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
-    """Sigmas in rad as the vehicle's file has them, 0 where it states none: (n_panel) of each normal's direction, to each side, and
-    of the turn of all panels.
-
-    That of `normal_B`, each component's (where these differ, their root mean square), and of the turn of a panel that is tilted.
-    """
-    own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
-    tilted = vehicle.panel_response.tilted
-    if tilted is not None:
-        own = np.hypot(own, _sigma(vehicle, "panel_response.tilted.turn_B_rad") * (np.array(vehicle.panel_names) == tilted.panel))
-    return own, _sigma(vehicle, "panel_response.turned_B_rad")
-
-
-def _sigma(vehicle: Vehicle, key: str) -> float:
-    fact = vehicle.facts.get(key)
-    return 0.0 if fact is None or fact.sigma is None else float(np.sqrt(np.mean(np.square(fact.sigma))))
 
 
 def unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> list[Unknown]:

@@ -94,8 +94,8 @@ def _is_line(found: Found, told: np.ndarray) -> bool:
 def _regions(found: Found, told: np.ndarray) -> str:
     if _is_line(found, told):
         reach = 2 * max(float(found.length[told].max()), float(np.ptp(found.rate[told], axis=0).max()) / 2)
-        return f"a line: motions over {reach:.2g} rad/s fit alike, and the data do not single one out"
-    best = f"{np.linalg.norm(found.rate[0]):.4f} rad/s"
+        return f"a line: motions over {np.degrees(reach):.2g} deg/s fit alike, and the data do not single one out"
+    best = f"{np.degrees(np.linalg.norm(found.rate[0])):.3g} deg/s"
     if len(told) == 1 and found.weight[0] >= UNIQUE:
         return f"unique: one region of motions, turning at {best}, fits the readings"
     if len(told) == 1:
@@ -103,9 +103,9 @@ def _regions(found: Found, told: np.ndarray) -> str:
         return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the weight, {others} others the rest"
     gaps = np.linalg.norm(found.rate[told][:, None] - found.rate[told][None], axis=-1)
     gap = float(np.median(np.min(gaps + np.diag(np.full(len(told), np.inf)), axis=1)))
-    text = f"{len(told)} aliases, {gap:.3g} rad/s apart, cannot be told apart"
+    text = f"{len(told)} aliases, {np.degrees(gap):.3g} deg/s apart, cannot be told apart"
     text += f"; the first, turning at {best}, holds {found.weight[0]:.0%}"
-    return f"{text} (one turn more between samples would be {2 * np.pi / found.interval_s:.3g} rad/s)"
+    return f"{text} (one turn more between samples would be {360 / found.interval_s:.3g} deg/s)"
 
 
 def _not_explained(found: Found) -> str:

@@ -46,6 +46,7 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
         "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
         "frame_N": SUN_Z_LOCAL,
+        "panels_left_out": ", ".join(name for x in o.terms if isinstance(x, Panels) for name in x.left_out),
     }  # fmt: skip
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}

@@ -71,6 +71,6 @@ def stored_near_minimum(path: Path, factor: float) -> np.ndarray:
     volume = file.get("emd", file.get("E"))
     if volume is None or set(volume.dims) != {"omega_x", "omega_y", "omega_z"} or not set(volume.dims) <= set(volume.coords):
         raise InputError(sentence("this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)))
-    if not all(np.issubdtype(part.dtype, np.number) for part in (volume, *volume.coords.values())):
+    if not all(part.dtype.kind in "biuf" for part in (volume, *volume.coords.values())):
         raise InputError(sentence("this scan holds what is no number", do="write it again", where=str(path)))
     return near_minimum(volume, factor)

@@ -54,6 +54,8 @@ def scan(
     wheel_mode: str | Sequence[str] = "coast",
     emd_error: float | None = None,
     direction_error: float | None = None,
+    factors: Sequence[float] = (),
+    thresholds: Sequence[float] = (),
     workers: int | None = None,
     store: str | Path | None = None,
     scheduler: Any = None,
@@ -88,6 +90,10 @@ def scan(
         Error wanted of the EMD; 1e-3 unless given. Anything tighter is much slower.
     direction_error : float, optional
         Instead, error wanted (rad) of the simulated Sun's direction at the end; for a track 1e-3 unless given.
+    factors, thresholds : lists of numbers, optional
+        For EMD, in two grades: which motion is the smallest, and which lie below each factor (above 1) times the smallest and below
+        each threshold, is settled by motions that are run; the others are interpolated. Without any, each motion is run; so are
+        grids of fewer than 20,000 motions, and motions whose wheels do not slow down much in each half of the run.
     workers : int, optional
         Threads, or worker processes of the scheduler "local"; default one per core.
     store : path, optional
@@ -108,7 +114,9 @@ def scan(
     -------
     xarray.DataArray
         `emd` or `E` over (omega_x, omega_y, omega_z), with a coordinate `outcome` (0: computed as asked). A motion whose
-        Sun could never have been reconstructed has EMD 1, the largest there is.
+        Sun could never have been reconstructed has EMD 1, the largest there is. In two grades also with coordinates `exact`, false
+        for an interpolated motion, and `emd_bound`, of the difference to running it (0 where `exact`); attributes say how many
+        interpolated motions were run to try the bounds, by class, and how many lay beyond (`class_tried`, `class_violations`).
     """
     axes = [_axis(values, name) for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))]
     n_rows = math.prod(len(axis) for axis in axes)
@@ -116,6 +124,7 @@ def scan(
     forces = acting(torques, environment, start_s)
     start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s, forces, B_from_N)
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
+    limits = _limits(factors, thresholds, target_z)
     rows: EmdRows | TrackRows
     if isinstance(target_z, xr.Dataset):
         name, rows = "E", _track_rows(vehicle, start, target_z, mode, emd_error, direction_error, device)
@@ -127,9 +136,37 @@ def scan(
         if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:
             k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
     chunk = CHUNK if device == "cpu" else GPU_CHUNK
-    out = ensemble(rows, workers=workers, chunk=chunk, store=store, scheduler=scheduler, progress=progress, label="scan")
+    settings: dict[str, Any] = {
+        "workers": workers, "chunk": chunk, "store": store, "scheduler": scheduler, "progress": progress,
+    }  # fmt: skip
     count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
-    return volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count)
+    if limits and isinstance(rows, EmdRows):
+        from sunspin.estimate.scan import grades  # imports scipy.ndimage, which other scans do not need
+
+        if grades.applies(rows):
+            found = grades.in_two_grades(rows, factors, thresholds, **settings)
+            result = volume(vehicle, start, name, found.emd, found.outcome, mask, wheel_mode, device, directions=count)
+            return _graded(result, found.exact, found.bound, limits | found.attributes())
+    out = ensemble(rows, label="scan", **settings)
+    result = volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count)
+    return _graded(result, np.ones(start.shape, dtype=bool), np.zeros(start.shape), limits) if limits else result
+
+
+def _limits(factors: Sequence[float], thresholds: Sequence[float], target_z: Any) -> dict[str, list[float]]:
+    """The sets asked for, as attributes of the result; checked."""
+    limits = {name: [float(one) for one in some] for name, some in (("factors", factors), ("thresholds", thresholds)) if len(some)}
+    if limits and isinstance(target_z, xr.Dataset):
+        raise InputError(sentence("a scan by E runs each motion", got=str(limits), do="leave out factors and thresholds"))
+    if not all(factor > 1 for factor in limits.get("factors", [])):
+        raise InputError(sentence("each factor of the smallest EMD must exceed 1", got=list(factors)))
+    if not all(0 < threshold < np.inf for threshold in limits.get("thresholds", [])):
+        raise InputError(sentence("each threshold on EMD must be a positive number", got=list(thresholds)))
+    return limits
+
+
+def _graded(result: xr.DataArray, exact: np.ndarray, bound: np.ndarray, said: dict[str, Any]) -> xr.DataArray:
+    """With the coordinates of a scan in two grades, and what is said of it."""
+    return result.assign_coords(exact=(result.dims, exact), emd_bound=(result.dims, bound, {"units": "1"})).assign_attrs(said)
 
 
 def compile_kernels(vehicles: Iterable[Vehicle]) -> Path:
@@ -220,17 +257,33 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
         Of `scan`; its coordinates are rates in body axes.
 
     Rows whose `outcome` says that they could not be computed take no part.
+
+    Raises
+    ------
+    InputError
+        A factor that is not above 1; nothing could be computed; a scan in two grades leaves open who is in the set.
     """
     if not factor > 1:
         raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=factor))
     values = _computed(emd)
     if not np.isfinite(values).any():
         raise InputError(sentence("no motion of the grid could be computed", do="see its coordinate `outcome`"))
-    return _points(emd, values < factor * np.nanmin(values))
+    return below(emd, factor * np.nanmin(values))
 
 
 def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
-    """Grid points (n, 3) in rad/s with EMD below a threshold; rows that could not be computed take no part."""
+    """Grid points (n, 3) in rad/s with EMD below a threshold; rows that could not be computed take no part.
+
+    Raises
+    ------
+    InputError
+        A scan in two grades leaves open who lies below.
+    """
+    if "emd_bound" in emd.coords:
+        unsettled = int(((emd["emd_bound"] > 0) & (np.abs(emd - threshold) <= emd["emd_bound"])).sum())
+        if unsettled:
+            what = f"the scan leaves open on which side of {threshold:.4g} the EMD of {unsettled} interpolated motions lies"
+            raise InputError(sentence(what, do="scan with this limit among `factors` or `thresholds`, or without any"))
     return _points(emd, _computed(emd) < threshold)
 
 

@@ -111,6 +111,12 @@ class Panels(SunTerm):
         )  # fmt: skip
         return made._differing(), quality["why"].values.astype(object)
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Panels (inputs) that count in no sample: dead, or never in the Sun."""
+        silent = np.flatnonzero(np.isinf(self.dark_sigma).all(axis=0))
+        return tuple(self.names[k] for k in silent) if len(silent) < len(self.names) else ()
+
     def _differing(self) -> Self:
         """For the search: of two opposite panels only their difference, good to what no beam explains."""
         if faint(self.earth_share):

@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.output.check.samples import doubts, intervals, worth
 from sunspin.output.kinds.telemetry import health_lines, health_summary, status_counts, status_lines
-from sunspin.telemetry.health import noise_made, panel_health
+from sunspin.telemetry.health import NOISE, made_by, panel_health
 from sunspin.telemetry.quality import lit_threshold
 from sunspin.telemetry.reader import FLAGS, read_telemetry
 from sunspin.telemetry.sun import reconstructible_patterns, sun_directions
@@ -97,11 +97,11 @@ def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], 
     sun = sun_directions(craft, samples, lit_threshold=threshold)
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
     found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
-    health = health_summary(found)
+    health, without_loss = health_summary(found), made_by(found, -(-samples.sizes["time"] // stride))
     summary = {
         "status": status_counts(sun), "noise_from": str(sun.attrs["noise_from"]),
         **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
-        "noise_made": noise_made(found, -(-samples.sizes["time"] // stride)), "health_of_every": stride,
+        "noise_made": without_loss == NOISE, "made_by": without_loss, "health_of_every": stride,
     }  # fmt: skip
     return summary, status_lines(sun) + health_lines(summary)
 

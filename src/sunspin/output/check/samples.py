@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.telemetry.gyro_axes import wrong_gyro_axes
 from sunspin.telemetry.quality import panel_quality, reasons
 from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import wrong_units
@@ -27,11 +28,14 @@ def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> t
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
     lines = [f"  WRONG UNIT: {text}" for text in units]
+    axes = None if any(wrong.table == "gyro" for wrong in found) else wrong_gyro_axes(craft, samples)
+    lines += [f"  WRONG AXES: {axes}"] if axes else []
     lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
     lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
     misread = any(wrong.table == "telemetry" and wrong.key.startswith("scale") for wrong in found)
-    return {"wrong_units": units, "panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}, lines
+    summary = {"wrong_units": units, "wrong_axes": [axes] if axes else [], "panels_misread": misread}
+    return summary | {"missing_sensors": missing, "unused_columns": unused}, lines
 
 
 def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
@@ -107,7 +111,7 @@ def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     clear = 180 / usual
     near = gaps[gaps < 6 * usual]
     jitter = float(np.std(near) / usual)
-    lines = [f"  sampling: rates up to {clear:.3g} deg/s are told without doubt about whole turns between samples"]
+    lines = [f"  sampling: rates up to {clear:.3g} deg/s can be determined unambiguously (half a turn between samples)"]
     if jitter < 0.02:
         lines.append(f"  the samples are evenly spaced: a rate and one that differs by {360 / usual:.3g} deg/s look alike")
     return {"clear_rate_deg_s": clear, "relative_jitter": jitter}, lines

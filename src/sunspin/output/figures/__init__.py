@@ -19,6 +19,8 @@ from sunspin.output.folder import write_whole
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2, "frameon": False}
 """A legend above the axes, where it covers no data."""
+ON_PAPER: dict[str, Any] = {"facecolor": "#ffffff", "edgecolor": "none", "pad": 0.5}
+"""The ground of a label that stands on lines."""
 
 matplotlib.rcParams["svg.hashsalt"] = "sunspin"  # the same figure gives the same bytes
 

@@ -25,7 +25,7 @@ STAYS = re.compile(
 )
 HREF = re.compile(r"#[\w.-]+|data:image/png;base64,[\w+/=\s]*")
 LEAST_PX_PER_INCH = 66
-"""A narrower window scrolls the figure, so that its smallest letters stay legible."""
+"""In a narrower window the figure scrolls, so that its smallest letters stay legible; on a telephone only once it is enlarged."""
 
 MOST_PX_PER_INCH = 115
 

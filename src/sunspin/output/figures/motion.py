@@ -10,15 +10,15 @@ from sunspin.output.figures import ABOVE, COLOURS, named
 
 
 def trajectory_figure(run: xr.Dataset) -> Figure:
-    """Components and size of the body rate (rad/s), and the speeds of the wheels where there are any, against time."""
+    """Components and size of the body rate (deg/s), and the speeds of the wheels where there are any, against time."""
     wheels = run.sizes.get("wheel", 0)
     figure = Figure(figsize=(10, 6 if wheels else 3.6), layout="constrained")
     parts = figure.subplots(2 if wheels else 1, 1, sharex=True, squeeze=False, height_ratios=(3, 2) if wheels else (1,))[:, 0]
-    t, omega = run["time"].values, run["omega_B"].values
+    t, omega = run["time"].values, np.degrees(run["omega_B"].values)
     for k, axis in enumerate("xyz"):
         parts[0].plot(t, omega[:, k], color=COLOURS[k], ls=("-", "--", ":")[k], lw=1.2, label=rf"$\omega_{axis}$")
     parts[0].plot(t, np.linalg.norm(omega, axis=1), color=COLOURS[6], lw=1.6, label=r"$|\omega|$")
-    parts[0].set_ylabel("body rate (rad/s)")
+    parts[0].set_ylabel("body rate (deg/s)")
     parts[0].legend(ncols=4, fontsize=9, **ABOVE)
     for k in range(wheels):
         name = named(run["wheel"].values[k]) if "wheel" in run.coords else f"wheel {k + 1}"

@@ -83,7 +83,7 @@ def strategies_figure(table: xr.Dataset) -> Figure:
     for axes in parts:
         axes.set_xticks(range(len(names)), [_short(name) for name in names], fontsize=8)
         axes.set_xlim(-0.6, len(names) - 0.4)
-    figure.suptitle(f"What the wheel is told after the touchdown: {table.attrs['runs']} runs each, one standard error")
+    figure.suptitle(f"Momentum-wheel strategies after the touchdown: {table.attrs['runs']} runs each, one standard error")
     return figure
 
 

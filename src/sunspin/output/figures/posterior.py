@@ -11,11 +11,14 @@ from sunspin.output.figures import COLOURS, named, titled
 
 SHOWN_DRAWS = 3000
 
+MOST_ROUNDS = 8
+"""Rounds of sampling that are named on the axis."""
+
 
 def corner_figure(tree: Any) -> Figure:
     """Components of the rate at the first sample and its size, every pair of them, one colour to a mode."""
     posterior = tree["posterior"]
-    omega = posterior["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS]
+    omega = np.degrees(posterior["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS])
     mode = posterior["mode_id"].values.ravel()[:SHOWN_DRAWS]
     value = np.column_stack([omega, np.linalg.norm(omega, axis=1)])
     names = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$", r"$|\omega|$")
@@ -33,10 +36,10 @@ def corner_figure(tree: Any) -> Figure:
                 for k in np.unique(mode):
                     axes.plot(*value[mode == k][:, [j, i]].T, ".", ms=1.5, alpha=0.4, color=COLOURS[int(k) % 8], rasterized=True)
             if i == 3:
-                axes.set_xlabel(f"{names[j]} (rad/s)")
+                axes.set_xlabel(f"{names[j]} (deg/s)")
                 axes.tick_params(axis="x", labelrotation=45, labelsize=7)
             if j == 0 and i > 0:
-                axes.set_ylabel(f"{names[i]} (rad/s)")
+                axes.set_ylabel(f"{names[i]} (deg/s)")
             axes.tick_params(axis="y", labelsize=7)
     word = f": {named(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
     text = f"Body rate of {named(tree.attrs.get('vehicle', 'the body'))} at the first sample{word}"
@@ -63,9 +66,10 @@ def search_figure(tree: Any) -> Figure:
     left.set_ylabel("hypotheses")
     left.legend(fontsize=8)
     right.plot(sampling["log_evidence"].values, "o-", color=COLOURS[0])
-    right.set_xlabel("round of sampling")
+    right.set_xlabel("round, effective share, Pareto's k")
     right.set_ylabel("log evidence")
-    for i, (share, k) in enumerate(zip(sampling["effective_share"].values, sampling["pareto_k"].values, strict=True)):
-        right.annotate(f"{share:.0%}, k {k:.2f}", (i, sampling["log_evidence"].values[i]), fontsize=7, rotation=30)
+    rounds = np.arange(sampling.sizes["round"])[:: max(1, -(-sampling.sizes["round"] // MOST_ROUNDS))]
+    shares, tails = sampling["effective_share"].values[rounds], sampling["pareto_k"].values[rounds]
+    right.set_xticks(rounds, [f"{i}\n{s:.0%}\n{k:.2f}" for i, s, k in zip(rounds, shares, tails, strict=True)], fontsize=7)
     figure.suptitle(titled("Search and sampling", tree.attrs.get("synthetic")), fontsize=10)
     return figure

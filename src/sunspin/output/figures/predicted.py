@@ -23,11 +23,11 @@ def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | N
         at = found.isel(predicted_s=i, chain=0)
         true = None if truth is None else truth.isel(predicted_s=i, chain=0, draw=0)
         speed, parts, sky, angles = grid[i]
-        _spread(speed, at["rate"].values, COLOURS[0], None, None if true is None else float(true["rate"]))
+        _spread(speed, np.degrees(at["rate"].values), COLOURS[0], None, None if true is None else float(np.degrees(true["rate"])))
         speed.set_ylabel(f"{moment}\ndraws", fontsize=9)
         for k, axis in enumerate("xyz"):
-            value = None if true is None else float(true["omega_B"].values[k])
-            _spread(parts, at["omega_B"].values[:, k], COLOURS[k], rf"$\omega_{axis}$", value)
+            value = None if true is None else float(np.degrees(true["omega_B"].values[k]))
+            _spread(parts, np.degrees(at["omega_B"].values[:, k]), COLOURS[k], rf"$\omega_{axis}$", value)
         _sky(sky, at["sun_B"].values, None if true is None else true["sun_B"].values)
         for name, text, colour in (("z_to_momentum", "z and H", COLOURS[3]), ("z_to_sun", "z and Sun", COLOURS[4])):
             value = None if true is None else float(np.degrees(true[name]))
@@ -35,8 +35,8 @@ def predicted_figure(found: xr.Dataset, labels: list[str], truth: xr.Dataset | N
         parts.legend(fontsize=7)
         angles.legend(fontsize=7)
         if i == count - 1:
-            speed.set_xlabel("angular speed (rad/s)")
-            parts.set_xlabel("components of the rate (rad/s)")
+            speed.set_xlabel("angular speed (deg/s)")
+            parts.set_xlabel("components of the rate (deg/s)")
             sky.set_xlabel("azimuth of the Sun about z (deg)")
             angles.set_xlabel("angle (deg)")
     marks = "; dashed: the truth" if truth is not None else ""

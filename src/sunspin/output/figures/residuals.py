@@ -45,13 +45,14 @@ def residuals(result: xr.Dataset, telemetry: xr.Dataset, vehicle: Vehicle) -> di
 
 
 def _panels(result: xr.Dataset, telemetry: xr.Dataset, vehicle: Vehicle, at: np.ndarray) -> np.ndarray:
-    """Of the whole file, so that quality is judged as it was for the motion."""
+    """Of the whole file, so that quality is judged as it was for the motion. Dark panels that read nothing say nothing of noise."""
     quality = panel_quality(vehicle, telemetry)
     sun = result["sun_B"].values / np.linalg.norm(result["sun_B"].values, axis=1, keepdims=True)
     gain = quality["gain"].values / vehicle.input_gains
     model = quality["scale"].values[at, None] * gain * panel_power(vehicle, sun)
-    sigma = quality["sigma"].values[at]
-    return (signals(telemetry)[at] - model) / np.where(np.isfinite(sigma), sigma, np.nan)
+    sigma, read = quality["sigma"].values[at], signals(telemetry)[at]
+    told = np.isfinite(sigma) & ((model > 0) | (read != 0))
+    return (read - model) / np.where(told, sigma, np.nan)
 
 
 def _sun_sensors(result: xr.Dataset, there: xr.Dataset) -> np.ndarray:

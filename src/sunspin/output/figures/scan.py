@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import ABOVE, COLOURS, named
+from sunspin.output.figures import COLOURS, named
 
 LEAST = 1e-6
 """Smaller misfits are drawn as this: the colours go with the logarithm."""
@@ -45,9 +45,12 @@ def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Figure:
         volume["omega_x"].values, volume["omega_y"].values, least, shading="nearest", cmap="cividis_r", rasterized=True,
         norm=LogNorm(low, max(high, 1.001 * low)),
     )  # fmt: skip
+    for side, axis in (("top", "x"), ("right", "y")):  # the grid is that of the options, rad/s
+        other = getattr(axes, f"secondary_{axis}axis")(side, functions=(np.degrees, np.radians))
+        getattr(other, f"set_{axis}label")(rf"$\omega_{axis}$ (deg/s)")
     figure.colorbar(image, ax=axes, label=f"smallest {'EMD' if volume.name == 'emd' else 'E'} over $\\omega_z$")
     axes.plot(*points[:, :2].T, "o", ms=5, mfc="none", mec=COLOURS[1], mew=1.2, label="motions that fit nearly as well as the best")
     axes.set_xlabel(r"$\omega_x$ (rad/s)")
     axes.set_ylabel(r"$\omega_y$ (rad/s)")
-    axes.legend(fontsize=8, **ABOVE)
+    figure.legend(fontsize=8, loc="outside lower center", frameon=False)
     return figure

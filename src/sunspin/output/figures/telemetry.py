@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import ABOVE, COLOURS, named, titled
+from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, named, titled
 from sunspin.telemetry.sun import STATUS_TEXT, SunStatus
 
 MOST_JOINED = 80
@@ -17,6 +17,9 @@ MOST_JOINED = 80
 
 APART = 0.6
 """Part of the whole time, in pauses, from which the pauses are drawn shorter."""
+
+SHORT_H = 1.5
+"""Shorter records have an axis in minutes."""
 
 PAUSE_WIDTH, MOST_TICKS = 0.04, 12
 """A shortened pause is this part of all passes together; at most so many passes are named on the axis."""
@@ -94,7 +97,7 @@ def sun_directions_figure(
     error = sun["sigma_rad"].values
     if telemetry is not None:
         _signals(parts[0], telemetry, place)
-    figure.suptitle(titled("Panel signals and the Sun directions they tell", sun.attrs.get("synthetic")))
+    figure.suptitle(titled("Panel signals and the directions to the Sun that follow from them", sun.attrs.get("synthetic")))
     for k, axis in enumerate("xyz"):
         middle.errorbar(
             x[told], sun["sun_B"].values[told, k], yerr=error[told], fmt=".", ms=5, lw=0.8, color=COLOURS[k],
@@ -119,9 +122,11 @@ def sun_directions_figure(
     low.set_ylabel(r"$\Delta$")
     _time_axis(low, sun, place)
     for k, (event, second) in enumerate((events or {}).items()):
+        at = float(place.x(np.asarray(second / 3600)))
         for axes in parts:
-            axes.axvline(second / 3600, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
-        low.text(second / 3600, 20 / 4 ** (k % 3), f" {event}", fontsize=7, va="center", ha="right" if k % 2 == 0 and k else "left")
+            axes.axvline(at, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
+        low.text(at, 20 / 4 ** (k % 3), f" {event}", fontsize=7, va="center", ha="right" if k % 2 == 0 and k else "left",
+                 bbox=ON_PAPER)  # fmt: skip
     return figure
 
 
@@ -138,14 +143,15 @@ def _signals(axes: Any, telemetry: xr.Dataset, place: Passes) -> None:
 
 
 class Passes(NamedTuple):
-    """Where times stand on an axis: `hours` of passes' ends -> `places`; both empty where time runs evenly."""
+    """Where times stand on an axis: `hours` of passes' ends -> `places`; both empty where time runs evenly, in h or in min."""
 
     hours: np.ndarray
     places: np.ndarray
+    in_min: bool = False
 
     def x(self, hours: np.ndarray) -> np.ndarray:
         """Places of times (h)."""
-        return np.interp(hours, self.hours, self.places) if self.hours.size else hours
+        return np.interp(hours, self.hours, self.places) if self.hours.size else hours * (60 if self.in_min else 1)
 
 
 def _passes_together(time_s: np.ndarray) -> Passes:
@@ -155,7 +161,7 @@ def _passes_together(time_s: np.ndarray) -> Passes:
     pauses = hours[cuts] - hours[cuts - 1]
     whole = float(np.ptp(hours)) if hours.size else 0.0
     if not cuts.size or pauses.sum() < APART * whole:
-        return Passes(np.zeros(0), np.zeros(0))
+        return Passes(np.zeros(0), np.zeros(0), whole < SHORT_H)
     ends = np.stack([np.insert(hours[cuts], 0, hours[0]), np.append(hours[cuts - 1], hours[-1])], axis=1)
     lengths = np.maximum(ends[:, 1] - ends[:, 0], 1e-6)
     begins = np.cumsum(lengths + PAUSE_WIDTH * lengths.sum()) - lengths
@@ -165,7 +171,8 @@ def _passes_together(time_s: np.ndarray) -> Passes:
 def _time_axis(axes: Any, data: xr.Dataset, place: Passes) -> None:
     """Title of a time axis, and on one with shortened pauses the time at which each pass begins."""
     if not place.hours.size:
-        axes.set_xlabel(_since(data))
+        begin = data.attrs.get("epoch_utc", "the first sample")
+        axes.set_xlabel(f"time ({'min' if place.in_min else 'h'}) since {begin}")
         return
     begins, at = place.hours[::2], place.places[::2]
     shown = [0]
@@ -179,10 +186,6 @@ def _time_axis(axes: Any, data: xr.Dataset, place: Passes) -> None:
         axes.axvspan(end, begin, color=COLOURS[7], alpha=0.12, lw=0, zorder=0)
     longest = 60 * float(np.diff(place.hours.reshape(-1, 2), axis=1).max())
     axes.set_xlabel(f"UTC at which each pass begins (the longest is {longest:.3g} min; grey: pauses, shortened)")
-
-
-def _since(data: xr.Dataset) -> str:
-    return f"time (h) since {data.attrs.get('epoch_utc', 'the first sample')}"
 
 
 def _long_gaps(hours: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from sunspin.estimate.posterior.verdict import summary as main_numbers
 from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
+from sunspin.output.text import digits_of
 
 MOST_MODES = 12
 """Modes that are printed."""
@@ -32,12 +33,12 @@ def posterior_summary(tree: Any) -> Summary:
         ]
     rate = numbers["rate_rad_s"]
     lines = [numbers["verdict"], *(["  synthetic telemetry: not measured"] if numbers["synthetic_telemetry"] else [])]
-    lines.append(
-        f"  angular speed at the first sample {rate['median']:.4f} rad/s, 90 % in {rate['low_90']:.4f} to {rate['high_90']:.4f}"
-    )
+    speed, low, high = _degrees(rate)
+    lines.append(f"  angular speed at the first sample {speed} deg/s, 90 % in {low} to {high}")
     for mode in numbers["modes"][:MOST_MODES]:
-        omega, sigma = (", ".join(f"{x:.4f}" for x in mode[key]) for key in ("omega_B", "sigma"))
-        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) rad/s  chi-square {mode['chi_square']:.0f}")
+        digits = digits_of(np.degrees(mode["sigma"]))
+        omega, sigma = (", ".join(f"{x:.{digits}f}" for x in np.degrees(mode[key])) for key in ("omega_B", "sigma"))
+        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) deg/s  chi-square {mode['chi_square']:.0f}")
     worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
     priors = json.loads(tree.attrs["priors"])
@@ -67,15 +68,22 @@ def predictions_summary(found: Any) -> Summary:
     for i, (t, label) in enumerate(zip(found["predicted_s"].values, labels(found), strict=True)):
         row = {r["quantity"]: r for r in table if r["t_s"] == t}
         behind = ", after the collision" if "after_collision" in found and found["after_collision"].values[i] else ""
-        speed = row["rate"]
+        speed, low, high = _degrees(row["rate"])
         lines.append(f"  at {label}{behind} (90 % of the draws):")
-        lines.append(f"    angular speed {speed['median']:.4f} rad/s ({speed['low_90']:.4f} to {speed['high_90']:.4f})")
+        lines.append(f"    angular speed {speed} deg/s ({low} to {high})")
         for name, key in (("z from H", "z_to_momentum"), ("z from the Sun", "z_to_sun")):
             median, low, high = (np.degrees(row[key][which]) for which in ("median", "low_90", "high_90"))
             lines.append(f"    {name} {median:.1f} deg ({low:.1f} to {high:.1f})")
         lines.append(f"    the Sun within {np.degrees(row['sun_off']['high_90']):.1f} deg of its mean direction in the body")
     collision = str(found.attrs.get("collision", ""))
     return Summary({"predicted": table}, lines + ([f"    collision: {collision}"] if collision.startswith("a leg") else []))
+
+
+def _degrees(rate: dict[str, Any]) -> list[str]:
+    """Median and ends of the 90 % interval of an angular speed, deg/s."""
+    values = [float(np.degrees(rate[key])) for key in ("median", "low_90", "high_90")]
+    digits = digits_of((values[2] - values[1]) / 2)
+    return [f"{value:.{digits}f}" for value in values]
 
 
 def labels(found: Any) -> list[str]:
@@ -120,6 +128,7 @@ def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = modes["omega_cov_B"].values[:, k, k] ** 0.5
+    columns |= {name.replace("_rad_s", "_deg_s"): np.degrees(columns[name]) for name in [*columns] if name.endswith("_rad_s")}
     columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
     _table(folder / "modes.csv", tree, columns)
     if "passes" in tree.children:

@@ -35,12 +35,15 @@ def rates_summary(result: Any) -> Summary:
         "max_rate_deg_s": float(np.degrees(result.attrs["max_rate_rad_s"])),
         "samples": {str(text): int(count) for text, count in zip(texts, counts, strict=True)},
         "synthetic_telemetry": bool(result.attrs.get("synthetic", 0)),
+        "panels_left_out": [name for name in result.attrs.get("panels_left_out", "").split(", ") if name],
     }  # fmt: skip
     lines = [result.attrs["verdict"], *(line for _, line in found)]
     if "periods" in result.attrs:
         numbers["periods"] = json.loads(result.attrs["periods"])
         lines += [f"  {_period(result, one)}" for one in numbers["periods"]]
     counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
+    silent = [f"  panel {', '.join(numbers['panels_left_out'])} never reads anything: dead, or never in the Sun; left out"]
+    lines += silent if numbers["panels_left_out"] else []
     return Summary(numbers, [*lines, *_mirrored(numbers["passes"], numbers["source"]), *counted])
 
 
@@ -117,7 +120,8 @@ def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
             "Readings less what the likeliest motion predicts, in sigmas of their noise (grey: one sigma; farther out than six: at "
             "the edge). Right, a predictive check: bars are the residuals, the line is how they scatter if the motion is right and "
             "the noise as stated. A wave, or more readings beyond three sigma than noise makes, speaks against the motion. "
-            "A sensor marked as not used was kept out of the fit." + synthetic_note(result),
+            "Dark panels that read zero are left out. A sensor marked as not used was kept out of the fit."
+            + synthetic_note(result),
         )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_note, vector
-from sunspin.output.text import counted
+from sunspin.output.text import counted, rate_text
 
 DIMS = ("omega_x", "omega_y", "omega_z")
 DEFAULT_FACTOR = 1.1
@@ -42,13 +42,22 @@ def scan_summary(scan: Any) -> Summary:
     against = f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
     near = f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}"
     lines = [
-        f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {vector(best)} rad/s; "
+        f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {rate_text(best)}; "
         f"{counted(len(points), 'point')} {near}"
     ]
+    if "exact" in volume.coords:
+        numbers["rows_run"] = int(volume["exact"].sum())
+        lines.append(f"{numbers['rows_run']} of the motions were run, the others interpolated{_tried(volume)}")
     if isinstance(scan, xr.Dataset) and "point" in scan:
         told = lines_summary(scan)
         return Summary(numbers | {"lines": told["lines"]}, lines + told.lines)
     return Summary(numbers, lines)
+
+
+def _tried(volume: xr.DataArray) -> str:
+    """How the bounds of interpolated motions fared."""
+    tried, beyond = (int(np.sum(volume.attrs.get(f"class_{name}", 0))) for name in ("tried", "violations"))
+    return f"; of {tried} that were run to try the bounds, {beyond} lay beyond" if tried else ""
 
 
 def lines_summary(lines: Any) -> Summary:
@@ -57,7 +66,7 @@ def lines_summary(lines: Any) -> Summary:
         {"point": p.tolist(), "direction": d.tolist(), "points": int(c)}
         for p, d, c in zip(lines["point"].values, lines["direction"].values, lines["count"].values, strict=True)
     ]
-    text = [f"  line through {vector(x['point'])} along {vector(x['direction'])}" for x in found]
+    text = [f"  line through {vector(x['point'])} rad/s along {vector(x['direction'])}" for x in found]
     return Summary({"lines": found}, text)
 
 

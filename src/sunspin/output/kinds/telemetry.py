@@ -10,7 +10,7 @@ import numpy as np
 
 from sunspin.output.folder import write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
-from sunspin.telemetry.health import named_panels
+from sunspin.telemetry.health import NOISE, named_panels
 from sunspin.telemetry.sun import is_reconstructed
 
 SETS = 8
@@ -148,8 +148,9 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
     often = sorted(numbers["impossible"].items(), key=lambda one: -one[1])
     seen = ", ".join(f"{pattern} ({n})" for pattern, n in often[:SETS])
     seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
-    if numbers.get("noise_made"):
-        return [f"  sets of lit panels that the Sun cannot light, as noise alone makes them: {seen}"]
+    if made_by := numbers.get("made_by"):
+        verb = "makes" if made_by == NOISE else "make"
+        return [f"  sets of lit panels that the Sun cannot light, as {made_by} {verb} them: {seen}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
     why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
     chance = numbers["noise_probability"]

@@ -9,7 +9,7 @@ import numpy as np
 from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report.read import Results
 from sunspin.output.report.rows import between
-from sunspin.output.text import capital, counted, number_text
+from sunspin.output.text import capital, counted, number_text, rate_text
 from sunspin.telemetry.case import case_names
 
 TITLES = {
@@ -40,8 +40,9 @@ def sentences(results: Results) -> list[str]:
         return [str(sentence) for sentence in own][:3]
     make = {"rates": _rates, "sun": _sun, "simulate": _simulate, "scan": _scan, "outcomes": _outcomes, "posterior": _posterior}
     told = make.get(results.command, _verdict)(results)
-    if isinstance(wrong := results.summary.get("wrong_units"), list):
-        told = [*(_sentence(f"Wrong unit: {text}") for text in wrong), *told]
+    for key, what in (("wrong_axes", "Wrong axes"), ("wrong_units", "Wrong unit")):
+        if isinstance(wrong := results.summary.get(key), list):
+            told = [*(_sentence(f"{what}: {text}") for text in wrong), *told]
     return told or [f"This folder holds results of `sunspin {results.command}`; below is what is in it."]
 
 
@@ -72,8 +73,8 @@ def _rates(results: Results) -> list[str]:
     speed = rate.mean
     return [
         *told,
-        f"In the pass told best ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) it turned "
-        f"at {speed:.3g} deg/s ({rate.low:.3g} to {rate.high:.3g} over the pass), one turn in "
+        f"In the pass that is best known ({counted(int(best['samples']), 'sample')} in {best['end_s'] - best['start_s']:.0f} s) "
+        f"it turned at {speed:.3g} deg/s ({rate.low:.3g} to {rate.high:.3g} over the pass), one turn in "
         f"{360 / speed if speed else np.inf:.3g} s; each component's mean over the pass is known "
         f"to {number_text(max(best['sigma_deg_s']), 2)} deg/s (one sigma over all motions that fit), and the best motion there has "
         f"a weight of {best['modes'][0]['weight']:.2f}.",
@@ -111,10 +112,10 @@ def _simulate(results: Results) -> list[str]:
     s, run = results.summary, results.first("omega_B", "sun_B")
     told = []
     if run is not None:
-        speed = np.linalg.norm(run["omega_B"].values, axis=1)
+        speed = np.degrees(np.linalg.norm(run["omega_B"].values, axis=1))
         told.append(
             f"A simulation, not a measurement: over {abs(s['t_s']):.6g} s the vehicle turns at {speed.min():.3g} to "
-            f"{speed.max():.3g} rad/s, and ends at {number_text(s['omega_B'], 3)} rad/s."
+            f"{speed.max():.3g} deg/s, and ends at {rate_text(s['omega_B'])}."
         )
     events = s.get("events", [])
     first = "; ".join(f"{e['wheel']} {e['what']} after {e['t_s']:.4g} s" for e in events[:3])
@@ -125,7 +126,7 @@ def _scan(results: Results) -> list[str]:
     s = results.summary
     worst = "none of them fits well" if s["metric"] == "emd" and s["minimum"] > 0.1 else "the best of them"
     told = [
-        f"Of {counted(int(s['rows']), 'simulated motion')} {worst} begins at {number_text(s['best_omega_B'], 3)} rad/s, with "
+        f"Of {counted(int(s['rows']), 'simulated motion')} {worst} begins at {rate_text(s['best_omega_B'])}, with "
         f"{s['metric'].upper() if s['metric'] == 'emd' else 'E'} {s['minimum']:.4f} (0: its Sun stands as the panels saw it).",
         f"Motions that fit nearly as well: {int(s['near_minimum_points'])}; this set alone is no confidence region, and a "
         "threshold that makes it one has to be calibrated on data of known truth.",

@@ -106,7 +106,7 @@
   function readings() {
     const k = at(t).k, rate = motion.rate[k];
     $("lander-time").textContent = clockText(t);
-    $("lander-rate").textContent = `${rate.toPrecision(3)} rad/s` + (rate > 1e-6 ? `, a turn in ${(2 * Math.PI / rate).toPrecision(3)} s` : "");
+    $("lander-rate").textContent = `${(rate * 180 / Math.PI).toPrecision(3)} deg/s (${rate.toPrecision(3)} rad/s)` + (rate > 1e-6 ? `, a turn in ${(2 * Math.PI / rate).toPrecision(3)} s` : "");
     document.querySelectorAll("[data-wheel]").forEach((e) => { const j = Number(e.dataset.wheel), w = motion.W[j] ? motion.W[j][k * 1] : NaN; e.textContent = Number.isFinite(w) ? `${w.toFixed(0)} rad/s (${(w * 60 / (2 * Math.PI)).toFixed(0)} turns per minute)` : "not known"; });
     document.querySelectorAll("[data-wheel-bar]").forEach((e) => { const j = Number(e.dataset.wheelBar); e.style.width = motion.W[j] && motion.wheel_max[j] ? `${Math.abs(motion.W[j][k]) / motion.wheel_max[j] * 100}%` : "0"; });
     app.panels.forEach((_, p) => {

@@ -36,7 +36,11 @@ STATED = (("chain", "candidate motions from"), ("noise", "readings"), ("calibrat
 """Entries of a study's summary that belong to where its results come from, and their names."""
 
 SEEN_OF = {
-    "rates": {"verdict", "source", "passes", "acceleration_noise", "max_rate_deg_s", "samples", "wrong_units", "orbit"},
+    "rates": {
+        "verdict", "source", "passes", "acceleration_noise", "max_rate_deg_s", "samples", "wrong_units", "wrong_axes",
+        "panels_left_out", "orbit",
+    },
+    "simulate": {"t_s", "omega_B", "sun_B", "wheel_speed_rad_s", "events"},
     "sun": {"samples", "reconstructed", "status", "median_sigma_deg", "noise_from"},
     "scan": {"metric", "rows", "minimum", "best_omega_B", "near_minimum_points", "lines"},
     "posterior": {

@@ -127,6 +127,12 @@
   darkSystem.addEventListener("change", (event) => setTheme(event.matches ? "dark" : "light"));
   narrowWindow.addEventListener("change", () => { if (!printing) drawn.forEach((again) => again()); });
 
+  document.querySelectorAll(".enlarge").forEach((button) => button.addEventListener("click", () => {
+    const large = button.closest(".drawn").classList.toggle("large");
+    button.textContent = large ? "Fit the width" : "Enlarge";
+    button.setAttribute("aria-pressed", String(large));
+  }));
+
   // ---- printing: all plots drawn, in light colours, scaled to the paper; WebGL canvases, which print blank, as pictures
   function freeze(element) {
     const box = element.querySelector(".svg-container");

@@ -22,7 +22,7 @@ def dense(rates: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     pass_of = rates["curve_pass_of"].values
     lengths = {int(k): float(np.ptp(rates["curve_time"].values[pass_of == k])) for k in np.unique(pass_of)}
     chosen = sorted(sorted(lengths, key=lambda k: -lengths[k])[:MOST_PASSES])
-    return [(f"Pass {k + 1}", _dense(rates, k)) for k in chosen]
+    return [(f"Pass {int(rates['pass_id'].values[k])}", _dense(rates, k)) for k in chosen]
 
 
 def _dense(rates: xr.Dataset, k: int) -> xr.Dataset:

@@ -10,7 +10,7 @@ import numpy as np
 from sunspin.estimate.posterior.predict import intervals
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, packed, thin, utc_text
+from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, camera, packed, thin, utc_text
 
 MOST = 4000
 SHOWN = 7
@@ -151,18 +151,22 @@ def _cloud(draws: Draws) -> Plot:
     for k, (number, share) in enumerate(chosen):
         at = np.flatnonzero(draws.region == number)
         at = at[thin(at.size, MOST // len(chosen))]
-        x, y, z = draws.omega[at].T
+        x, y, z = np.degrees(draws.omega[at]).T
         data.append({
             "type": "scatter3d", "mode": "markers", "x": packed(x), "y": packed(y), "z": packed(z), "showlegend": True,
             "name": f"region {number + 1}, weight {share:.2g}",
             "marker": {"size": 3, "color": COLOURS[k], "symbol": SYMBOLS[k % 4]},
         })  # fmt: skip
     layout: dict[str, Any] = {
-        "scene": {f"{d}axis": {"title": {"text": f"ω{d} (rad/s)"}, "showspikes": False} for d in "xyz"},
+        "scene": {
+            **{f"{d}axis": {"title": {"text": f"ω{d} (deg/s)"}, "showspikes": False} for d in "xyz"},
+            "camera": camera(1.6, 1.6, 1.1),
+        },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
     return Plot(
         "posterior", data, layout, "Draws of the posterior in the space of the three components of the initial body rate, marked "
         "by region.",
         "Draws of the rate at the first sample, body axes. Drag or use the arrow keys to turn.", 560,
+        narrow={"scene.camera.eye": {"x": 2.1, "y": 2.1, "z": 1.4}, "font.size": 11},
     )  # fmt: skip

@@ -14,8 +14,8 @@ from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.output.kinds.scan import DIMS, chosen
 from sunspin.output.report.drawn import item
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, packed, thin
-from sunspin.output.text import number_text
+from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, camera, packed, thin
+from sunspin.output.text import counted, number_text
 
 PRINTED = "scan_published_lines"
 """The scan against the distribution of the lines that the paper prints: no telemetry enters, so it stands last."""
@@ -53,10 +53,10 @@ def lines(results: Results) -> Section | None:
         fits, told = _candidates(results) if name == MEASURED else ([], "")
         if name == MEASURED and not _all_found(results, scan):
             scan = scan.drop_vars(FITTED, errors="ignore")
-        data += [*fits, *_cloud(scan, points), *_line_traces(scan), *_marks(results, scan)]
+        data += [*fits, *_cloud(scan, points), *_line_traces(scan), *_marks(results, scan), _box(scan)]
         least = f"the smallest, {float(np.nanmin(volume)):.4f}"
         near = f"{by['threshold']:g} ({least})" if "threshold" in by else f"{by.get('factor', np.nan):g} times {least}"
-        text = f"{len(points)} motions with {str(volume.name).replace('emd', 'EMD')} below {near}."
+        text = f"{counted(len(points), 'motion')} with {str(volume.name).replace('emd', 'EMD')} below {near}."
         views.append({
             "label": _label(name, scan), "show": list(range(first, len(data))),
             "text": " ".join(part for part in (text, told, _said(results, name)) if part),
@@ -70,15 +70,19 @@ def lines(results: Results) -> Section | None:
     layout = {
         "scene": {
             **{f"{d[-1]}axis": {**axis, "title": {"text": f"ω{d[-1]} (rad/s)"}} for d in DIMS}, "aspectmode": "data",
-            "camera": {"eye": {"x": 1.15, "y": 1.5, "z": 0.7}},
+            "camera": camera(1.4, 1.85, 0.85),
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
-    lead = [
-        "Each dot is a motion: the three components of its body rate at the first sample. Those shown make the Sun stand at each "
-        "height nearly as often as the target has it there. A distribution of heights says nothing about timing: a body that turns "
-        "through the same angles, only faster, fits as well."
-    ]
+    lead = ["Each dot is a motion: the three components of its body rate at the first sample."]
+    metrics = {str(volume.name) for _, _, volume in _volumes(results)}
+    if "emd" in metrics:
+        lead[0] += (
+            " Those shown make the Sun stand at each height nearly as often as the target has it there. A distribution of heights "
+            "says nothing about timing: a body that turns through the same angles, only faster, fits as well."
+        )
+    if "E" in metrics:
+        lead[0] += " Those chosen by E have the Sun nearly where the panels saw it, sample by sample."
     if results.why_nothing:
         lead.append(
             "No motion is concluded from this telemetry. What is shown is only what the scans gave; the first lines of this page "
@@ -199,6 +203,13 @@ def _marks(results: Results, scan: xr.Dataset) -> list[dict[str, Any]]:
          "marker": {"size": 7, "color": "@gold", "symbol": symbol, "line": {"color": "@ink", "width": 1}}}
         for p, name, symbol in marks
     ]  # fmt: skip
+
+
+def _box(scan: xr.Dataset) -> dict[str, Any]:
+    """The scanned box, unseen: axes of the plot reach as far, however few motions fit."""
+    ends = {d[-1]: [float(scan[d].min()), float(scan[d].max())] for d in DIMS}
+    unseen = {"marker": {"size": 1}, "opacity": 0, "showlegend": False, "hoverinfo": "skip"}
+    return {"type": "scatter3d", "mode": "markers", **ends, **unseen}
 
 
 def _line_table(scan: xr.Dataset, about: str) -> list[Table]:

@@ -10,7 +10,7 @@ from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table, utc_text
-from sunspin.output.text import with_sigma
+from sunspin.output.text import number_text, rate_text, with_sigma
 
 
 def rates(results: Results) -> Section | None:
@@ -29,8 +29,9 @@ def rates(results: Results) -> Section | None:
             speed, at_s = ("", "") if mode else (rate.speed, utc_text(rate.at_s, results.epoch_utc))
             if not mode:  # of the others only the mean over the pass is kept
                 mean, sigma = rate.omega, rate.sigma
+            begin = utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True)
             rows.append([
-                str(k + 1), utc_text(float(found["time"].values[at[0]]), results.epoch_utc, date=True), str(at.size), str(mode + 1),
+                str(int(found["pass_id"].values[k])), begin, str(at.size), str(mode + 1),
                 f"{weight[mode]:.3f}", speed, at_s or "mean of the pass",
                 *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), said[k],
             ])  # fmt: skip
@@ -54,11 +55,23 @@ def _rests_on(results: Results, found: xr.Dataset) -> Table:
     samples = s.get("samples")
     for text, count in samples.items() if isinstance(samples, dict) else ():
         rows.append(["samples", f"{count} {text}"])
+    if isinstance(silent := s.get("panels_left_out"), list) and silent:
+        rows.append(["panels left out, as they never read anything", ", ".join(map(str, silent))])
     return Table(["what", "value"], rows, "What the rates rest on")
+
+
+END = {
+    "omega_B": ("body rate", rate_text), "sun_B": ("direction to the Sun, body axes", number_text),
+    "wheel_speed_rad_s": ("wheel speeds (rad/s)", number_text),
+}  # fmt: skip
+"""What `simulate` says of the last instant, by its key in the summary."""
 
 
 def trajectory(results: Results) -> Section | None:
     """Rates and wheel speeds of simulated motions that are no candidates of a study."""
     if not any(not name.startswith("motion-") for name, _ in results.having("omega_B", "momentum_B", "wheel_speed_rad_s")):
         return None
-    return Section("trajectory", "Rates and wheel speeds", [], [*drawn(results, "trajectory")])
+    s = results.summary
+    rows = [[what, text(s[key])] for key, (what, text) in END.items() if isinstance(s.get(key), list) and s[key]]
+    end = [Table(["what", "components"], rows, f"At the end, after {number_text(s.get('t_s'))} s")] if rows else []
+    return Section("trajectory", "Rates and wheel speeds", [], [*drawn(results, "trajectory"), *end])

@@ -90,6 +90,11 @@ class Section:
     items: list[Any] = field(default_factory=list)
 
 
+def camera(x: float, y: float, z: float) -> dict[str, Any]:
+    """Where a plot in space is seen from, with room below for the names of its axes."""
+    return {"eye": {"x": x, "y": y, "z": z}, "center": {"x": 0, "y": 0, "z": -0.1}}
+
+
 def packed(values: Any, dtype: str = "f4") -> dict[str, Any]:
     """An array (1-D or 2-D) as base64 of its bytes, as plotly.js reads it."""
     array = np.ascontiguousarray(np.asarray(values), dtype=np.dtype(dtype).newbyteorder("<"))

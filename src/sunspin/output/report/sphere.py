@@ -9,7 +9,7 @@ import numpy as np
 from sunspin.output.kinds.kind import synthetic_words
 from sunspin.output.report.measured import MOST_SAMPLES, PHASES
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, motion_order, packed, thin
+from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, camera, motion_order, packed, thin
 from sunspin.output.text import capital
 from sunspin.telemetry.sun import is_reconstructed
 
@@ -50,7 +50,7 @@ def sun_path(results: Results) -> Section | None:
     layout = {
         "scene": {
             **{f"{axis}axis": {**limits, "title": {"text": f"{axis} component, body"}} for axis in "xyz"},
-            "aspectmode": "cube", "camera": {"eye": {"x": 1.1, "y": -1.15, "z": 0.75}},
+            "aspectmode": "cube", "camera": camera(1.35, -1.4, 0.9),
         },
         "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
     }  # fmt: skip
@@ -60,7 +60,7 @@ def sun_path(results: Results) -> Section | None:
         "motion; labels stand where a panel looks straight at the Sun.",
         "Where the Sun stood as seen from the body. Drag, or use the arrow keys, to turn; + and − to zoom. Directions are unit "
         "vectors without unit." + synthetic_words(results.synthetic and sun is not None),
-        560, views, "Path of", narrow={"scene.camera.eye": {"x": 1.25, "y": -1.3, "z": 0.8}},
+        560, views, "Path of", narrow={"scene.camera.eye": {"x": 1.6, "y": -1.65, "z": 1.0}},
         numbers=Table(["phase", "directions", "range of z", "mean of z"], numbers, "In numbers", closed=True),
     )  # fmt: skip
     return Section("sun-path", "The Sun's path on the body's sphere", [], [plot])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import ABOVE, COLOURS, titled
+from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, titled
 from sunspin.philae.phases import Phases
 from sunspin.telemetry.sun import SunStatus
 
@@ -69,5 +69,8 @@ def _probability(axes: Any, r: Phases) -> None:
     edge = 0.5
     for k, phase in enumerate(r.phases):
         if phase.samples > 8:
-            axes.text(edge + phase.samples / 2, 0.6 + k % 2, phase.name.replace("_", " "), ha="center", fontsize=8, color="#555555")
+            axes.text(
+                edge + phase.samples / 2, 0.6 + k % 2, phase.name.replace("_", " "), ha="center", fontsize=8, color="#555555",
+                bbox=ON_PAPER,
+            )  # fmt: skip
         edge += phase.samples

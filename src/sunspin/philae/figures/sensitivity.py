@@ -103,7 +103,7 @@ def _widths(axes: Any, r: Sensitivity) -> None:
         axes.loglog(minutes, 2 / steepest, lw=1.2, color=COLOURS[k], label=label)
     step = r.case.published["scan_step"].value
     axes.axhline(step, ls="--", lw=1, color=COLOURS[7])
-    axes.text(0.55, 1.12 * step, "step of the paper's scan", fontsize=9)
+    axes.text(0.98, 1.12 * step, "step of the paper's scan", fontsize=9, ha="right", transform=axes.get_yaxis_transform())
     axes.set(xlabel="length of the window (min)", ylabel="width of one radian in a rate (rad/s)", xlim=(0.5, 50), ylim=(5e-4, 1))
     axes.legend(fontsize=9)
     axes.set_title("how near a rate must be\nto fit the whole window", fontsize=10)

@@ -63,3 +63,21 @@ def named(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
     """Sets of lit panels (m, n_panel) by name."""
     names = np.array(vehicle.input_names)
     return frozenset(frozenset(names[row].tolist()) for row in lit)
+
+
+def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
+    """How far panels may stand off: sigmas in rad as the vehicle's file has them, 0 where it states none, (n_panel) of each
+    normal's direction, to each side, and of the turn of all panels.
+
+    That of `normal_B`, each component's (where these differ, their root mean square), and of the turn of a panel that is tilted.
+    """
+    own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
+    tilted = vehicle.panel_response.tilted
+    if tilted is not None:
+        own = np.hypot(own, _sigma(vehicle, "panel_response.tilted.turn_B_rad") * (np.array(vehicle.panel_names) == tilted.panel))
+    return own, _sigma(vehicle, "panel_response.turned_B_rad")
+
+
+def _sigma(vehicle: Vehicle, key: str) -> float:
+    fact = vehicle.facts.get(key)
+    return 0.0 if fact is None or fact.sigma is None else float(np.sqrt(np.mean(np.square(fact.sigma))))

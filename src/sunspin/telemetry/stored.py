@@ -1,0 +1,78 @@
+"""Telemetry read back from a results folder (`telemetry.nc`): values are in our units already, and columns have no names."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.tables import Table
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
+from sunspin.vehicle import Vehicle
+
+KIND = "telemetry"
+"""`attrs["kind"]` of such a file."""
+
+TEXTS = ("epoch_utc", "unused_columns", "missing_sensors")
+"""Attributes that are read as texts."""
+
+
+def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Dataset:
+    """What `read_telemetry` gave when the folder was written, if it is that vehicle's; what it never gives is left out.
+
+    Raises
+    ------
+    TelemetryError
+        The file belongs to a vehicle with other panels, sensors or wheels, or somebody has changed it.
+    """
+    known = _known(vehicle)
+    data = data.drop_vars([name for name in data.variables if name not in known and name not in ("time", "panel", "axis", "phase")])
+    if wrong := _wrong(data, vehicle, known):
+        do = "give the vehicle.toml that lies beside it, or the file from which it was read"
+        raise TelemetryError(sentence("the stored telemetry is not that of this vehicle", got=wrong, do=do, where=str(path)))
+    return data
+
+
+def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
+    """The variables that telemetry of a vehicle may have, of one sample."""
+    columns = sensor_columns(vehicle)
+    of_sensors = read_sensors(vehicle, Table(columns, [["0"] * len(columns)], [1], [], ""))
+    for name in ("B", "cov_B"):  # this sample does not leave open how to read it, others may
+        if f"sun_sensor_{name}" in of_sensors:
+            of_sensors[f"sun_sensor_other_{name}"] = of_sensors[f"sun_sensor_{name}"]
+    panels = ("time", "panel"), np.zeros((1, len(vehicle.input_names)))
+    found = {"flag": ("time", np.zeros(1, np.uint8)), "received_s": ("time", np.zeros(1)), "panel_temperature_C": panels}
+    return {name: xr.Variable(*form[:2]) for name, form in (found | {vehicle.telemetry.quantity: panels} | of_sensors).items()}
+
+
+def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) -> str:
+    """What speaks against it, in words; nothing if it may be used."""
+    if not all(isinstance(data.attrs.get(name), str) for name in TEXTS) or not _is_utc(data.attrs["epoch_utc"]):
+        return "no epoch, or no word on its columns"
+    time, phase = data.variables.get("time"), data.variables.get("phase")
+    if time is None or time.dims != ("time",) or time.dtype.kind != "f" or not (time.size and (np.abs(time.values) < ABSURD).all()):
+        return "no times, or times that are no numbers"
+    if phase is not None and (phase.dims != ("time",) or phase.dtype.kind not in "UO"):
+        return "phases that are no texts"
+    panels = [str(name) for name in data["panel"].values] if "panel" in data.coords else []
+    if "panel" in data.sizes and panels != list(vehicle.input_names):
+        return "other panels"
+    if "flag" not in data or len(data.data_vars) == 1:
+        return "no flags, or no reading"
+    for name, one in data.variables.items():
+        form = known.get(str(name))
+        if form is not None and (one.dims != form.dims or one.shape[1:] != form.shape[1:] or one.dtype.kind != form.dtype.kind):
+            return f"another form of {name}"
+        if form is not None and np.any(np.abs(one.values[~np.isnan(one.values)]) > ABSURD):
+            return f"{name} beyond all measure"
+    return ""
+
+
+def _is_utc(text: str) -> bool:
+    try:
+        return datetime.fromisoformat(text.replace("Z", "+00:00")).tzinfo is not None
+    except ValueError:
+        return False
