@@ -340,6 +340,6 @@ def _turned(
     """Derivatives and a step, given in the tangents at directions `sun`, in those at the directions `there` that it led to."""
     across = np.stack(tangents(there), axis=1) @ np.swapaxes(np.stack(tangents(sun), axis=1), 1, 2)
     moves, step = np.array(moves), np.array(step)
-    moves[:, 3:5] = np.einsum("nij,njkx->nikx", across, moves[:, 3:5])
+    moves[:, 3:5] = (across @ moves[:, 3:5].reshape(len(moves), 2, -1)).reshape(len(moves), 2, *moves.shape[2:])
     step[:, 3:5] = (across @ step[:, 3:5, None])[:, :, 0]
     return moves, Secant(seen, step)

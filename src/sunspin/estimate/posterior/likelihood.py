@@ -86,11 +86,12 @@ class Secant(NamedTuple):
     def corrected(self, moves: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Derivatives (n, 5 + moving, seen, 3) that give the change along the step as it was (Broyden 1965), the step's parts
         counted by how far they move what is seen."""
-        size = self.step * np.einsum("njkx,njkx->nj", moves, moves)
+        flat = moves.reshape(*moves.shape[:2], -1)
+        size = self.step * np.sum(flat**2, axis=2)
         length = np.sum(size * self.step, axis=1, keepdims=True)
         share = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
-        left = seen - self.seen - np.einsum("nj,njkx->nkx", self.step, moves)
-        return moves + share[:, :, None, None] * left[:, None]
+        left = (seen - self.seen).reshape(len(flat), 1, -1) - self.step[:, None] @ flat
+        return moves + (share[:, :, None] * left).reshape(moves.shape)
 
 
 @dataclass(frozen=True)
