@@ -134,8 +134,9 @@ def test_a_fit_may_begin_with_the_derivatives_of_a_state_near_by():
     far = np.array([[0.0, 0.0, 0.0], [2e-3, -1e-3, 0.0], [-1e-3, 2e-3, 3e-3]])
     start = State(RATE + far, moved(np.tile(SUN, (3, 1)), 20 * far[:, :2]), begun.state.u)
     plain, quick = (Fit(likelihood, start, levels, normal=True, begun=one)(np.arange(3)) for one in (None, begun))
-    np.testing.assert_allclose(quick["cost"], plain["cost"], atol=0.05)
-    np.testing.assert_allclose(quick["omega"], plain["omega"], atol=2e-4)
+    np.testing.assert_allclose(quick["cost"], plain["cost"], atol=0.5)  # the noise is set once more
+    off = apart(*(State(found["omega"], found["sun"], found["u"]) for found in (quick, plain)))
+    assert np.einsum("ni,nij,nj->n", off, plain["normal"], off).max() < 1
     none = Fit(likelihood, start, levels, normal=True, begun=begun, promising=-1e9)(np.arange(3))
     assert np.isfinite(none["cost"]).all() and none["normal"].shape == plain["normal"].shape
 
