@@ -43,6 +43,9 @@ READINGS_AT_ONCE = 2_500_000
 GPU_TIMES = 8
 """Times as many on a GPU."""
 
+_Point = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Secant]
+"""Rates, directions and unknowns, the derivatives of what is seen there, and how they came there."""
+
 Levels = tuple[tuple[float, int], ...]
 """(factor on the noise, steps) one after the other."""
 
@@ -228,17 +231,17 @@ class _Search:
         )  # fmt: skip
         self.state, self._system = State(*found.state[:3]), found.system
 
-    def _carried(self, state: tuple[Any, ...], system: Dense) -> tuple[Any, ...]:
+    def _carried(self, state: tuple[Any, ...], system: Dense) -> _Point:
         """States with their derivatives and what is seen there, no step having been taken from them yet."""
         moves, seen = system.kept[4:]
-        return (*state[:3], moves, Secant(seen, np.zeros((len(seen), len(self._moving)))))
+        return state[0], state[1], state[2], moves, Secant(seen, np.zeros((len(seen), len(self._moving))))
 
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
         self.state, self._system = self.state.take(rows), take(self._system, rows)
 
-    def _linearised(self, state: tuple[np.ndarray, ...]) -> Dense:
-        return self._seen_from(State(*state[:3]), *state[3:])
+    def _linearised(self, state: _Point) -> Dense:
+        return self._seen_from(State(*state[:3]), state[3], state[4])
 
     def _seen_from(self, state: State, moves: np.ndarray | None = None, secant: Secant | None = None) -> Dense:
         base, raw, extra, jacobian, moves = self.likelihood.linearised(state, self.still, moves, secant)
@@ -272,19 +275,19 @@ class _Search:
     def _whole(self, step: np.ndarray) -> np.ndarray:
         return step if self.free is None else step @ self.free.T
 
-    def _longest(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> np.ndarray:
+    def _longest(self, state: _Point, step: np.ndarray) -> np.ndarray:
         move, window = self._whole(step), self.likelihood.data.reach_s
         turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
         pushed = np.linalg.norm(self.likelihood.model.relative(move[:, 5:], "steady_torque", 3), axis=1) * window**2 / 2
         return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
 
-    def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _moved(self, state: _Point, step: np.ndarray) -> _Point:
         move = self._whole(step)
         sun = moved(state[1], move[:, 3:5])
         came = _turned(state[1], sun, state[3], state[4].seen, move[:, self._moving])
         return state[0] + move[:, :3], sun, state[2] + move[:, 5:], *came
 
-    def _limited(self, state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    def _limited(self, state: _Point) -> _Point:
         omega, u = shortened(state[0], self.likelihood.model.max_rate), np.clip(state[2], -FAR, FAR)
         whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(axis=1)  # of a step cut off nothing is learnt
         return omega, state[1], u, state[3], state[4]._replace(step=np.where(whole[:, None], state[4].step, 0.0))

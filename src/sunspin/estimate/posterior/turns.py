@@ -47,12 +47,13 @@ def drawn_turns(likelihood: Likelihood, prediction: Prediction, u: np.ndarray) -
         return u, np.zeros(len(u))
     places = np.setdiff1d(np.arange(u.shape[1]), rest_of(likelihood.model))
     white, found, here = u[:, places], np.array(u), np.zeros((len(u), len(places)))
-    own = np.eye(len(places))  # the prior's
+    curvature = np.tile(np.eye(len(places)), (len(u), 1, 1))
     for factor in FACTORS:
         found[:, places] = here
         pull, told = _told(likelihood, prediction, found, factor, likelihood.model.turns[places])
-        here = np.linalg.solve(told + own, pull[:, :, None] + told @ here[:, :, None])[:, :, 0]
-    root = np.linalg.cholesky(told + own)
+        curvature = told + np.eye(len(places))  # the prior's
+        here = np.linalg.solve(curvature, pull[:, :, None] + told @ here[:, :, None])[:, :, 0]
+    root = np.linalg.cholesky(curvature)
     found[:, places] = here + np.linalg.solve(np.swapaxes(root, 1, 2), white[:, :, None])[:, :, 0]
     volume = np.log(np.einsum("nii->ni", root)).sum(axis=1)
     return found, volume - 0.5 * np.sum(white**2 + np.log(2 * np.pi), axis=1)
@@ -68,7 +69,7 @@ def _told(
     _, sigma, weight = likelihood.weigh(raw, extra, factor * likelihood.noise(u))
     raw, weight = (x[:, : shape[1] * shape[2]].reshape(shape) for x in (raw, weight / sigma**2))
     weight = np.where((likelihood.data.lit | (raw < 0)) & prediction.fine[:, None, None], weight, 0.0)
-    slope = likelihood.response.slopes(sun, gain=likelihood.gain(u), tilt=likelihood.tilt(u)).to_tilt
+    slope = np.asarray(likelihood.response.slopes(sun, gain=likelihood.gain(u), tilt=likelihood.tilt(u)).to_tilt)
     by_panel = np.moveaxis(np.where(weight[..., None] > 0, slope, 0.0), 2, 1)  # (n, P, K, 3)
     weighed = by_panel * np.swapaxes(weight, 1, 2)[..., None]
     pull = np.swapaxes(weighed, 2, 3) @ np.swapaxes(raw, 1, 2)[..., None]
