@@ -36,10 +36,9 @@ WANTED = 3_000.0
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
 
-LENT, LENT_ROUNDS, LENT_SHARE, LENT_LEAST = 0, 3, 0.15, 0.04
+LENT, LENT_ROUNDS, LENT_SHARE = 0, 3, 0.1
 """In the place of soft directions where bends are another model's; rounds in which such a mixture learns, and the share that is
-good enough: its hypothesis seldom has the most weight. Down to the least share a longer last round gives as many effective draws
-for a fifth of what it costs to find bends."""
+good enough: its hypothesis seldom has the most weight, and to find bends costs more than draws."""
 
 WIDER = 1.3
 """Factor on the covariances of Laplace's method at first."""
@@ -135,7 +134,7 @@ def sample(
     """The posterior around the modes; `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
     Where sheets with one soft direction do not become good, others with two are learnt too, and both propose. Bends of what is
-    `known` are taken instead of found; where these are worth next to nothing, sheets are learnt as otherwise. `least`: the log
+    `known` are taken instead of found; where these do not become good enough, sheets are learnt as otherwise. `least`: the log
     evidence below which nobody asks how good the draws are.
     """
     bent = None
@@ -146,7 +145,7 @@ def sample(
     for softs in SOFTS if bent is None else (LENT, *SOFTS):
         lent = bent if softs == LENT else None
         tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part, lent, least))
-        if tracks[-1].good is not None or (lent is not None and tracks[-1].share > LENT_LEAST):
+        if tracks[-1].good is not None:
             break
     worth = np.array([track.share for track in tracks])
     best = int(np.argmax(worth))
