@@ -13,7 +13,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.importance import _shape, pareto_tail
-from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
 from sunspin.estimate.posterior.verdict import Found, verdict
@@ -147,8 +147,12 @@ def test_derivatives_are_those_of_another_step(reached):
     likelihood = Likelihood(replace(unknown, after_s=124.477), data, 1e-6)
     state = State(np.array([[0.18497558, 0.22550964, 0.11285405]]), moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
                   np.zeros((1, len(unknown.unknowns))))  # fmt: skip
-    jacobian, kept = likelihood.linearised(state)[3:]
-    np.testing.assert_array_equal(likelihood.linearised(state, kept=kept).jacobian, jacobian)  # what is kept stands for its runs
+    base, *_, jacobian, moves = likelihood.linearised(state)
+    step = 1e-4 * np.random.default_rng(0).standard_normal((1, moves.shape[1]))
+    still, went = Secant(base.seen, 0 * step), Secant(base.seen, step)
+    np.testing.assert_array_equal(likelihood.linearised(state, False, moves, still).jacobian, jacobian)  # no step, no correction
+    there = base.seen + 0.01  # a step's derivatives give the change that it made, and others across it stay
+    np.testing.assert_allclose(np.einsum("nj,njkx->nkx", step, went.corrected(moves, there)), there - base.seen, atol=1e-12)
     for j, step in ((0, 2e-8), (2, 2e-8), (3, 1e-6), (5 + unknown.moving[-1], 2e-6), (5 + unknown.moving[1], 2e-6)):
         ends = []
         for sign in (1, -1):

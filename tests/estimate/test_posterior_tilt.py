@@ -15,6 +15,7 @@ from sunspin.estimate.posterior.fit import Fit
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.tilt import spread
+from sunspin.estimate.posterior.turns import drawn_turns
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.parts import Fact
@@ -79,7 +80,7 @@ def test_sigmas_are_those_of_the_file_unless_given(cube):
     across = unknown.turns @ cube.panel_normals_B.T  # a turn about the normal itself would change nothing
     assert np.abs(np.einsum("kpp->kp", across)).max() < 1e-15
     wide = spread(0.005, cube, model(cube, PRIORS | {"tilt": 0.03, "tilt_common": 0.04}, 0.5)[0].unknowns, 0.5)
-    assert wide == pytest.approx(np.hypot(0.005, 0.025 * (2 / 3) ** 0.5))
+    assert wide == pytest.approx(np.hypot(0.005, 0.015 * (2 / 3) ** 0.5))  # the common turn is an unknown of the search
     with pytest.raises(InputError, match="sigma of tilt must be zero"):
         model(cube, {"tilt": -1.0}, 0.5)
 
@@ -99,6 +100,28 @@ def test_known_tilts_widen_the_rates_by_as_much_as_they_move_them(cube, reached)
     wrong, right = (float(np.sum(squares)) for squares in found.values())
     reached("squared distance of true rates, of 24", right, "", limit=chi2.ppf(0.999, 24))
     assert chi2.ppf(0.001, 24) < right < chi2.ppf(0.999, 24) < wrong
+
+
+@pytest.mark.evidence("posterior", "verified", "turns drawn given the motion: the integral over them, by draws of the prior")
+def test_turns_drawn_given_the_motion_have_the_density_that_is_told(cube, tilted, reached):
+    data, _, _ = readings(cube, tilted)
+    unknown, _ = model(cube, PRIORS | {"tilt": 0.004, "tilt_common": 0.004, "noise": 0.0}, 0.5)
+    likelihood = Likelihood(unknown, replace(data, sigma=0.03), 1e-8)
+    n, rng = 3_000, np.random.default_rng(1)
+    state = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
+    one = likelihood.predict(state)
+    every = replace(one, **{key: np.broadcast_to(value, (n, *value.shape[1:])) for key, value in vars(one).items()})
+    white = rng.standard_normal((n, len(unknown.unknowns)))
+    white[:, unknown.where("scale")] = 0.0
+    u, density = drawn_turns(likelihood, every, white)
+    assert (u != white).any(axis=0).sum() == 15 and not np.allclose(u, white)
+    prior = -0.5 * np.sum(u**2 + np.log(2 * np.pi) * (u != 0), axis=1)
+    drawn, plain = likelihood.of(every, u) + prior - density, likelihood.of(every, white)
+    told, expected = np.exp(drawn - plain.max()), np.exp(plain - plain.max())
+    assert told.std() < 0.1 * told.mean() < expected.std()  # all but Gaussian: the draws are worth as many of the posterior's own
+    off = abs(told.mean() / expected.mean() - 1) / (expected.std() / expected.mean() / n**0.5)
+    reached("integral over turns, sampling errors off", off, "", limit=4)
+    assert off < 4
 
 
 def test_a_twin_takes_turns_or_their_sigma(cube, tilted):

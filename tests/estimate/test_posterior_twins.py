@@ -9,8 +9,8 @@ import strange_twins
 import sunspin as ss
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, denser, joined, same_mode
-from sunspin.estimate.posterior.fit import Fit
+from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, apart, coordinates, denser, joined, same_mode
+from sunspin.estimate.posterior.fit import Begun, Fit, Slopes
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.solve.rotations import moved
@@ -72,11 +72,14 @@ def test_a_family_is_made_denser_as_the_window_grows():
     tight = np.diag([1e8, 1e8, 1e8, 1e4, 1e4])
     loose = np.array(tight)
     loose[0, 0] = (reach / 3.0) ** 2
-    found, hits, beside = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
+    found, hits, beside, origin = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
     gaps = np.diff(np.unique(np.round(found.omega[:, 0], 9))) * reach
     assert gaps.max() < BESIDE + APART and len(found) > 18
-    assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1}
-    still, _, never = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
+    assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1} and origin[:10].tolist() == list(range(10))
+    off = apart(found, line.take(origin))
+    assert np.linalg.norm(off[:, :3], axis=1).max() * reach == pytest.approx(BESIDE)
+    np.testing.assert_allclose(off[10:13], [coordinates(found.take([i]), line.take(origin[[i]]))[0] for i in (10, 11, 12)])
+    still, _, never, _ = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
     assert len(still) == 10 and np.all(never == 0.0) and np.all(beside == reach)
 
 
@@ -84,7 +87,7 @@ def test_a_family_gets_no_more_neighbours_until_the_window_has_grown():
     line, many = State(np.tile(RATE, (3, 1)), np.tile(SUN, (3, 1)), np.zeros((3, 0))), np.full(3, 1)
     loose = np.tile(np.diag([1e3, 1e8, 1e8, 1e4, 1e4]), (3, 1, 1))
     beside = np.array([100.0, 100.0, 0.0])  # the third was held fast before
-    near, _, set_at = denser(line, loose, many, beside, 110.0, 0.5)
+    near, _, set_at, _ = denser(line, loose, many, beside, 110.0, 0.5)
     assert len(near) > 3 and set_at[:3].tolist() == [100.0, 100.0, 110.0]
     assert len(denser(line, loose, many, np.full(3, 100.0), 110.0, 0.5)[0]) == 3
     assert np.all(denser(line, loose, many, beside, 150.0, 0.5)[2] == 150.0)
@@ -117,6 +120,25 @@ def test_a_fit_does_not_hang_on_its_company():
         alone = fit(np.array([i]))
         assert all(np.array_equal(every[name][i], alone[name][0]) for name in every)
     assert np.ptp(every["cost"][:3]) < 0.01
+
+
+def test_a_fit_may_begin_with_the_derivatives_of_a_state_near_by():
+    """And ends where one ends that had its own found; what does not fit then is left as it is."""
+    vehicle = craft(6)
+    data, _, _ = readings(vehicle, samples(vehicle, 6))
+    unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)
+    likelihood, levels, one = Likelihood(unknown, data), ((3.0, 2), (1.0, 3)), np.zeros(3, dtype=int)
+    near = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
+    known = Slopes(likelihood, near, False)(np.arange(1))
+    begun = Begun(near.take(one), known["moves"][one], known["seen"][one])
+    far = np.array([[0.0, 0.0, 0.0], [2e-3, -1e-3, 0.0], [-1e-3, 2e-3, 3e-3]])
+    start = State(RATE + far, moved(np.tile(SUN, (3, 1)), 20 * far[:, :2]), begun.state.u)
+    plain, quick = (Fit(likelihood, start, levels, normal=True, begun=one)(np.arange(3)) for one in (None, begun))
+    np.testing.assert_allclose(quick["cost"], plain["cost"], atol=0.5)  # the noise is set once more
+    off = apart(*(State(found["omega"], found["sun"], found["u"]) for found in (quick, plain)))
+    assert np.einsum("ni,nij,nj->n", off, plain["normal"], off).max() < 1
+    none = Fit(likelihood, start, levels, normal=True, begun=begun, promising=-1e9)(np.arange(3))
+    assert np.isfinite(none["cost"]).all() and none["normal"].shape == plain["normal"].shape
 
 
 def test_brightness_is_guessed_where_no_sample_gives_a_direction():

@@ -58,6 +58,7 @@ def least_squares(
     system: Any = None,
     limit: Callable[[Any], Any] | None = None,
     longest: Callable[[Any, Any], np.ndarray] | None = None,
+    carry: Callable[[Any, Any], Any] | None = None,
 ) -> Solution:
     """The nearest minima of K costs.
 
@@ -87,6 +88,8 @@ def least_squares(
         Draws a trial state back to what is allowed.
     longest : (state, step) -> (K), optional
         How many times too long a step is; those that are get shortened as a whole.
+    carry : (state, system) -> state, optional
+        A trial state with what it takes over from its own system, such as derivatives that steps correct.
 
     Returns
     -------
@@ -108,6 +111,7 @@ def least_squares(
         trial = retract(here, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
+        trial = trial if carry is None else carry(trial, new)
         better = fine & np.isfinite(new.cost) & (new.cost < there.cost)
         arrived = fine & (gain < tolerance) & (damping[on] <= FULL)
         damping[on] *= np.where(better, LESS, MORE)

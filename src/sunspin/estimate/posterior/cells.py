@@ -402,7 +402,7 @@ def _against(turns, sun, short, misfit):
 @jit
 def _gather(normal, gradient, r, column, law, reading, counts, sigma):
     """Add one sample's readings to the normal equations; its misfit. `r` (3) is the direction, `column` (5, 3) its derivatives."""
-    misfit, slope = 0.0, np.empty(3)
+    misfit, slope, change = 0.0, np.empty(3), np.empty(5)
     for j in range(len(law.gains)):
         share, slope[0], slope[1], slope[2] = seen(law, j, r[0], r[1], r[2])
         if not counts[j] or (share <= 0 and reading[j] <= 0):
@@ -412,8 +412,8 @@ def _gather(normal, gradient, r, column, law, reading, counts, sigma):
         residual = (reading[j] - gain * share) / s
         misfit += min(residual * residual, CAP)
         weight = 1.0 / (1.0 + residual * residual / 25.0)
-        change = -gain / s * (column @ slope)
         for i in range(5):
+            change[i] = -gain / s * (column[i, 0] * slope[0] + column[i, 1] * slope[1] + column[i, 2] * slope[2])
             gradient[i] += weight * change[i] * residual
             for q in range(i + 1):
                 normal[i, q] += weight * change[i] * change[q]

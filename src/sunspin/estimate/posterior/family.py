@@ -47,6 +47,15 @@ def coordinates(state: State, centre: State) -> np.ndarray:
     return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
 
 
+def apart(state: State, centre: State) -> np.ndarray:
+    """The same (n, D) of states about a centre each."""
+    across = np.stack(tangents(centre.sun), axis=1)
+    side = (across @ state.sun[:, :, None])[:, :, 0]
+    size, along = np.linalg.norm(side, axis=1, keepdims=True), np.sum(state.sun * centre.sun, axis=1, keepdims=True)
+    side = side * np.divide(np.arctan2(size, along), size, out=np.ones_like(size), where=size > 1e-15)
+    return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
+
+
 def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME) -> int | None:
     """Which of the kept ones the fit `i` is a copy of, if any."""
     if not kept:
@@ -81,8 +90,9 @@ def joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarr
 
 def denser(
     state: State, normal: np.ndarray, hits: np.ndarray, beside: np.ndarray, reach_s: float, widest: float
-) -> tuple[State, np.ndarray, np.ndarray]:
-    """Hypotheses, and neighbours of those that are one of a family, the starts that each stands for, and `beside`.
+) -> tuple[State, np.ndarray, np.ndarray, np.ndarray]:
+    """Hypotheses, and neighbours of those that are one of a family, the starts that each stands for, `beside`, and whose neighbour
+    each is.
 
     The fits of neighbouring starts stay a step apart where the readings leave a family of motions, and with the window that step
     grows: without others between them the true one would be lost. `normal` (n, D, D): curvature; u as it is, since what differs by
@@ -105,7 +115,7 @@ def denser(
     every, origin = State.joined(parts), np.concatenate(parent)
     _, first = np.unique(boxes(every, reach_s), axis=0, return_index=True)
     kept = np.union1d(first, np.arange(len(state)))  # the fits themselves stay
-    return every.take(kept), np.where(kept < len(state), hits[origin[kept]], 1), beside[origin[kept]]
+    return every.take(kept), np.where(kept < len(state), hits[origin[kept]], 1), beside[origin[kept]], origin[kept]
 
 
 def boxes(state: State, reach_s: float) -> np.ndarray:

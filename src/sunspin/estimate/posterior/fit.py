@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.posterior.likelihood import Likelihood
+from sunspin.estimate.posterior.family import apart
+from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.least_squares import least_squares, shortened, take
 from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import moved
+from sunspin.solve.rotations import moved, tangents
 
 FILES = (
     "estimate/posterior/data.py", "estimate/posterior/model.py", "estimate/posterior/likelihood.py", "estimate/posterior/fit.py",
@@ -23,6 +24,7 @@ FILES = (
     "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
     "estimate/terms/sun_direction.py",
     "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "estimate/posterior/tilt.py",
+    "estimate/posterior/turns.py", "estimate/posterior/family.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""
 
@@ -41,6 +43,9 @@ READINGS_AT_ONCE = 2_500_000
 GPU_TIMES = 8
 """Times as many on a GPU."""
 
+_Point = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Secant]
+"""Rates, directions and unknowns, the derivatives of what is seen there, and how they came there."""
+
 Levels = tuple[tuple[float, int], ...]
 """(factor on the noise, steps) one after the other."""
 
@@ -56,6 +61,40 @@ def asked(function: Any, model: Model) -> dict[str, Any]:
     return {**code(*FILES), **k.device_identity(model.device), type(function).__name__.lower(): plain(function)}
 
 
+class Begun(NamedTuple):
+    """States near those that a fit begins with, a state for each, their derivatives (n, 5 + moving, seen, 3), and what is seen."""
+
+    state: State
+    moves: np.ndarray
+    seen: np.ndarray
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Row -> derivatives of what is seen of a motion, and that."""
+
+    likelihood: Likelihood
+    state: State = field(repr=False)
+    still: bool
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.state)
+
+    @property
+    def outputs(self) -> Mapping[str, Any]:
+        data, moving = self.likelihood.data, [] if self.still else self.likelihood.model.moving
+        seen = len(data) + 2 * len(data.others)
+        return {"moves": ("float64", (5 + len(moving), seen, 3)), "seen": ("float64", (seen, 3))}
+
+    def identity(self) -> dict[str, Any]:
+        return asked(self, self.likelihood.model)
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        found = self.likelihood.linearised(self.state.take(index), self.still)
+        return {"moves": found.moves, "seen": found.prediction.seen}
+
+
 @dataclass(frozen=True)
 class Fit:
     """Row -> the best fit that its start leads to.
@@ -64,6 +103,8 @@ class Fit:
     `still`: leave the unknowns of the motion as they are; `free` (D, q): what these columns do not span too.
     `curved`: give the curvature too, at the noise that fits;
     `normal`: the curvature alone (D, D). `hopeless`: rows whose cost is above that after the first level stay as they are then.
+    `begun`: derivatives of states near by to begin with; `promising`: rows whose cost is at most that then have their own found,
+    and take two steps more.
     """
 
     likelihood: Likelihood
@@ -74,6 +115,8 @@ class Fit:
     normal: bool = False
     hopeless: float = np.inf
     free: np.ndarray | None = None
+    begun: Begun | None = field(default=None, repr=False)
+    promising: float = np.inf
 
     @property
     def n_rows(self) -> int:
@@ -92,31 +135,48 @@ class Fit:
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None, self.free)
+        search.refresh(None if self.begun is None else Begun(self.begun.state.take(index), *(x[index] for x in self.begun[1:])))
         (factor, steps), *others = self.levels
         search.go(factor, steps)
-        on, left = np.arange(len(index)), None
-        if np.isfinite(self.hopeless) and np.any(search.objective > self.hopeless):
-            on, left = np.flatnonzero(search.objective <= self.hopeless), self._told(search)
-            if not len(on):
-                return left
-            search.only(on)
+        on, left = self._dropped(search, self.hopeless, np.arange(len(index)), {})
+        if not len(on):
+            return left
         for factor, steps in others:
             if self.curved:
                 search.refresh()
             search.go(factor, steps)
         if self.free is None:
             search.fit_noise(self.normal)
+        if self.begun is not None:
+            on, left = self._dropped(search, self.promising, on, left)
+            if not len(on):
+                return left
+            search.refresh()
+            search.steps(2)
+            search.fit_noise(self.normal)
         if self.curved:
             for _ in range(2):
                 search.refresh()
                 search.fit_noise()
                 search.steps(2)
+        return self._with(left, on, search)
+
+    def _dropped(
+        self, search: _Search, most: float, on: np.ndarray, left: dict[str, np.ndarray]
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """The rows that go on, those of at most a cost, of the rows `on`; and what is told of all, as they are now."""
+        if not np.any(search.objective > most):
+            return on, left
+        left, rows = self._with(left, on, search), np.flatnonzero(search.objective <= most)
+        search.only(rows)
+        return on[rows], left
+
+    def _with(self, left: dict[str, np.ndarray], on: np.ndarray, search: _Search) -> dict[str, np.ndarray]:
+        """What was told of all rows, with what is told of the rows `on` now."""
         found = self._told(search)
-        if left is None:
-            return found
-        for name, value in found.items():
-            left[name][on] = value
-        return left
+        for name, value in left.items():
+            value[on] = found[name]
+        return left or found
 
     def _told(self, search: _Search) -> dict[str, np.ndarray]:
         state = search.state
@@ -127,17 +187,22 @@ class Fit:
 
 
 class _Search:
-    """A batch of starts on its way; every row by itself."""
+    """A batch of starts on its way; every row by itself. Derivatives of the motion are found once, by many runs, and then corrected
+    by what each step shows, which takes one."""
 
     def __init__(self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None) -> None:
         self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
+        self._moving = [*range(5), *(5 + i for i in likelihood.model.moving if not still)]
         self._prior = np.concatenate([np.zeros(5), likelihood.model.precision])
         self._factor = 1.0
-        self.refresh()
 
-    def refresh(self) -> None:
-        """Linearise anew at the present state, the derivatives that steps keep too."""
-        self._system, self._kept = self._seen_from(self.state)
+    def refresh(self, begun: Begun | None = None) -> None:
+        """Linearise anew at the present state, or with what is `begun` near by."""
+        if begun is None:
+            self._system = self._seen_from(self.state)
+            return
+        step = apart(self.state, begun.state)[:, self._moving]
+        self._system = self._seen_from(self.state, *_turned(begun.state.sun, self.state.sun, begun.moves, begun.seen, step))
 
     @property
     def objective(self) -> np.ndarray:
@@ -161,21 +226,26 @@ class _Search:
     def steps(self, count: int) -> None:
         """Steps of least squares, begun anew."""
         found = least_squares(
-            self._linearised, self._moved, dense, (self.state.omega, self.state.sun, self.state.u, self._kept), steps=count,
-            system=self._system, longest=self._longest, limit=self._limited,
+            self._linearised, self._moved, dense, self._carried((self.state.omega, self.state.sun, self.state.u), self._system),
+            steps=count, system=self._system, longest=self._longest, limit=self._limited, carry=self._carried,
         )  # fmt: skip
         self.state, self._system = State(*found.state[:3]), found.system
 
+    def _carried(self, state: tuple[Any, ...], system: Dense) -> _Point:
+        """States with their derivatives and what is seen there, no step having been taken from them yet."""
+        moves, seen = system.kept[4:]
+        return state[0], state[1], state[2], moves, Secant(seen, np.zeros((len(seen), len(self._moving))))
+
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
-        self.state, self._system, self._kept = self.state.take(rows), take(self._system, rows), self._kept[rows]
+        self.state, self._system = self.state.take(rows), take(self._system, rows)
 
-    def _linearised(self, state: tuple[np.ndarray, ...]) -> Dense:
-        return self._seen_from(State(*state[:3]), state[3])[0]
+    def _linearised(self, state: _Point) -> Dense:
+        return self._seen_from(State(*state[:3]), state[3], state[4])
 
-    def _seen_from(self, state: State, kept: np.ndarray | None = None) -> tuple[Dense, np.ndarray]:
-        base, raw, extra, jacobian, kept = self.likelihood.linearised(state, self.still, kept)
-        return self._weighed(state.u, raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1)), kept
+    def _seen_from(self, state: State, moves: np.ndarray | None = None, secant: Secant | None = None) -> Dense:
+        base, raw, extra, jacobian, moves = self.likelihood.linearised(state, self.still, moves, secant)
+        return self._weighed(state.u, raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1), moves, base.seen)
 
     def _judge(self) -> None:
         """Weigh the same differences anew, under another noise."""
@@ -186,9 +256,11 @@ class _Search:
         cost, s, w = self.likelihood.weigh(raw, extra, self._factor * self.likelihood.noise(u))
         return cost, np.sqrt(w) * raw / s, np.sqrt(w)[:, :, None] * (jacobian / s[:, :, None])
 
-    def _weighed(self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray, fine: np.ndarray) -> Dense:
+    def _weighed(
+        self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray, fine: np.ndarray, *motion: np.ndarray
+    ) -> Dense:
         cost, residual, scaled = self._scaled(u, raw, extra, jacobian)
-        normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
+        normal = np.swapaxes(scaled, 1, 2) @ scaled + np.diag(self._prior)
         gradient = np.einsum("nri,nr->ni", scaled, residual)
         gradient[:, 5:] += self._prior[5:] * u
         if self.free is not None:
@@ -198,23 +270,27 @@ class _Search:
         floor = FLOOR * scale.max(axis=1) + 1e-12
         normal = normal + floor[:, None, None] * np.eye(normal.shape[1])
         cost = np.where(fine, cost + self._of_prior(u), np.inf)
-        return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine))
+        return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine, *motion))
 
     def _whole(self, step: np.ndarray) -> np.ndarray:
         return step if self.free is None else step @ self.free.T
 
-    def _longest(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> np.ndarray:
+    def _longest(self, state: _Point, step: np.ndarray) -> np.ndarray:
         move, window = self._whole(step), self.likelihood.data.reach_s
         turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
         pushed = np.linalg.norm(self.likelihood.model.relative(move[:, 5:], "steady_torque", 3), axis=1) * window**2 / 2
         return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
 
-    def _moved(self, state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _moved(self, state: _Point, step: np.ndarray) -> _Point:
         move = self._whole(step)
-        return state[0] + move[:, :3], moved(state[1], move[:, 3:5]), state[2] + move[:, 5:], state[3]
+        sun = moved(state[1], move[:, 3:5])
+        came = _turned(state[1], sun, state[3], state[4].seen, move[:, self._moving])
+        return state[0] + move[:, :3], sun, state[2] + move[:, 5:], *came
 
-    def _limited(self, state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        return shortened(state[0], self.likelihood.model.max_rate), state[1], np.clip(state[2], -FAR, FAR), state[3]
+    def _limited(self, state: _Point) -> _Point:
+        omega, u = shortened(state[0], self.likelihood.model.max_rate), np.clip(state[2], -FAR, FAR)
+        whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(axis=1)  # of a step cut off nothing is learnt
+        return omega, state[1], u, state[3], state[4]._replace(step=np.where(whole[:, None], state[4].step, 0.0))
 
     def fit_noise(self, few: bool = False) -> None:
         """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm.
@@ -243,7 +319,7 @@ class _Search:
     def _taken_up(self) -> np.ndarray:
         """How many readings (n) the unknowns of each row answer for, dark ones and priors apart."""
         scaled = self._scaled(self.state.u, *self._system.kept[:3])[2]
-        told = np.einsum("nri,nrj->nij", scaled, scaled)
+        told = np.swapaxes(scaled, 1, 2) @ scaled
         size = np.sqrt(np.einsum("nii->ni", told) + self._prior + 1e-12)  # in these units no number is large
         told /= size[:, :, None] * size[:, None, :]
         whole = told + np.eye(told.shape[1]) * (self._prior / size**2 + 1e-9)[:, :, None]
@@ -252,10 +328,21 @@ class _Search:
     def curvature(self) -> np.ndarray:
         """Second derivatives (n, D, D) of minus the log posterior, by Gauss and Newton."""
         _, residual, scaled = self._scaled(self.state.u, *self._system.kept[:3])
-        normal = np.einsum("nri,nrj->nij", scaled, scaled) + np.diag(self._prior)
+        normal = np.swapaxes(scaled, 1, 2) @ scaled + np.diag(self._prior)
         model = self.likelihood.model
         for i in model.where("noise"):
             lit = self.likelihood.kinds[1] & self.likelihood.kinds[0]
             squares = np.sum(np.where(lit, residual**2, 0.0), axis=1)
             normal[:, 5 + i, 5 + i] = 1 + 2 * model.unknowns[i].sigma ** 2 * squares
         return normal
+
+
+def _turned(
+    sun: np.ndarray, there: np.ndarray, moves: np.ndarray, seen: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, Secant]:
+    """Derivatives and a step, given in the tangents at directions `sun`, in those at the directions `there` that it led to."""
+    across = np.stack(tangents(there), axis=1) @ np.swapaxes(np.stack(tangents(sun), axis=1), 1, 2)
+    moves, step = np.array(moves), np.array(step)
+    moves[:, 3:5] = (across @ moves[:, 3:5].reshape(len(moves), 2, -1)).reshape(len(moves), 2, *moves.shape[2:])
+    step[:, 3:5] = (across @ step[:, 3:5, None])[:, :, 0]
+    return moves, Secant(seen, step)

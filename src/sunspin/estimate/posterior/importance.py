@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -20,7 +20,8 @@ from sunspin.estimate.posterior.fit import Fit, asked
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import Model, State
-from sunspin.estimate.posterior.modes import Modes
+from sunspin.estimate.posterior.modes import Modes, standing
+from sunspin.estimate.posterior.turns import drawn_turns, rest_of, with_turns, without_turns
 
 ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
 """Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round."""
@@ -35,7 +36,7 @@ WANTED = 3_000.0
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
 
-LENT, LENT_ROUNDS, LENT_SHARE = 0, 3, 0.15
+LENT, LENT_ROUNDS, LENT_SHARE = 0, 3, 0.1
 """In the place of soft directions where bends are another model's; rounds in which such a mixture learns, and the share that is
 good enough: its hypothesis seldom has the most weight, and to find bends costs more than draws."""
 
@@ -72,11 +73,14 @@ CONNECTED = 0.02
 
 @dataclass(frozen=True)
 class Weigh:
-    """Row -> log-likelihood of a hypothesis."""
+    """Row -> log-likelihood of a hypothesis, its unknowns with turns of panels drawn, and the log density of these draws."""
 
     likelihood: Likelihood
     state: State = field(repr=False)
-    outputs: ClassVar[Mapping[str, Any]] = {"log_likelihood": ("float64", ())}
+
+    @property
+    def outputs(self) -> Mapping[str, Any]:
+        return {"log_likelihood": ("float64", ()), "u": ("float64", self.state.u.shape[1:]), "density": ("float64", ())}
 
     @property
     def n_rows(self) -> int:
@@ -86,7 +90,10 @@ class Weigh:
         return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        return {"log_likelihood": self.likelihood(self.state.take(index))}
+        state, likelihood = self.state.take(index), self.likelihood
+        prediction = likelihood.predict(state)
+        u, density = drawn_turns(likelihood, prediction, state.u)
+        return {"log_likelihood": likelihood.of(prediction, u), "u": u, "density": density}
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,10 @@ def sample(
     `known` are taken instead of found; where these do not become good enough, sheets are learnt as otherwise. `least`: the log
     evidence below which nobody asks how good the draws are.
     """
-    bent = None if known is None or known.drawn.bent is None else known.drawn.bent.counted_in(known.times)
+    bent = None
+    if known is not None and known.drawn.bent is not None:
+        rest = rest_of(likelihood.model)
+        bent = known.drawn.bent.counted_in(known.times[rest[rest < len(known.times)]])
     tracks: list[_Track] = []
     for softs in SOFTS if bent is None else (LENT, *SOFTS):
         lent = bent if softs == LENT else None
@@ -203,6 +213,7 @@ def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
 @dataclass(frozen=True)
 class _Round:
     state: State
+    proposed: State  # the same without turns of panels
     log_weight: np.ndarray
     log_likelihood: np.ndarray
     parts: np.ndarray  # log of weight times density of each component
@@ -214,18 +225,20 @@ class _Round:
 
 def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, turn: int, run: Any, chunk: int) -> _Round:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, turn)))
-    state = mixture.draw(n, rng)
-    prior = likelihood.model.log_prior(state)
-    inside = np.flatnonzero(np.isfinite(prior))
-    known = np.full(n, -np.inf)
-    known[inside] = run(Weigh(likelihood, state.take(inside)), "weighing", chunk)["log_likelihood"]
-    parts = mixture.log_densities(state)
+    model, proposed = likelihood.model, mixture.draw(n, rng)
+    state = with_turns(model, proposed, rng.standard_normal((n, len(model.unknowns) - len(rest_of(model)))))
+    inside = np.flatnonzero(np.isfinite(model.log_prior(state)))
+    known, of_turns = np.full(n, -np.inf), np.zeros(n)
+    found = run(Weigh(likelihood, state.take(inside)), "weighing", chunk)
+    known[inside], of_turns[inside], state.u[inside] = found["log_likelihood"], found["density"], found["u"]
+    parts = mixture.log_densities(proposed)
     density = np.concatenate([np.asarray(logsumexp(parts[rows], axis=1)) for rows in _blocks(n)])
-    weight = prior + known - density
+    weight = model.log_prior(state) + known - density - of_turns
     weight = np.where(np.isnan(weight), -np.inf, weight)
     share = np.exp(weight - weight.max())
     effective = float(share.sum() ** 2 / np.sum(share**2))
-    return _Round(state, weight, known, parts, density, effective, pareto_tail(weight), float(logsumexp(weight) - np.log(n)))
+    evidence = float(logsumexp(weight) - np.log(n))
+    return _Round(state, proposed, weight, known, parts, density, effective, pareto_tail(weight), evidence)
 
 
 def _blocks(n: int) -> list[slice]:
@@ -268,31 +281,35 @@ def _first(
 
     Modes on the ridge of a better one are not given a component of their own. `bent` as in `_taught`.
     """
-    model, d, reach = likelihood.model, modes.hessian.shape[1], likelihood.data.reach_s
-    least = np.diag(np.concatenate([np.full(3, model.max_rate**-2), np.ones(2), np.zeros(d - 5)]))
+    model, reach = standing(likelihood.model)[0], likelihood.data.reach_s
+    d, kept = model.dimension, np.concatenate([np.arange(5), 5 + rest_of(likelihood.model)])
+    least = np.diag([model.max_rate**-2] * 3 + [1.0] * 2 + [0.0] * len(likelihood.model.unknowns))
     laplace = np.linalg.inv(modes.hessian + least)
-    laplace = 0.5 * (laplace + np.swapaxes(laplace, 1, 2))
+    volume = 0.5 * np.linalg.slogdet(laplace)[1]
+    laplace = (0.5 * (laplace + np.swapaxes(laplace, 1, 2)))[:, kept[:, None], kept]
+    centres = without_turns(likelihood.model, modes.state)
     sheet = Sheet.of(d, softs if bent is None else bent.sheet.softs, model.moving, model.where("scale"))
     if bent is None:
         parts = [_straight(c, _basis(c, reach), sheet) for c in laplace]
     else:
-        near = [_nearest(bent.centre, modes.state.take([m]), reach) for m in range(len(laplace))]
+        near = [_nearest(bent.centre, centres.take([m]), reach) for m in range(len(laplace))]
         parts = [_straight(c, bent.basis[k], sheet, bent, k) for c, k in zip(laplace, near, strict=True)]
     basis, bend, covariance = (np.array(every) for every in zip(*parts, strict=True))
     owner = np.arange(len(covariance))
     alike = np.ones(len(covariance))
-    mixture = Mixture(modes.state, basis, bend, np.zeros((len(covariance), d)), covariance, alike, sheet)
+    mixture = Mixture(centres, basis, bend, np.zeros((len(covariance), d)), covariance, alike, sheet)
     for m in range(min(len(covariance), MOST_BENT)):
         for k in np.flatnonzero(owner[:m] == np.arange(m)):
-            off = mixture.coordinates(modes.state.take(np.array([m])), int(k))[0]
+            off = mixture.coordinates(centres.take(np.array([m])), int(k))[0]
             if off @ np.linalg.solve(covariance[k], off) < ON_RIDGE * d:
                 owner[m] = k
                 break
         if owner[m] == m and bent is None:
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, SOFTS.index(softs) * len(modes.objective) + m)))
-            _follow_ridge(likelihood, mixture, m, rng, run, chunk)
+            turns = np.delete(modes.state.u[[m]], rest_of(likelihood.model), axis=1)
+            _follow_ridge(likelihood, mixture, m, turns, rng, run, chunk)
     kept = np.flatnonzero(owner == np.arange(len(owner)))
-    mass = (-modes.objective + 0.5 * np.linalg.slogdet(laplace)[1])[kept]
+    mass = (volume - modes.objective)[kept]
     first, of_kept = mixture.take(kept), np.arange(len(kept))
     if model.frame:
         first, mass, of_kept = _over_sizes(model, first, mass, modes.share[kept])
@@ -358,21 +375,27 @@ def _straight(
     return basis, bend, covariance
 
 
-def _follow_ridge(likelihood: Likelihood, mixture: Mixture, m: int, rng: np.random.Generator, run: Any, chunk: int) -> None:
-    """Fit the bend of component m: the best of the stiff coordinates for values of the others about the centre's."""
+def _follow_ridge(
+    likelihood: Likelihood, mixture: Mixture, m: int, turns: np.ndarray, rng: np.random.Generator, run: Any, chunk: int
+) -> None:
+    """Fit the bend of component m: the best of the stiff coordinates, and of the panels' turns, for values of the others about the
+    centre's; `turns` (1, k): those of the centre."""
     d, sheet = mixture.covariance.shape[1], mixture.sheet
     n, along, stiff = RIDGE_POINTS * sheet.terms, sheet.along, sheet.stiff
     here = np.full(1, m)
     root = np.linalg.cholesky(mixture.covariance[m][np.ix_(along, along)])
-    free = np.eye(d)
-    free[:5, :5] = np.linalg.inv(mixture.basis[m])
+    model = likelihood.model
+    kept = np.concatenate([np.arange(5), 5 + rest_of(model)])
+    whole = np.eye(model.dimension)
+    whole[:5, :5] = np.linalg.inv(mixture.basis[m])
+    free = whole[:, [*kept[stiff], *np.setdiff1d(np.arange(len(whole)), kept)]]
     for width in RIDGE_WIDTHS:  # a narrow part first: its bend takes the starts of the wider ones near the ridge
         x = np.zeros((n, d))
         x[:, along] = width * rng.standard_normal((n, len(along))) @ root.T
-        start = mixture.states(x, np.repeat(here, n))
-        found = run(Fit(likelihood, start, ((3.0, 2), (1.0, 4)), free=free[:, stiff]), "ridge", chunk)
+        start = with_turns(model, mixture.states(x, np.repeat(here, n)), turns)
+        found = run(Fit(likelihood, start, ((3.0, 2), (1.0, 4)), free=free), "ridge", chunk)
         flat = replace(mixture, bend=np.zeros_like(mixture.bend))
-        answer = flat.coordinates(State(found["omega"], found["sun"], found["u"]), m)
+        answer = flat.coordinates(without_turns(model, State(found["omega"], found["sun"], found["u"])), m)
         terms, good = monomials(answer, sheet), np.isfinite(found["cost"])
         good &= found["cost"] < np.median(found["cost"][good]) + 3.0 * d
         scale = np.linalg.cholesky(mixture.covariance[m][np.ix_(stiff, stiff)])
@@ -395,7 +418,7 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     means, covariances, masses = [], [], []
     for m in used:
         part, mass = share[:, m] / share[:, m].sum(), share[:, m].sum()
-        x = mixture.coordinates(made.state, int(m))
+        x = mixture.coordinates(made.proposed, int(m))
         keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
         mean = keep * (part @ x) + (1 - keep) * mixture.mean[m]
         spread = np.einsum("n,ni,nj->ij", part, x - mean, x - mean)
@@ -406,7 +429,7 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     if local:
         pick = rng.choice(len(weight), LOCAL, p=weight / weight.sum())
         owner = np.argmax(share[np.ix_(pick, used)], axis=1)
-        points = [mixture.coordinates(made.state.take(pick[[i]]), int(used[o]))[0] for i, o in enumerate(owner)]
+        points = [mixture.coordinates(made.proposed.take(pick[[i]]), int(used[o]))[0] for i, o in enumerate(owner)]
         origin, mean = np.concatenate([used, used[owner]]), np.concatenate([mean, points])
         learnt = np.concatenate([learnt, LOCAL_SHRINK * learnt[owner]])
         shares = np.concatenate([0.4 * shares, np.full(LOCAL, 0.6 / LOCAL)])

@@ -68,13 +68,30 @@ class Prediction:
 
 class Linearised(NamedTuple):
     """Prediction, differences (n, R) measured less predicted, their added variance (n, R), their derivatives (n, R, D), and
-    those of what is seen of the motion by the unknowns that have runs of their own (n, moving, seen, 3)."""
+    those of what is seen (n, 5 + moving, seen, 3) by rates, direction and the unknowns that have runs of their own."""
 
     prediction: Prediction
     raw: np.ndarray
     extra: np.ndarray
     jacobian: np.ndarray
-    kept: np.ndarray
+    moves: np.ndarray
+
+
+class Secant(NamedTuple):
+    """How states came to where they are: what was `seen` there (n, seen, 3), and the `step` (n, 5 + moving), zero where unknown."""
+
+    seen: np.ndarray
+    step: np.ndarray
+
+    def corrected(self, moves: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Derivatives (n, 5 + moving, seen, 3) that give the change along the step as it was (Broyden 1965), the step's parts
+        counted by how far they move what is seen."""
+        flat = moves.reshape(*moves.shape[:2], -1)
+        size = self.step * np.sum(flat**2, axis=2)
+        length = np.sum(size * self.step, axis=1, keepdims=True)
+        share = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
+        left = (seen - self.seen).reshape(len(flat), 1, -1) - self.step[:, None] @ flat
+        return moves + (share[:, :, None] * left).reshape(moves.shape)
 
 
 @dataclass(frozen=True)
@@ -166,8 +183,11 @@ class Likelihood:
 
     def __call__(self, state: State, error: float | None = None) -> np.ndarray:
         """Log-likelihood (n)."""
-        prediction = self.predict(state, error)
-        out = self.samples(prediction, state.u).sum(axis=1) + self.others(prediction)
+        return self.of(self.predict(state, error), state.u)
+
+    def of(self, prediction: Prediction, u: np.ndarray) -> np.ndarray:
+        """Log-likelihood (n) of motions already run."""
+        out = self.samples(prediction, u).sum(axis=1) + self.others(prediction)
         return np.where(prediction.fine & np.isfinite(out), out, -np.inf)
 
     # ---- what least squares needs ------------------------------------------------------------------------------------------
@@ -215,15 +235,21 @@ class Likelihood:
         cost = np.where(used, np.logaddexp(stated, outlier) - total, 0.0).sum(axis=1)
         return cost, s, np.where(used, np.exp(good - total), 0.0)
 
-    def linearised(self, state: State, still: bool = False, kept: np.ndarray | None = None) -> Linearised:
+    def linearised(
+        self, state: State, still: bool = False, moves: np.ndarray | None = None, secant: Secant | None = None
+    ) -> Linearised:
         """The differences about states, and how they change.
 
         In the order rates (rad/s), direction (tangent, rad), u. By differences of runs, so that the jump at a wheel's stop is
         in them; the direction's from one run more, as r0 -> r(t) is a rotation and does not depend on r0 (unless torques do: then
-        from two). `still` leaves the unknowns that need a run of their own as they are. What they change of a motion changes slowly
-        with the motion, and most runs are theirs: their derivatives (n, moving, seen, 3) found at a state near by may be `kept`.
+        from two). `still` leaves the unknowns that need a run of their own as they are. With the `moves` of a state near by and the
+        `secant` from there it takes one run.
         """
         n, model = len(state), self.model
+        error = ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR
+        if moves is not None and secant is not None:
+            base = self.predict(state, error)
+            return self._put_together(state, base, secant.corrected(moves, base.seen), [] if still else model.moving)
         window = self.data.reach_s
         step = RATE_STEP / window
         own = self._steps(window)
@@ -235,31 +261,32 @@ class Likelihood:
         else:
             runs.append(State(state.omega, e1, state.u))
         first = len(runs)
-        if kept is None:
-            runs += [State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i]) for i in moving]
-        every = self.predict(State.joined(runs), ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR)
+        runs += [State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i]) for i in moving]
+        every = self.predict(State.joined(runs), error)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
-        raw, extra = self.misfit(base, state.u)
         seen = base.seen
-        moves = [(p.seen - seen) / step for p in parts[:3]]
+        changes = [(p.seen - seen) / step for p in parts[:3]]
         if model.turned:
-            moves += [(p.seen - seen) / RATE_STEP for p in parts[3:5]]
+            changes += [(p.seen - seen) / RATE_STEP for p in parts[3:5]]
         else:
-            moves.append(parts[3].seen * self._is_direction)
-            moves.append(np.cross(seen, moves[3]))
-        if kept is None:
-            answers = [(p.seen - seen) / own[i] for p, i in zip(parts[first - 1 :], moving, strict=True)]
-            kept = np.stack(answers, axis=1) if answers else np.zeros((n, 0, *seen.shape[1:]))
+            changes.append(parts[3].seen * self._is_direction)
+            changes.append(np.cross(seen, changes[3]))
+        changes += [(p.seen - seen) / own[i] for p, i in zip(parts[first - 1 :], moving, strict=True)]
+        return self._put_together(state, base, np.stack(changes, axis=1), moving)
+
+    def _put_together(self, state: State, base: Prediction, moves: np.ndarray, moving: list[int]) -> Linearised:
+        """The differences and their derivatives, from those of what is seen (n, 5 + moving, seen, 3)."""
+        raw, extra = self.misfit(base, state.u)
         power = self.power(base.sun, state.u)
         counts = self.data.used & (self.data.lit | (power > self.data.threshold))  # not a dark panel that should be dark
-        columns = self._along(base, state.u, [*moves, *(kept[:, j] for j in range(len(moving)))], counts)
+        columns = self._along(base, state.u, list(np.moveaxis(moves, 1, 0)), counts)
         own_run = iter(columns[5:])
         each = range(state.u.shape[1])
         changes = self._standing(base, state.u, power)
         columns = columns[:5] + [next(own_run) if i in moving else self._column(changes(i), counts) for i in each]
         jacobian = np.stack(columns, axis=-1)
         jacobian = np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
-        return Linearised(base, raw, extra, jacobian, kept)
+        return Linearised(base, raw, extra, jacobian, moves)
 
     @cached_property
     def _is_direction(self) -> np.ndarray:

@@ -16,9 +16,9 @@ from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
-from sunspin.estimate.posterior.fit import Fit, Levels, asked, chunk_rows
+from sunspin.estimate.posterior.fit import Begun, Fit, Levels, Slopes, asked, chunk_rows
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
-from sunspin.estimate.posterior.model import Model, State, Unknown
+from sunspin.estimate.posterior.model import STANDING, Model, State, Unknown
 from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
@@ -47,6 +47,11 @@ NOISE_SIGMAS, NOISE_MOST = 2.0, 1.5
 
 GRID_SAMPLES, FEW_STARTS = 3, 2000
 """Samples for which the grid of starts is dense enough: neighbours are set from the next window on, or where they cost little."""
+
+CHILDREN, MANY = 2, 5_000
+"""Hypotheses to each of those whose neighbours they are, and all together, from which on derivatives are found at the latter alone:
+what fits then has its own found, which takes a tenth of the runs. Where there are few, all have theirs: with derivatives of
+neighbours families look wider than they are."""
 
 LOOK = 0.6
 """rad by which a hypothesis may be wrong about the sample added next, before it is fitted to it."""
@@ -258,30 +263,37 @@ class Search:
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
         """All modes; `model` and `data` have the plan's sample as the reference.
 
-        While the window grows turns of the panels are left alone and counted as noise: there would be as many of them as readings.
-        Starts and looks ahead have room enough for them.
+        While the window grows the panels' own turns are left alone and counted as noise: there would be as many as readings. The
+        turn of all panels stays an unknown: a few samples fit a motion in turned axes, too, and as noise it would let through many
+        more motions than there are. Starts and looks ahead have room enough for turns.
         """
         whole, wide = Likelihood(model, data), replace(data, sigma=tilt.spread(data.sigma, model.vehicle, model.unknowns, scale))
-        model, kept = standing(model)
-        state, hits = self.starts(model, data, chosen, scale)
+        model, kept = standing(model, (tilt.KIND,))
+        few, held = _of_the_motion(model)
+        state, hits = self.starts(few, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
             notes.append(f"only rates up to {np.degrees(chosen.limit):.3g} deg/s could be searched")
         if not len(state):
-            state = _anything(model, chosen)
+            state = _anything(few, chosen)
             hits = np.ones(len(state), dtype=np.int64)
             notes.append("no rate explains even the first samples")
         used = np.sort(np.append(chosen.tried, chosen.anchor))
-        trace, first, beside = [], True, np.zeros(len(state))
+        trace, first, beside, origin = [], True, np.zeros(len(state)), np.arange(len(state))
+        parents = state
         noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
         while True:
-            part = wide.take(used)
-            likelihood = Likelihood(model, part)
-            still = len(used) < FEW
+            part, still = wide.take(used), len(used) < FEW
+            now = few if still else model
+            if len(now.unknowns) > state.u.shape[1]:
+                state, parents = (_among(x, now, held) for x in (state, parents))
+            likelihood = Likelihood(now, part)
             levels, label = FIRST_LEVELS if first else LEVELS, f"{len(used)} samples"
             limit = likeliest(part, still, noisy)
             hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
-            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless)
+            begun = self._begun(likelihood, parents, origin, still)
+            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless, begun=begun,
+                              promising=limit + SLACK_STILL)  # fmt: skip
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
@@ -294,13 +306,22 @@ class Search:
                 state, normal, beside = state.take(only), normal[only], beside[only]
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
+                state = _among(state, model, held) if still else state
                 return self._with_images(whole, self._last(whole, _widened(state, whole.model, kept), hits, trace, notes))
+            parents, origin = state, np.arange(len(state))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
-                state, hits, beside = denser(state, normal, hits, beside, reach, model.max_rate)
-            keep = self._looked(model, data.take(np.setdiff1d(following, used)), state, scale)
+                state, hits, beside, origin = denser(state, normal, hits, beside, reach, model.max_rate)
+            keep = self._looked(now, data.take(np.setdiff1d(following, used)), state, scale)
             if keep.any():
-                state, hits, beside = state.take(keep), hits[keep], beside[keep]
+                state, hits, beside, origin = state.take(keep), hits[keep], beside[keep], origin[keep]
             used = following
+
+    def _begun(self, likelihood: Likelihood, parents: State, origin: np.ndarray, still: bool) -> Begun | None:
+        """Derivatives to begin with at many neighbours of far fewer `parents`, `origin` (n): found at these."""
+        if len(origin) < max(CHILDREN * len(parents), MANY) or likelihood.model.turned:
+            return None
+        found = self.run(Slopes(likelihood, parents, still), "derivatives", chunk_rows(likelihood))
+        return Begun(parents.take(origin), found["moves"][origin], found["seen"][origin])
 
     def _looked(self, model: Model, coming: Readings, state: State, scale: float) -> np.ndarray:
         """Which hypotheses (n) the nearest of the coming samples allows; one run each, where a fit takes fifty."""
@@ -393,20 +414,33 @@ def _turned(model: Model, state: State) -> list[State]:
     return [replace(state, u=state.u + i * step) for i in range(TURNS)]
 
 
-def standing(model: Model) -> tuple[Model, np.ndarray]:
-    """The model with its panels as drawn, and the places (k) in u of the unknowns that are left."""
-    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in tilt.KINDS], dtype=np.int64)
+def standing(model: Model, kinds: tuple[str, ...] = tilt.KINDS) -> tuple[Model, np.ndarray]:
+    """The model without turns of the panels of these kinds, and the places (k) in u of the unknowns that are left."""
+    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in kinds], dtype=np.int64)
     return (model if len(kept) == len(model.unknowns) else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))), kept
 
 
+def _of_the_motion(model: Model) -> tuple[Model, np.ndarray]:
+    """The model with the body's own constants known, and the places (k) in u of the unknowns that are left. A few samples tell
+    nothing of these, and motions of one body run faster than one body for each."""
+    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind in (*STANDING, "turn")], dtype=np.int64)
+    return replace(model, unknowns=tuple(model.unknowns[i] for i in kept)), kept
+
+
+def _among(state: State, model: Model, places: np.ndarray) -> State:
+    """States with u (n, k) as those of a model that has their unknowns at `places` (k), the others at their centres."""
+    u = np.zeros((len(state), len(model.unknowns)))
+    u[:, places] = state.u
+    return replace(state, u=u)
+
+
 def _widened(state: State, model: Model, kept: np.ndarray) -> State:
-    """States of `standing` as those of the model: panels as drawn, under the noise that is stated."""
+    """States of `standing` as those of the model: what it left out as drawn, under the noise that is stated."""
     if len(kept) == len(model.unknowns):
         return state
-    u = np.zeros((len(state), len(model.unknowns)))
-    u[:, kept] = state.u
-    u[:, model.where("noise")] = 0.0
-    return replace(state, u=u)
+    made = _among(state, model, kept)
+    made.u[:, model.where("noise")] = 0.0
+    return made
 
 
 def _of_the_vehicle(model: Model) -> tuple[Unknown, ...]:

@@ -40,7 +40,10 @@ class Flat:
         """Of the angles (..., n_panel) between the Sun and normals turned by `tilt`."""
         if tilt is None:
             return sun_B @ self.normals_B.T
-        return np.einsum("...i,...pi->...p", sun_B, self.turned(tilt))
+        normals = self.turned(tilt)
+        if normals.shape[-3:-2] == (1,):  # alike for many directions
+            return sun_B @ np.swapaxes(normals[..., 0, :, :], -1, -2)
+        return np.einsum("...i,...pi->...p", sun_B, normals)
 
     def turned(self, tilt: np.ndarray) -> np.ndarray:
         """Normals (..., n_panel, 3) turned by rotation vectors of that shape."""
