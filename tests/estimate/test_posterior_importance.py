@@ -7,10 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.estimate.posterior.importance import BLOCK, DEFENCE, pooled, regions
+import sunspin as ss
+from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.posterior.importance import BLOCK, DEFENCE, pooled, regions, sample
+from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Mixture, Sheet, monomials
-from sunspin.estimate.posterior.model import State
+from sunspin.estimate.posterior.model import State, model
+from sunspin.estimate.posterior.modes import Modes
 from sunspin.solve.rotations import moved
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 UNKNOWNS = 4
 SHEET = Sheet.of(5 + UNKNOWNS, softs=2, moving=(1, 2), brightness=(0,))
@@ -102,3 +107,15 @@ def test_components_that_share_draws_are_one_region():
     region, component = regions(np.zeros(n), parts, np.log(share.sum(axis=1)))
     assert component.tolist() == [0, 0, 1, -1]
     assert np.all(region[: n // 3] == 1) and np.all(region[n // 3 :] == 0)
+
+
+def test_a_mode_of_which_no_draw_is_possible_has_no_sample():
+    """All draws are faster than the prior allows: that ends in nothing to weigh, and not in an error."""
+    panels = [Panel("xyzXYZ"[k], normal, 1.0) for k, normal in enumerate(np.concatenate([np.eye(3), -np.eye(3)]))]
+    cube = Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=TelemetryForm(noise=0.005))
+    rate, sun = np.array([0.05, -0.08, 0.11]), np.array([0.36, 0.48, 0.8])
+    data, _, _ = readings(cube, ss.twin(cube, {"omega_B": rate, "sun_B": sun, "t_s": 20.0 * np.arange(6)}))
+    unknown, _ = model(cube, {"max_rate_rad_s": 0.05, "inertia": 0.0, "steady_torque": 0.0}, 0.5)
+    state = State(rate[None], sun[None], np.zeros((1, len(unknown.unknowns))))
+    modes = Modes(state, np.zeros(1), 1e6 * np.eye(5 + len(unknown.unknowns))[None], np.ones(1), (), ())
+    assert sample(Likelihood(unknown, data, 1e-8), modes, 0, lambda rows, *_: rows(np.arange(rows.n_rows)), 1000) is None

@@ -108,5 +108,7 @@ def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
     (other / "summary.json").write_text("{")
     with pytest.raises(InputError, match="summary cannot be read"):
         ss.compare(rates, other)
-    told = CliRunner().invoke(Group("sunspin"), ["compare", str(studies[0]), "absent.bc"])
-    assert isinstance(told.exception, SunspinError) and "--frame is missing" in str(told.exception)
+    (tmp_path / "attitude.bc").touch()
+    for b, words in ((tmp_path / "attitude.bc", "--frame is missing"), ("absent.bc", "no such file")):
+        told = CliRunner().invoke(Group("sunspin"), ["compare", str(studies[0]), str(b)])
+        assert isinstance(told.exception, SunspinError) and words in str(told.exception)

@@ -210,7 +210,7 @@ def test_rate_space_shows_the_telemetry_first_and_no_lines_that_are_not_there(st
     first, second = plot["views"]
     assert first["label"] == "Scan against the directions of this telemetry"
     assert second["label"].startswith("No telemetry: scan against")
-    names = [plot["data"][k]["name"] for k in first["show"]]
+    names = [plot["data"][k].get("name", "") for k in first["show"]]
     assert "candidates" in names and "fitted line" not in names and not any("family" in name for name in names)
     found = next(r for r in json.loads((study / "summary.json").read_text("utf-8"))["figures"] if r["id"] == "lines_found")
     assert f"Of the 4 lines that the paper prints (dashed) {found['ours']} come out of them." in first["text"]

@@ -126,12 +126,14 @@ def test_panels_turned_within_their_stated_sigmas_are_not_accused():
     tilt[:, 0, 1], tilt[:, 3, 1] = -0.05, 0.05  # x and X lean towards z
     power = drawn.response_in().power(random_suns(300, 6), tilt=tilt)
     noisy = np.maximum(power + 0.3 * np.random.default_rng(2).normal(size=power.shape), 0.0)
-    as_drawn, found = (ss.panel_health(craft, noisy, noise=0.3, lit_threshold=1.5) for craft in (drawn, stated))
+    as_drawn, found = (
+        ss.panel_health(craft, noisy, noise=0.3, lit_threshold=1.5, could_be_turned=True) for craft in (drawn, stated)
+    )
     assert as_drawn["impossible"] and as_drawn["impossible"] == found["impossible"]
     assert (made_by(as_drawn, 300), made_by(found, 300)) == ("", TURNS)
     assert found["explanations"] == [] and np.isnan(as_drawn["turned"].values).all()
     whole = drawn.response_in().power(random_suns(300, 6)) * [1, 1, 1, 1, 1, 1, 0]
-    dead = ss.panel_health(stated, whole, noise=0.3, lit_threshold=1.5)
+    dead = ss.panel_health(stated, whole, noise=0.3, lit_threshold=1.5, could_be_turned=True)
     assert (made_by(dead, 300), dead["explanations"]) == ("", [("d",)])
 
 

@@ -60,12 +60,13 @@ def named_panels(health: xr.Dataset, name: str) -> list[tuple[str, ...]]:
     return [tuple(panels[row].tolist()) for row in health[name].values.astype(bool)]
 
 
-def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | None = None, **options: Any) -> PanelHealth:
+def panel_health(
+    vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | None = None, could_be_turned: bool = False, **options: Any
+) -> PanelHealth:
     """Which observed lit patterns the Sun alone cannot make, and the smallest sets of panels whose loss explains all.
 
     A pattern is explained by a set of panels if adding some of them to the lit ones gives a possible pattern: those were in
-    the Sun and gave nothing, being shadowed or dead (paper, section 4). Where the vehicle's file states sigmas of the panels'
-    normals, a pattern that panels turned so far may show needs no explanation.
+    the Sun and gave nothing, being shadowed or dead (paper, section 4).
 
     Parameters
     ----------
@@ -73,6 +74,8 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
         that nothing can be said of noise)
     could_be_noise : float, optional
         Samples that noise alone makes with at least this probability need no explanation. Default: all need one.
+    could_be_turned : bool
+        Nor do patterns that panels turned by the sigmas which the vehicle's file states of their normals may show.
     **options
         `noise` and `lit_threshold`, as for `sun_directions`.
 
@@ -105,7 +108,8 @@ def panel_health(vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | No
         turned = _turned(vehicle, power[forbidden], bright, sigma, threshold, patterns)
     limit = np.inf if could_be_noise is None else could_be_noise
     n = sun.sizes["time"]
-    needed = [p for p, chance in zip(patterns, probability, strict=True) if chance < limit and not _shown(turned.get(p, 0.0), n)]
+    by_turns = {pattern for pattern, least in turned.items() if could_be_turned and _shown(least, n)}
+    needed = [p for p, chance in zip(patterns, probability, strict=True) if chance < limit and p not in by_turns]
     about = provenance("panel_health", sun, **vehicle.said)
     about |= {"noise_sigma": sigma, "lit_threshold": threshold}
     return _health(vehicle, counts, explanations(vehicle, list(dict.fromkeys(needed))), verdicts, turned, about)

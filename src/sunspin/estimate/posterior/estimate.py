@@ -198,7 +198,11 @@ def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, fi
             known = Known(first.drawn, np.array([wider.sigma / own.sigma for own, wider in pairs]))
             least = first.drawn.evidence - one.log_prior + np.log(LOST)
         draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, known, least)
-        made.append(Sampled(one, draws))
+        if draws is not None:
+            made.append(Sampled(one, draws))
+        elif one.what == STATED:
+            what = "the motion that fits best lies at the end of what the priors allow, and next to nothing of it within"
+            raise InputError(sentence(what, do="raise max_rate_rad_s"))
     return made
 
 

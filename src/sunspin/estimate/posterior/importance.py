@@ -130,8 +130,9 @@ class Known(NamedTuple):
 def sample(
     likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int, part: float = 1.0, known: Known | None = None,
     least: float = -np.inf,
-) -> Sample:  # fmt: skip
-    """The posterior around the modes; `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
+) -> Sample | None:  # fmt: skip
+    """The posterior around the modes, None where no draw is possible: what is there is less than one part in all draws of what
+    the modes promised. `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
     Where sheets with one soft direction do not become good, others with two are learnt too, and both propose. Bends of what is
     `known` are taken instead of found; where these do not become good enough, sheets are learnt as otherwise. `least`: the log
@@ -150,6 +151,8 @@ def sample(
     worth = np.array([track.share for track in tracks])
     best = int(np.argmax(worth))
     last, trace = tracks[-1].good, [row for track in tracks for row in track.trace]
+    if not worth.any():
+        return None
     if last is None:
         blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
         count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
@@ -194,10 +197,11 @@ def _taught(
         if made.effective > wanted * count or (turn and max(row[0] for row in trace) < least):
             good = made
             break
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
-        mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
+        if made.effective:
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
+            mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
     share = max(share for share, _ in tried)
-    return _Track(pooled(tried) if good is None else mixture, of_mode, share, trace, first, good)
+    return _Track(pooled(tried) if good is None and share else mixture, of_mode, share, trace, first, good)
 
 
 def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
@@ -229,12 +233,15 @@ def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, 
     state = with_turns(model, proposed, rng.standard_normal((n, len(model.unknowns) - len(rest_of(model)))))
     inside = np.flatnonzero(np.isfinite(model.log_prior(state)))
     known, of_turns = np.full(n, -np.inf), np.zeros(n)
-    found = run(Weigh(likelihood, state.take(inside)), "weighing", chunk)
-    known[inside], of_turns[inside], state.u[inside] = found["log_likelihood"], found["density"], found["u"]
+    if len(inside):
+        found = run(Weigh(likelihood, state.take(inside)), "weighing", chunk)
+        known[inside], of_turns[inside], state.u[inside] = found["log_likelihood"], found["density"], found["u"]
     parts = mixture.log_densities(proposed)
     density = np.concatenate([np.asarray(logsumexp(parts[rows], axis=1)) for rows in _blocks(n)])
     weight = model.log_prior(state) + known - density - of_turns
     weight = np.where(np.isnan(weight), -np.inf, weight)
+    if not np.isfinite(weight.max()):  # no draw is possible
+        return _Round(state, proposed, weight, known, parts, density, 0.0, np.inf, -np.inf)
     share = np.exp(weight - weight.max())
     effective = float(share.sum() ** 2 / np.sum(share**2))
     evidence = float(logsumexp(weight) - np.log(n))

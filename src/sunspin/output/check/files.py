@@ -96,7 +96,7 @@ def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], 
     threshold = lit_threshold(craft, samples)
     sun = sun_directions(craft, samples, lit_threshold=threshold)
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
-    found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold)
+    found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold, could_be_turned=True)
     health, without_loss = health_summary(found), made_by(found, -(-samples.sizes["time"] // stride))
     summary = {
         "status": status_counts(sun), "noise_from": str(sun.attrs["noise_from"]),
