@@ -142,7 +142,7 @@ class Model:
 
     def wheel_speeds(self, u: np.ndarray) -> np.ndarray:
         """Speeds at the reference (n, n_wheel), rad/s."""
-        speeds = np.tile([wheel.speed_rad_s for wheel in self.vehicle.wheels], (len(u), 1)).reshape(len(u), len(self.vehicle.wheels))
+        speeds = np.tile([wheel.speed_rad_s for wheel in self.vehicle.wheels], (len(u), 1))
         for i in self.where("wheel_speed"):
             speeds[:, self.unknowns[i].index] = self.unknowns[i].centre + self.unknowns[i].sigma * u[:, i]
         elapsed = self.after_s + np.maximum(self.wheel_off_s + self.relative(u, "wheel_off", 1)[:, 0], 0.0)
