@@ -78,7 +78,8 @@ def test_a_family_is_made_denser_as_the_window_grows():
     assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1} and origin[:10].tolist() == list(range(10))
     off = apart(found, line.take(origin))
     assert np.linalg.norm(off[:, :3], axis=1).max() * reach == pytest.approx(BESIDE)
-    np.testing.assert_allclose(off[10:13], [coordinates(found.take([i]), line.take(origin[[i]]))[0] for i in (10, 11, 12)])
+    each = [coordinates(found.take([i]), line.take(origin[[i]]))[0] for i in (10, 11, 12)]
+    np.testing.assert_allclose(off[10:13], each, rtol=1e-12, atol=1e-15)
     still, _, never, _ = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
     assert len(still) == 10 and np.all(never == 0.0) and np.all(beside == reach)
 
