@@ -1,6 +1,7 @@
 """A scan in two grades: its sets against those of each motion run, bounds that fail, what is not computed, stores, refusals."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,6 +141,12 @@ def test_what_was_run_is_kept_and_told(small, tmp_path):
 def test_where_wheels_do_not_slow_down_each_motion_is_run(small, speed, duration, mode, wanted):
     start = Start.on_grid(PHILAE, GRID, FIRST_SUN, speed)
     assert grades.applies(EmdRows(PHILAE, start, TARGETS[0], None, duration, wheel_mode=mode)) == wanted
+
+
+def test_with_several_wheels_each_motion_is_run(small):
+    two = replace(PHILAE, wheels=[PHILAE.wheels[0], replace(PHILAE.wheels[0], name="other", axis_B=[1.0, 0.0, 0.0])])
+    start = Start.on_grid(two, GRID, FIRST_SUN, [865, 865])
+    assert not grades.applies(EmdRows(two, start, TARGETS[0], None, 2640))
 
 
 def test_small_scans_run_each_motion_and_say_so():

@@ -189,7 +189,7 @@ class ChosenRows:
 
 
 def applies(rows: EmdRows) -> bool:
-    """Whether a scan may interpolate: many rows, and wheels that slow down all the time.
+    """Whether a scan may interpolate: many rows, and one wheel that slows down all the time; with several it was not tried.
 
     Motions near an unstable spin differ from their neighbours. Where wheels keep their momentum these are thin surfaces in the
     grid, which the coarser one does not see; a wheel that slows down carries them over many points, all of which become rough. So
@@ -205,7 +205,8 @@ def applies(rows: EmdRows) -> bool:
     axes = [axis for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS]
     step = max((np.diff(np.sort(axis)).max() for axis in axes), default=np.inf)
     apart = REACH * STRIDE * step * np.linalg.eigvalsh(vehicle.require_inertia())[-1]
-    return rows.n_rows >= FEWEST_ROWS and bool(np.all(np.linalg.norm(given_off_B, axis=1) >= apart))
+    enough = bool(np.all(np.linalg.norm(given_off_B, axis=1) >= apart))
+    return rows.n_rows >= FEWEST_ROWS and len(vehicle.wheels) == 1 and enough
 
 
 def in_two_grades(

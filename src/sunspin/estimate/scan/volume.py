@@ -93,7 +93,7 @@ def scan(
     factors, thresholds : lists of numbers, optional
         For EMD, in two grades: which motion is the smallest, and which lie below each factor (above 1) times the smallest and below
         each threshold, is settled by motions that are run; the others are interpolated. Without any, each motion is run; so are
-        grids of fewer than 20,000 motions, and motions whose wheels do not slow down much in each half of the run.
+        grids of fewer than 20,000 motions, and motions of anything but one wheel that slows down much in each half of the run.
     workers : int, optional
         Threads, or worker processes of the scheduler "local"; default one per core.
     store : path, optional
