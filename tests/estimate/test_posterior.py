@@ -180,6 +180,7 @@ def _found(**changes):
     given = {
         "weight": np.array([1.0]), "rate": np.array([[0.1, 0, 0]]), "length": np.array([0.001]), "hits": np.array([9]),
         "interval_s": 120.0, "p": 0.5, "noise_sigmas": 0.0, "spoilt": [], "tail": 0.2, "effective": 5000.0, "doubts": [],
+        "speed": np.array([0.1]),
     }  # fmt: skip
     return Found(**(given | changes))
 

@@ -18,7 +18,7 @@ N = 40_000
 def found(weight):
     k = len(weight)
     return Found(np.array(weight), 0.3 * np.arange(1, k + 1)[:, None] * [1.0, 0, 0], np.full(k, 0.01), np.ones(k), 60.0, 0.5, 0.0,
-                 [], 0.1, 5000.0, [])  # fmt: skip
+                 [], 0.1, 5000.0, [], 0.3 * np.arange(1, k + 1))  # fmt: skip
 
 
 def drawn(sigma=1.0, centre=0.0, far=0.0) -> Any:

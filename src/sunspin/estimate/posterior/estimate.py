@@ -338,11 +338,11 @@ def _judge(
     if np.any(regions["starts"].values[told] == 1):
         doubts.append("a region of weight was reached from one start only, so others may have been missed")
     spoilt = spoilt_panels(vehicle.input_names, checked.outliers, data.lit)
+    rate, covariance = regions["omega_B"].values, regions["omega_cov_B"].values
     found = Found(
-        regions["weight"].values, regions["omega_B"].values,
-        np.sqrt(np.linalg.eigvalsh(regions["omega_cov_B"].values)[:, -1].clip(0)), regions["starts"].values,
+        regions["weight"].values, rate, np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)), regions["starts"].values,
         float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
-        drawn.effective, doubts,
+        drawn.effective, doubts, np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
     )  # fmt: skip
     word, text = verdict(found)
     if word != "not explained" and (alike := alike_motions(vehicle)):
