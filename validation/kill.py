@@ -109,7 +109,7 @@ def content(path: Path) -> dict[str, Any]:
         held: dict[str, Any] = {}
         for group, data in groups.items():
             held |= {f"{group}:{name}": (v.dims, v.shape, str(v.dtype), _bits(v.values)) for name, v in data.variables.items()}
-            held[f"{group}:attrs"] = {key: str(value) for key, value in data.attrs.items()}
+            held[f"{group}:attrs"] = {key: str(value) for key, value in data.attrs.items() if key not in UNALIKE}
             data.close()
         return held
     told = json.loads(path.read_text("utf-8"))
