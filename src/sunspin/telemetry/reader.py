@@ -25,6 +25,7 @@ from sunspin.telemetry.stored import KIND, stored_telemetry
 from sunspin.vehicle import TelemetryForm, Vehicle
 from sunspin.vehicle.craft import OR_CHANNEL
 from sunspin.vehicle.sensors import unwrapped
+from sunspin.vehicle.timeline import instant
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
@@ -222,10 +223,9 @@ def parse_utc(text: str) -> datetime | None:
         if day:
             start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
             text = start.date().isoformat() + (day[3] or "")
-        moment = datetime.fromisoformat(text)
-        return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    except (ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
+    except (ValueError, OverflowError):  # no such year or day
         return None
+    return instant(text)
 
 
 def _received(form: TelemetryForm, table: Table, path: Path) -> np.ndarray | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.tables import Table
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.timeline import instant
 
 KIND = "telemetry"
 """`attrs["kind"]` of such a file."""
@@ -50,7 +50,7 @@ def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
 
 def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) -> str:
     """What speaks against it, in words; nothing if it may be used."""
-    if not all(isinstance(data.attrs.get(name), str) for name in TEXTS) or not _is_utc(data.attrs["epoch_utc"]):
+    if not all(isinstance(data.attrs.get(name), str) for name in TEXTS) or instant(data.attrs["epoch_utc"]) is None:
         return "no epoch, or no word on its columns"
     time, phase = data.variables.get("time"), data.variables.get("phase")
     if time is None or time.dims != ("time",) or time.dtype.kind != "f" or not (time.size and (np.abs(time.values) < ABSURD).all()):
@@ -69,10 +69,3 @@ def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) ->
         if form is not None and np.any(np.abs(one.values[~np.isnan(one.values)]) > ABSURD):
             return f"{name} beyond all measure"
     return ""
-
-
-def _is_utc(text: str) -> bool:
-    try:
-        return datetime.fromisoformat(text.replace("Z", "+00:00")).tzinfo is not None
-    except ValueError:
-        return False

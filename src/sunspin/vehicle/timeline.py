@@ -74,12 +74,20 @@ def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
     return instant.isoformat().replace("+00:00", "Z")
 
 
-def _instant(utc: str) -> datetime:
+def instant(text: str) -> datetime | None:
+    """The instant that an ISO-8601 time means, UTC where it names no zone; None if it is none."""
     try:
-        instant = datetime.fromisoformat(utc)
-        return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
+        moment = datetime.fromisoformat(text)
+        return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
     except (TypeError, ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
-        raise InputError(sentence("a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it")) from None
+        return None
+
+
+def _instant(utc: str) -> datetime:
+    moment = instant(utc)
+    if moment is None:
+        raise InputError(sentence("a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it"))
+    return moment
 
 
 def parse_timeline(text: str, where: str) -> Timeline:

@@ -39,21 +39,20 @@ def offset(state: State, i: int, others: np.ndarray) -> np.ndarray:
 def coordinates(state: State, centre: State) -> np.ndarray:
     """Coordinates (n, D) of states about one centre: the direction by the great circle to it."""
     e1, e2 = tangents(centre.sun)
-    along = np.clip(state.sun @ centre.sun[0], -1.0, 1.0)
-    side = np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1)
-    size = np.linalg.norm(side, axis=1)
-    stretch = np.arctan2(size, along) / np.maximum(size, 1e-15)
-    side = side * np.where(size > 1e-15, stretch, 1.0)[:, None]
-    return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
+    return _chart(state, centre, np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1), state.sun @ centre.sun[0])
 
 
 def apart(state: State, centre: State) -> np.ndarray:
     """The same (n, D) of states about a centre each."""
     across = np.stack(tangents(centre.sun), axis=1)
-    side = (across @ state.sun[:, :, None])[:, :, 0]
-    size, along = np.linalg.norm(side, axis=1, keepdims=True), np.sum(state.sun * centre.sun, axis=1, keepdims=True)
-    side = side * np.divide(np.arctan2(size, along), size, out=np.ones_like(size), where=size > 1e-15)
-    return np.concatenate([state.omega - centre.omega, side, state.u - centre.u], axis=1)
+    return _chart(state, centre, (across @ state.sun[:, :, None])[:, :, 0], np.sum(state.sun * centre.sun, axis=1))
+
+
+def _chart(state: State, centre: State, side: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Coordinates of directions with the components `side` (n, 2) across and `along` (n) that of a centre."""
+    size = np.linalg.norm(side, axis=1)
+    stretch = np.divide(np.arctan2(size, along), size, out=np.ones_like(size), where=size > 1e-15)
+    return np.concatenate([state.omega - centre.omega, side * stretch[:, None], state.u - centre.u], axis=1)
 
 
 def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME) -> int | None:

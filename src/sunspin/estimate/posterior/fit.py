@@ -70,25 +70,31 @@ class Begun(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Slopes:
-    """Row -> derivatives of what is seen of a motion, and that."""
+class OfStates:
+    """What a function of rows has in common with others whose rows are hypotheses."""
 
     likelihood: Likelihood
     state: State = field(repr=False)
-    still: bool
 
     @property
     def n_rows(self) -> int:
         return len(self.state)
+
+    def identity(self) -> dict[str, Any]:
+        return asked(self, self.likelihood.model)
+
+
+@dataclass(frozen=True)
+class Slopes(OfStates):
+    """Row -> derivatives of what is seen of a motion, and that."""
+
+    still: bool
 
     @property
     def outputs(self) -> Mapping[str, Any]:
         data, moving = self.likelihood.data, [] if self.still else self.likelihood.model.moving
         seen = len(data) + 2 * len(data.others)
         return {"moves": ("float64", (5 + len(moving), seen, 3)), "seen": ("float64", (seen, 3))}
-
-    def identity(self) -> dict[str, Any]:
-        return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         found = self.likelihood.linearised(self.state.take(index), self.still)

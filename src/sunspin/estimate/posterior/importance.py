@@ -8,7 +8,7 @@ told rests on the last round alone.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
-from sunspin.estimate.posterior.fit import Fit, asked
+from sunspin.estimate.posterior.fit import Fit, OfStates
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import Model, State
@@ -72,22 +72,12 @@ CONNECTED = 0.02
 
 
 @dataclass(frozen=True)
-class Weigh:
+class Weigh(OfStates):
     """Row -> log-likelihood of a hypothesis, its unknowns with turns of panels drawn, and the log density of these draws."""
-
-    likelihood: Likelihood
-    state: State = field(repr=False)
 
     @property
     def outputs(self) -> Mapping[str, Any]:
         return {"log_likelihood": ("float64", ()), "u": ("float64", self.state.u.shape[1:]), "density": ("float64", ())}
-
-    @property
-    def n_rows(self) -> int:
-        return len(self.state)
-
-    def identity(self) -> dict[str, Any]:
-        return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         state, likelihood = self.state.take(index), self.likelihood

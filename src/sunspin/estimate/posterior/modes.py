@@ -16,9 +16,10 @@ from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
-from sunspin.estimate.posterior.fit import Begun, Fit, Levels, Slopes, asked, chunk_rows
+from sunspin.estimate.posterior.fit import Begun, Fit, Levels, OfStates, Slopes, chunk_rows
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
 from sunspin.estimate.posterior.model import STANDING, Model, State, Unknown
+from sunspin.estimate.posterior.turns import rest_of
 from sunspin.solve.least_squares import shortened
 
 GROWTH = 1.5
@@ -202,20 +203,11 @@ def _neighbours(data: Readings, a: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Look:
+class Look(OfStates):
     """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad."""
 
-    likelihood: Likelihood
-    state: State
     scale: float
     outputs: ClassVar[Mapping[str, Any]] = {"allowed": ("bool", ())}
-
-    @property
-    def n_rows(self) -> int:
-        return len(self.state)
-
-    def identity(self) -> dict[str, Any]:
-        return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         seen = self.likelihood.predict(self.state.take(index)).sun
@@ -416,7 +408,7 @@ def _turned(model: Model, state: State) -> list[State]:
 
 def standing(model: Model, kinds: tuple[str, ...] = tilt.KINDS) -> tuple[Model, np.ndarray]:
     """The model without turns of the panels of these kinds, and the places (k) in u of the unknowns that are left."""
-    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind not in kinds], dtype=np.int64)
+    kept = rest_of(model, kinds)
     return (model if len(kept) == len(model.unknowns) else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))), kept
 
 

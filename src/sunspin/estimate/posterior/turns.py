@@ -20,9 +20,9 @@ FACTORS = (4.0, 1.0, 1.0)
 """On the noise, in the steps to the turns that fit best: a wide one first, so that no reading is let go for turns not yet found."""
 
 
-def rest_of(model: Model) -> np.ndarray:
-    """Places in u of all unknowns but turns of the panels."""
-    return np.array([i for i, x in enumerate(model.unknowns) if x.kind not in tilt.KINDS], dtype=np.int64)
+def rest_of(model: Model, kinds: tuple[str, ...] = tilt.KINDS) -> np.ndarray:
+    """Places in u of all unknowns but turns of the panels, or those of these kinds."""
+    return np.array([i for i, x in enumerate(model.unknowns) if x.kind not in kinds], dtype=np.int64)
 
 
 def without_turns(model: Model, state: State) -> State:
