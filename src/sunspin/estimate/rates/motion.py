@@ -21,6 +21,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.estimate.terms.term import SUN_N
+from sunspin.solve.linear import each_row
 from sunspin.solve.rotations import matrix_of, turn, turn_between
 from sunspin.vehicle import Vehicle
 
@@ -181,7 +182,7 @@ def _runge_kutta(
     held, held_end = flat(ends.momentum, 3), flat(ends.momentum_end, 3)
     field = () if ends.field is None or ends.field_end is None else (flat(ends.field, 3), flat(ends.field_end, 3))
     seen = np.zeros(0) if ends.directions is None else ends.directions
-    start = flat(omega @ body.inertia, 3) + held, flat(seen, seen.shape[-1]), flat((0.0, 0.0, 0.0, 1.0), 4)
+    start = flat(each_row(omega, body.inertia), 3) + held, flat(seen, seen.shape[-1]), flat((0.0, 0.0, 0.0, 1.0), 4)
     numbers = body.inertia, body.dipole, np.array(body.unit), body.acting.values(Bodies.rigid(body.unit * body.inertia))
     clock = flat(0.0 if ends.t_s is None else ends.t_s)
     # no step is fine enough for some trials: they must cost much, not fail
