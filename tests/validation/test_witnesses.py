@@ -15,6 +15,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "validation.md"
 OTHER_MACHINE = 1.5
 """Digits by which differences of rounding size may differ on another processor."""
 
+LUCK = 14.0
+"""Digits beyond which two integrations of thousands of steps agree by luck: each step is rounded, on each processor otherwise."""
+
 
 @cache
 def said(witness) -> list[Row]:
@@ -42,7 +45,7 @@ def test_the_page_says_what_the_witnesses_say():
     assert len(made) == len(rows)
     assert set(stated) ^ set(made) <= {"POT, emd2_1d | EMD, weighted samples"}
     for what, digits in made.items():
-        assert float(digits) > float(stated[what]) - OTHER_MACHINE, what
+        assert float(digits) > min(float(stated[what]), LUCK) - OTHER_MACHINE, what
 
 
 def test_a_wrong_moment_of_inertia_shows_in_the_phase():
