@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.compute.store import LOCK
+
 ROOT = Path(__file__).parents[1]
 TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
 UNALIKE = ("seconds", "processor_s", "command", "folder")
@@ -80,8 +82,8 @@ def start(command: list[str]) -> subprocess.Popen:
 
 
 def halves(folder: Path) -> list[str]:
-    """Files under their final names that are not whole."""
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
+    """Files under their final names that are not whole; a store's lock is empty."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".") and path.name != LOCK]
     return [path.name for path in files if not is_whole(path)]
 
 
