@@ -65,7 +65,7 @@ def lost(vehicle: Vehicle, relative: np.ndarray, noise: float) -> np.ndarray:
 
 
 def _sigma(vehicle: Vehicle, noise: float) -> np.ndarray:
-    """Of each input's reading (n_panel), as a share of full Sun; panels may be turned by the sigmas that the vehicle's file states."""
+    """Of each input's reading (n_panel), as a share of full Sun; panels may be turned by the sigmas that the file states."""
     return np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / vehicle.input_gains**2)
 
 

@@ -79,8 +79,8 @@ def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
 
 
 def turned_sigma(vehicle: Vehicle) -> np.ndarray:
-    """How far full Sun may be off in each reading (n_input), in the unit of the gains, as panels are turned by `stated_sigma`, each for
-    itself: a turn of all together is one of the Sun."""
+    """How far full Sun may be off in each reading (n_input), in the unit of the gains, as panels are turned by `stated_sigma`,
+    each for itself: a turn of all together is one of the Sun."""
     by_panel = stated_sigma(vehicle)[0] * vehicle.panel_gains
     return np.array([np.linalg.norm(by_panel[list(one.panels)]) for one in vehicle.inputs])
 
