@@ -57,10 +57,13 @@ def test_a_panel_that_was_never_in_the_sun_is_not_accused():
     assert not quality["missed"].any()
 
 
-def test_few_samples_are_no_ground_to_call_a_panel_dead():
-    value, _ = clean(10)
+def test_in_few_samples_only_light_that_is_missed_is_ground_to_call_a_panel_dead():
+    value, sun = clean(10)
     value[:, 2] = 0.0
-    assert not panel_quality(CUBE, telemetry(value))["dead"].any()
+    found = panel_quality(CUBE, telemetry(value))
+    assert found["missed"].values.tolist() == found["dead"].values.tolist() == [False, False, True, False, False, False]
+    whole = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
+    assert not panel_quality(CUBE, telemetry(whole))["dead"].any()
 
 
 @pytest.mark.evidence("panel_quality", "modelled", "currents scaled down")

@@ -19,7 +19,7 @@ from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.panel_unit import BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import lit_patterns, observable_patterns, panel_power, stated_sigma
+from sunspin.vehicle.response.panels import lit_patterns, observable_patterns, panel_power, turned_sigma
 from sunspin.vehicle.response.protocol import PanelResponse
 
 STEPS, ROUNDING = 60, 1e-12
@@ -126,10 +126,9 @@ def _turned(
     vehicle: Vehicle, power: np.ndarray, bright: np.ndarray, sigma: float, threshold: float, patterns: list[tuple[str, ...]]
 ) -> dict[tuple[str, ...], float]:
     """Of each pattern the least probability that noise and panels turned by their stated sigmas make one of its samples."""
-    own, _ = stated_sigma(vehicle)  # a turn of all panels together forbids and allows nothing: it is a turn of the Sun
-    if not own.any():
+    by_turn = turned_sigma(vehicle)
+    if not by_turn.any():
         return {}
-    by_turn = np.array([np.linalg.norm((own * vehicle.panel_gains)[list(one.panels)]) for one in vehicle.inputs])
     chance = noise_alone(vehicle, power, sigma, threshold, bright[:, None] * by_turn).probability.tolist()
     return {pattern: min(p for p, own in zip(chance, patterns, strict=True) if own == pattern) for pattern in set(patterns)}
 

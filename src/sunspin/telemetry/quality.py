@@ -14,6 +14,7 @@ import xarray as xr
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
 from sunspin.telemetry.panel_unit import panel_unit
+from sunspin.telemetry.silent import lost
 from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
@@ -107,7 +108,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
         where the Earth's light is modelled; `scale` (time), the factor
         between gain and reading at full Sun, and its relative uncertainty `scale_sigma` (time); `use` (time): 0 used, 1
         down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel): it reads nothing and is left out; `missed` (panel): of
-        these, where the others do not show full Sun all the time; `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
+        these, where the others show that the Sun was on it; `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
         `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of
         full Sun; NaN: not told), `noise` (of a reading, with its quantisation), `full_sun_from`, `gains_from`.
     """
@@ -118,7 +119,9 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     good = ~dropped
     full, source = _full_sun(vehicle, relative[good])
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
-    dead = _dead(relative[good], full)
+    noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
+    missed = lost(vehicle, relative[good & ~spike.any(axis=1)] / full, float(noise / full))
+    dead = _dead(relative[good], full) | missed
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
     bright = brightness(vehicle, use_value)
     dark = bright < DEAD_FRACTION * full
@@ -133,7 +136,6 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     albedo, seen = _albedo(vehicle, (relative / level)[clean])
     told = estimate_gains(vehicle, use_value[clean], full, dead)
     gains = gains * told.factor
-    noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
     earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
     # what the Earth adds to a lit panel on average is taken for its gain
     # where they are not told, a string of cells may be dead or a full scale wrong: every sample has that error in common
@@ -172,7 +174,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
             "why": ("time", why.astype(np.str_)),
             "dead": ("panel", dead),
-            "missed": ("panel", dead & bool(vehicle.throttled or (idle | limited).any())),
+            "missed": ("panel", missed | (dead & vehicle.throttled)),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
         attrs=provenance("panel_quality", telemetry, **vehicle.said) | {

@@ -11,7 +11,7 @@ import xarray as xr
 from sunspin.output.check.samples import doubts, intervals, worth
 from sunspin.output.kinds.telemetry import health_lines, health_summary, status_counts, status_lines
 from sunspin.telemetry.health import NOISE, made_by, panel_health
-from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.quality import lit_threshold, panel_quality
 from sunspin.telemetry.reader import FLAGS, read_telemetry
 from sunspin.telemetry.sun import reconstructible_patterns, sun_directions
 from sunspin.vehicle import Vehicle
@@ -98,6 +98,9 @@ def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], 
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
     found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold, could_be_turned=True)
     health, without_loss = health_summary(found), made_by(found, -(-samples.sizes["time"] // stride))
+    missed = samples["panel"].values[panel_quality(craft, samples)["missed"].values].tolist()
+    if missed and health["impossible"] and without_loss != NOISE:  # patterns may blame another where panels are turned
+        health["explanations"], without_loss = [missed], ""
     summary = {
         "status": status_counts(sun), "noise_from": str(sun.attrs["noise_from"]),
         **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},

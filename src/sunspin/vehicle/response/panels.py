@@ -78,6 +78,13 @@ def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
     return own, _sigma(vehicle, "panel_response.turned_B_rad")
 
 
+def turned_sigma(vehicle: Vehicle) -> np.ndarray:
+    """How far full Sun may be off in each reading (n_input), in the unit of the gains, as panels are turned by `stated_sigma`,
+    each for itself: a turn of all together is one of the Sun."""
+    by_panel = stated_sigma(vehicle)[0] * vehicle.panel_gains
+    return np.array([np.linalg.norm(by_panel[list(one.panels)]) for one in vehicle.inputs])
+
+
 def _sigma(vehicle: Vehicle, key: str) -> float:
     fact = vehicle.facts.get(key)
     return 0.0 if fact is None or fact.sigma is None else float(np.sqrt(np.mean(np.square(fact.sigma))))
