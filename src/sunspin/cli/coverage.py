@@ -42,7 +42,7 @@ def coverage(twins, confidence, factor, coarser, store, sets, friction, out, as_
     )  # fmt: skip
     summary = found.said()
     folder = [f"Results: {summary['folder']}"] if summary["folder"] else []
-    report(summary, [str(found.sunspin.summary()), *folder], as_json, quiet)
+    report(summary, [*str(found.sunspin.summary()).splitlines(), *folder], as_json, quiet)
 
 
 worth = copy(coverage)

@@ -37,7 +37,7 @@ from sunspin.cli.values import grid, numbers
               "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.")
 @factor_option
 @click.option("--threshold", type=click.FloatRange(0, min_open=True), help="Take the points below this value instead: one that was "
-              "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
+              "calibrated, such as by `sunspin coverage`, makes the set a confidence region.")
 @click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
               "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
 @click.option("--interpolate", is_flag=True, help="Run every second motion along each axis, then those whose place in the set "
