@@ -1,7 +1,8 @@
-"""Draw the figures of docs/posterior.md: python docs/posterior_figures.py POSTERIOR_FOLDER SAMPLING_FOLDER
+"""Draw the figures of docs/posterior.md: python docs/posterior_figures.py POSTERIOR_FOLDER [SAMPLING_FOLDER]
 
 POSTERIOR_FOLDER: of `sunspin posterior philae --predict 15:34:04,16:20,17:25 --out POSTERIOR_FOLDER`; SAMPLING_FOLDER: of
-`python -m sunspin.landing.sampling SAMPLING_FOLDER`, whose twins are drawn as far as they are there.
+`python -m sunspin.landing.sampling SAMPLING_FOLDER`, whose twins are drawn as far as they are there; without it that figure stays
+as it is.
 """
 
 import json
@@ -40,7 +41,7 @@ def true_motion(case, times_s):
     return predictions(model(case.vehicle, None, 1.0)[0], start, run, times_s)
 
 
-def main(posterior_folder, sampling_folder):
+def main(posterior_folder, sampling_folder=None):
     case = load_case("philae")
     tree = xr.open_datatree(Path(posterior_folder) / "posterior.nc").load()
     found = tree["predictions"].to_dataset()
@@ -51,6 +52,8 @@ def main(posterior_folder, sampling_folder):
     figures_lines.draw(compared).savefig(IMAGES / "posterior_lines.png", dpi=80)
     for name, factor in compared.factors.items():
         print(f"{name}: {compared.sets[name][1]:.3g} (rad/s)^3, {factor:.3g} times the posterior's {compared.volume:.3g}")
+    if sampling_folder is None:
+        return
     rows = [json.loads(path.read_text("utf-8")) for path in sorted(Path(sampling_folder).glob("*.json"))]
     figures_sampling.draw(widths(case.vehicle), rows).savefig(IMAGES / "posterior_sampling.png", dpi=80)
 

@@ -65,6 +65,7 @@ def test_what_changes_nothing_is_no_change():
         ("speed=3", "`--set list` shows all"),
         ("panel.gain=3", "say which in brackets: 1, 2, 3, 4, 5, 6"),
         ("panel[9].gain=3", "known: 1, 2, 3, 4, 5, 6"),
+        ("panel[1].gian=3", "did you mean panel[1].gain?"),
         ("body.mass_kg=-1", "body.mass_kg set: mass_kg must be positive"),
         ("body.inertia_kg_m2[2][2]*=3", "not that of any body"),
         ("panel_response.grazing.loss=2", "must be a share between 0 and 1"),
@@ -157,6 +158,8 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
     speed = next(one for one in listed if one["key"] == "wheel.speed_rad_s")
     assert speed["value"] == 865 and speed["unit"] == "rad/s" and speed["source"].startswith("paper")
     assert "study.lead_s" in command("reproduce", "--set", "list").output
+    for name in ("scan", "posterior", "outcomes", "simulate", "coverage"):  # without the arguments that a run needs
+        assert "wheel.speed_rad_s" in command(name, "--set", "list").output, name
     ran = command("simulate", "philae", "--omega", "0.1,0,0", "--sun", "0,0,1", "--duration", "10", "--out", tmp_path / "run",
                   "--set", "wheel.speed_rad_s=833")  # fmt: skip
     assert ran.exit_code == 0 and "Changed for this run: wheel.speed_rad_s = 833 rad/s" in ran.output
@@ -169,6 +172,8 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
     [
         (("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1", "--set", "study.mask=everywhere"),
          "does not use that assumption"),
+        (("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1", "--set", "study.leed_s=3"),
+         "did you mean study.lead_s?"),
         (("outcomes", "philae", "--set", "wheel.speed_rad_s=833"), "keep the lines with --printed-lines"),
         (("outcomes", "philae", "--printed-lines", "--omega", "0,0,1"), "give one of them"),
         (("coverage", "--set", "study.confidence=0.8"), "give --confidence"),
@@ -189,8 +194,33 @@ def test_what_a_command_does_not_use_is_said_and_not_listed():
     ran = command(*words, "--set", "panel[2].gain*=2", "--set", "body.mass_kg=90", "--set", "body.inertia_kg_m2[0][1]*=2")
     said = [line for line in ran.stderr.splitlines() if "changes nothing here" in line]
     assert ran.exit_code == 0 and [line.split()[1] for line in said] == ["panel[2].gain", "body.mass_kg"]
+    refused = command(*words, "--set", "panel[9].gain=3")
+    assert "no [9] here" in str(refused.exception) and "changes nothing" not in refused.stderr
     listed = {one["key"].partition(".")[0] for one in json.loads(command("simulate", "philae", "--set", "list", "--json").output)}
     assert listed == {"body", "wheel"}
+
+
+def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
+    """--friction wherever a wheel runs; --restitution and --damper where there may be a blow."""
+    usual = ("simulate", "philae", "--omega", "0.1,0,0", "--sun", "0,0,1", "--duration", "60")
+    said = [command(*usual, *more).output.splitlines() for more in ((), ("--friction", "printed"))]
+    assert said[1][0].startswith("Changed for this run: wheel.friction = printed") and said[0][-1] != said[1][-1]
+    words = ("outcomes", "philae", "--printed-lines", "--runs", "50", "--strategy", "off", "--friction", "printed")
+    ran = [command(*words, *more) for more in ((), ("--restitution", "0.4"), ("--set", "collision.restitution=0.4"))]
+    rates = [[line for line in one.output.splitlines() if "rate after it" in line] for one in ran]
+    assert rates[0] != rates[1] == rates[2] and rates[0] and "collision.restitution = 0.4 (was 0" in ran[1].output
+
+
+def test_a_posterior_without_predictions_does_not_use_the_collision(monkeypatch):
+    monkeypatch.setattr("sunspin.estimate.posterior.estimate.posterior", refuse)
+    told = [command("posterior", "philae", *words, "--restitution", "0.2", "--set", "body.mass_kg=90").stderr.splitlines()
+            for words in ((), ("--predict", "17:25"))]  # fmt: skip
+    assert [line.split()[1] for line in told[0] if "nothing here" in line] == ["body.mass_kg", "collision.restitution"]
+    assert not any("nothing here" in line for line in told[1])
+
+
+def refuse(*_, **__):
+    raise InputError("not run")
 
 
 def test_a_noise_set_for_a_run_leaves_the_shipped_study_of_twins_out():

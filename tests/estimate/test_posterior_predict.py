@@ -17,6 +17,7 @@ from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import intervals, predict
 from sunspin.landing.predictions import predicted
 from sunspin.vehicle import Friction
+from sunspin.vehicle.assumptions import Collision
 
 TOUCHDOWN, COLLISION, LATER = 25143.98, 27900.0, 31800.0
 
@@ -64,6 +65,9 @@ def test_the_twins_truth_before_and_after_its_collision(craft):
     again, other = predicted(craft, tree, [LATER], seed=3), predicted(craft, tree, [LATER], seed=4)
     assert np.array_equal(again["omega_B"].values[0, :, 0], found["omega_B"].values[0, :, 1])
     assert not np.array_equal(again["omega_B"].values, other["omega_B"].values)
+    bounced = predicted(craft, tree, [COLLISION, LATER], seed=3, collision=Collision(restitution=0.3))
+    assert np.array_equal(bounced["omega_B"].values[0, :, 0], found["omega_B"].values[0, :, 0])
+    assert np.mean(np.abs(bounced["rate"].values[0, :, 1] - after) > 0.01) > 0.5 and "0.3" in bounced.attrs["collision"]
 
 
 def test_a_vehicle_without_a_known_collision_flies_on(craft):

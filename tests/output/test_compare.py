@@ -62,6 +62,13 @@ def test_it_is_printed_drawn_and_written(studies, tmp_path):
     assert [label.get_text().split()[1] for label in axes.get_yticklabels()] == ["far", "pair", "ends", "tolerated", "near"]
 
 
+def test_what_differs_by_rounding_is_the_same(tmp_path):
+    """Weights of passes, of which no error is known, are sums in another order where a run had other options."""
+    made = [folder(tmp_path / name, "reproduce", figures=[row("share", share)]) for name, share in (("a", 1.0), ("b", 1.0 - 2e-16))]
+    made.append(folder(tmp_path / "c", "reproduce", figures=[row("share", 1.0 - 1e-9)]))
+    assert [ss.compare(made[0], other)["beyond"].values.tolist() for other in made[1:]] == [[False], [True]]
+
+
 def a_pass(number, start, x, sigma=0.1, **more):
     motion = {f"omega_{axis}_deg_s": x for axis in "xyz"} | {f"sigma_{axis}_deg_s": sigma for axis in "xyz"}
     motion |= {"speed_low_deg_s": x, "speed_median_deg_s": x + 0.1, "speed_high_deg_s": x + 0.2, "weight": 0.9}

@@ -22,7 +22,7 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.estimate.scan.volume import scan
 from sunspin.philae import coverage as wo
-from sunspin.philae import coverage_rows, threshold
+from sunspin.philae import coverage_results, coverage_rows, threshold
 from sunspin.philae import rebound as rb
 from sunspin.philae.coverage_results import Coverage
 from sunspin.philae.coverage_twins import LEAST_TOLD, TwinRows, draw_twin, samples_z, truth_distance
@@ -176,11 +176,11 @@ def test_the_shipped_study_says_what_its_rows_say(reached):
     assert all("synthetic" in row.note for row in rows.values() if "sunspin worth" in row.note)
     again = lv.from_json(json.dumps(lv.to_json(worth)), "here")
     assert lv.to_json(again) == lv.to_json(worth)
-    with pytest.raises(InputError, match="no result of `sunspin worth`"):
+    with pytest.raises(InputError, match="no result of `sunspin coverage`"):
         lv.from_json("{}", "here")
 
 
-def test_a_coverage_keeps_its_names_beside_its_variables():
+def test_a_coverage_keeps_its_names_beside_its_variables(monkeypatch):
     """Scripts ask for rows and sentences by name; a Dataset is what is stored."""
     shipped = wo.shipped(CASE)
     rows = json.dumps([asdict(row) for row in coverage_rows.rows(CASE, shipped)])
@@ -191,6 +191,11 @@ def test_a_coverage_keeps_its_names_beside_its_variables():
     assert found["line_angle"].dims == ("prior", "twin", "line") and found["line_angle"].attrs["units"] == "rad"
     with pytest.raises(KeyError):
         found["nonsense"]
+    without_lines = found.assign(line_angle=found["line_angle"] * np.nan)
+    assert "no set has four lines" in without_lines["sentences"][0] and "nan" not in without_lines["sentences"][0]
+    monkeypatch.setattr(coverage_results, "coverage", lambda *_, **__: found)
+    printed = CliRunner().invoke(cli, ["coverage"], catch_exceptions=False).output.splitlines()
+    assert printed[0] == found["sentences"][0] and len(printed) > 10
 
 
 def test_the_command_writes_a_study_that_can_be_read_again(tmp_path, framed):

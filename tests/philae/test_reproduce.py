@@ -110,7 +110,7 @@ def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
 def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
     monkeypatch.setattr(rp.coverage, "SHIPPED", "nothing.json")
     inputs = rp.Inputs(CASE, rp.sun_directions(CASE.vehicle, CASE.telemetry), done={"level_set": None})
-    with pytest.raises(InputError, match="sunspin worth"):
+    with pytest.raises(InputError, match="sunspin coverage"):
         rp._worth(inputs)
 
 

@@ -58,7 +58,8 @@ class Changeable(click.Command):
         if any(word in ("list", "--set=list") for word in args):
             given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
             if "list" in given.get("sets", ()):
-                _print_list(str(given.get("vehicle") or "philae"), self.uses, self.idle, bool(given.get("as_json")))
+                vehicle = given.get("vehicle")  # neither None nor a text where an argument is missing
+                _print_list(vehicle if isinstance(vehicle, str) else "philae", self.uses, self.idle, bool(given.get("as_json")))
                 ctx.exit()
         return super().parse_args(ctx, args)
 
@@ -90,8 +91,8 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
 
 
 def asked(sets: tuple[str, ...], uses: tuple[str, ...], **short: str | None) -> tuple[Any, ...]:
-    """All changes asked for; refused is one that the command does not use."""
-    from sunspin.vehicle.assumptions import TABLES
+    """All changes asked for; refused is one of an assumption that the command does not use."""
+    from sunspin.vehicle.assumptions import TABLES, read_assumptions
     from sunspin.vehicle.changes import changes_of
 
     given = {SHORT[name][0]: name for name, value in short.items() if value is not None}
@@ -99,12 +100,10 @@ def asked(sets: tuple[str, ...], uses: tuple[str, ...], **short: str | None) -> 
     for change in changes[len(given) :]:
         if change.key in given:
             raise _twice(change.key, f"--{given[change.key].replace('_', '-')}")
-    context = click.get_current_context(silent=True)
-    if context is not None and isinstance(context.command, Changeable):
-        say_idle((change.key for change in changes), context.command.idle)
     for change in changes:
         table = change.key.partition(".")[0]
         if table in TABLES and table not in uses and change.key not in uses:
+            read_assumptions([change])  # a misspelt one is refused with the nearest name
             raise InputError(sentence("this command does not use that assumption", got=change.key, do=_instead(change.key)))
     return changes
 
@@ -130,27 +129,32 @@ def once(made: Opened, **options: Any) -> None:
             raise _twice(same[0], f"--{name.replace('_', '-')}")
 
 
-def say_idle(keys: Iterable[str], idle: tuple[str, ...]) -> None:
-    """Say, beside the output, which changes have no effect: those of `idle` keys or tables."""
-    for key in keys:
-        if _is_idle(key, idle):
-            command = click.get_current_context().command.name
-            click.echo(f"sunspin: {key} changes nothing here: `sunspin {command}` does not use it", err=True)
+def say_idle(changes: Iterable[Any], idle: tuple[str, ...] | None = None) -> None:
+    """Say, beside the output, which changes have no effect: those of `idle` keys or tables, unless given the command's own."""
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return
+    own = getattr(context.command, "idle", ())
+    for change in changes:
+        if _is_idle(change.key, own if idle is None else idle):
+            click.echo(f"sunspin: {change.key} changes nothing here: `sunspin {context.command.name}` does not use it", err=True)
 
 
 def _is_idle(key: str, idle: tuple[str, ...]) -> bool:
     return key in idle or key.partition(".")[0].partition("[")[0] in idle
 
 
-def opened(vehicle: Any, sets: tuple[str, ...], *uses: str) -> Opened:
-    """The vehicle and the assumptions with the changes."""
+def opened(vehicle: Any, sets: tuple[str, ...], *uses: str, **short: str | None) -> Opened:
+    """The vehicle and the assumptions with the changes; which of them the command does not use is said."""
     from sunspin.vehicle import load_vehicle
     from sunspin.vehicle.assumptions import read_assumptions, split
     from sunspin.vehicle.file import changed_file
 
-    of_vehicle, of_study = split(asked(sets, uses))
+    changes = asked(sets, uses, **short)
+    of_vehicle, of_study = split(changes)
     file = changed_file(vehicle, of_vehicle)
     craft, assumptions = load_vehicle(file), read_assumptions(of_study)
+    say_idle(changes)
     return Opened(file, craft, assumptions, tuple(map(str, (*craft.changes, *assumptions.changes))))
 
 

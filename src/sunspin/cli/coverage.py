@@ -6,7 +6,7 @@ from copy import copy
 
 import click
 
-from sunspin.cli.changes import LANDING, Changeable, asked, set_options
+from sunspin.cli.changes import LANDING, Changeable, asked, say_idle, set_options
 from sunspin.cli.common import factor_option, on_terminal, output_options, report, run_options, store_option
 
 
@@ -34,13 +34,15 @@ def coverage(twins, confidence, factor, coarser, store, sets, friction, out, as_
     """
     from sunspin.philae.coverage_results import coverage as run
 
+    changes = asked(sets, ("study.lead_s", "study.mask"), friction=friction)
+    say_idle(changes)
     found = run(
         out, twins, confidence=confidence, factor=factor, coarser=coarser, seed=seed, store=store, workers=workers,
-        progress=on_terminal(quiet), changes=asked(sets, ("study.lead_s", "study.mask"), friction=friction),
+        progress=on_terminal(quiet), changes=changes,
     )  # fmt: skip
     summary = found.said()
     folder = [f"Results: {summary['folder']}"] if summary["folder"] else []
-    report(summary, [str(found.sunspin.summary()), *folder], as_json, quiet)
+    report(summary, [*str(found.sunspin.summary()).splitlines(), *folder], as_json, quiet)
 
 
 worth = copy(coverage)

@@ -38,12 +38,12 @@ from sunspin.cli.values import vertical as read_vertical
 @store_option("Folder that keeps what is computed; the same command resumes.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786 or `local`.")
 @click.option("--printed-lines", is_flag=True, help="Take the lines that the paper prints, though this body is another.")
-@set_options("study.lead_s", "collision")
+@set_options("study.lead_s", "collision", short=("friction", "restitution", "damper"))
 @output_options()
 @run_options
 def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed, lead, before, after, collision_speed,
              landing_speed, vertical, best_delay, condition, data,
-             store, scheduler, printed_lines, sets, out, as_json, quiet, seed, workers) -> None:  # fmt: skip
+             store, scheduler, printed_lines, sets, out, as_json, quiet, seed, workers, **short) -> None:  # fmt: skip
     """What a tumbling motion leads to: collision, first contact, antenna, rest, for one or more wheel strategies.
 
     A built-in case (philae) knows its times, speeds and, as candidates, its published lines. For another vehicle give at
@@ -60,7 +60,7 @@ def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed,
     from sunspin.landing.strategies import compare, compared
     from sunspin.philae.starts import against_kernel, starts
 
-    made = opened(vehicle, sets, "study.lead_s", "collision")
+    made = opened(vehicle, sets, "study.lead_s", "collision", **short)
     once(made, wheel_speed=("speed_rad_s", wheel_speed), lead=("study.lead_s", lead))
     craft, assumed = made.craft, made.assumptions
     wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.changes import LANDING, Changeable, opened, set_options
+from sunspin.cli.changes import Changeable, opened, say_idle, set_options
 from sunspin.cli.common import (
     claim,
     data_option,
@@ -18,6 +18,9 @@ from sunspin.cli.common import (
     wheel_mode_option,
 )
 from sunspin.cli.values import field, observation, period_option, periods_of, prior, times
+
+BLOW = ("body.mass_kg", "leg", "collision")
+"""What only predictions beyond a collision use."""
 
 
 @click.command(cls=Changeable)
@@ -41,12 +44,12 @@ from sunspin.cli.values import field, observation, period_option, periods_of, pr
 @click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
 @store_option()
 @device_option
-@set_options(idle=LANDING)
+@set_options("collision", short=("friction", "restitution", "damper"), idle=("hull", "antenna"))
 @output_options()
 @run_options
 @data_option
 def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, periods, draws, store,
-              device, sets, out, as_json, quiet, seed, workers, data) -> None:  # fmt: skip
+              device, sets, out, as_json, quiet, seed, workers, data, **short) -> None:  # fmt: skip
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
@@ -63,7 +66,10 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
 
-    file, craft, _, _ = opened(vehicle, sets)
+    made = opened(vehicle, sets, "collision", **short)
+    craft, changes = made.craft, (*made.craft.changes, *made.assumptions.changes)
+    if predict is None:
+        say_idle(changes, BLOW)
     samples = read_telemetry(find_telemetry(telemetry, data, vehicle), craft)
     seen = [observation("rate", text, 1) for text in rates] + [observation("gyro", text, 3) for text in gyros]
     seen += [field(text) for text in fields]
@@ -76,5 +82,5 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
         periods=evidence,
     )  # fmt: skip
     if asked is not None:
-        with_predictions(craft, tree, asked, seed, timeline_of(vehicle))
-    deliver(tree, out, as_json, quiet, file, samples)
+        with_predictions(craft, tree, asked, seed, timeline_of(vehicle), made.assumptions.collision)
+    deliver(made.mark(tree), out, as_json, quiet, made.file, samples)

@@ -37,7 +37,7 @@ from sunspin.cli.values import grid, numbers
               "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.")
 @factor_option
 @click.option("--threshold", type=click.FloatRange(0, min_open=True), help="Take the points below this value instead: one that was "
-              "calibrated, such as by `sunspin worth`, makes the set a confidence region.")
+              "calibrated, such as by `sunspin coverage`, makes the set a confidence region.")
 @click.option("--direction-error", type=click.FloatRange(0, min_open=True), help="Error allowed of simulated directions at the "
               "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.")
 @click.option("--interpolate", is_flag=True, help="Run every second motion along each axis, then those whose place in the set "
@@ -47,13 +47,13 @@ from sunspin.cli.values import grid, numbers
 @store_option()
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes "
               "on this machine. Needs pip install \"sunspin[cluster]\".")
-@set_options("study.mask", "study.target_weights", idle=LANDING)
+@set_options("study.mask", "study.target_weights", short=("friction",), idle=LANDING)
 @output_options()
 @run_options
 @data_option
 def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed, wheel_mode, metric, factor, threshold,
-         interpolate, direction_error, n_lines, store, scheduler, device, sets, out, as_json, quiet, seed, workers,
-         data) -> None:  # fmt: skip
+         interpolate, direction_error, n_lines, store, scheduler, device, sets, friction, out, as_json, quiet, seed,
+         workers, data) -> None:  # fmt: skip
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
     The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
@@ -70,11 +70,11 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     from sunspin.estimate.scan.window import directions_within, target_weights
     from sunspin.telemetry.reader import read_telemetry
 
-    made = opened(vehicle, sets, "study.mask", "study.target_weights")
+    made = opened(vehicle, sets, "study.mask", "study.target_weights", friction=friction)
     once(made, wheel_speed=("speed_rad_s", wheel_speed))
     craft, study = made.craft, made.assumptions.study
     if craft.telemetry.lit_threshold and not craft.channels:  # then directions do not depend on the noise, only their sigmas do
-        say_idle((one.key for one in craft.changes), ("telemetry.noise",))
+        say_idle(craft.changes, ("telemetry.noise",))
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
     track = directions_within(craft, samples, begin, end)
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]

@@ -18,9 +18,10 @@ from sunspin.cli.values import numbers
 @click.option("--step", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Output step in s.")
 @wheel_mode_option()
 @click.option("--stopped-at", type=float, help="When a wheel at rest had stopped, s (to run backward).")
-@set_options(idle=(*LANDING, *SEEING))
+@set_options(short=("friction",), idle=(*LANDING, *SEEING))
 @output_options()
-def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, sets, out, as_json, quiet) -> None:
+def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, stopped_at, sets, friction, out, as_json,
+             quiet) -> None:  # fmt: skip
     """One trajectory: body rates, the Sun in body axes, wheel speeds, attitude, wheel events.
 
     With --out, writes trajectory.nc.
@@ -32,7 +33,7 @@ def simulate(vehicle, omega, sun_B, wheel_speed, duration, step, wheel_mode, sto
     from sunspin.dynamics.extent import check_work, output_times
     from sunspin.dynamics.propagate import propagate
 
-    made = opened(vehicle, sets)
+    made = opened(vehicle, sets, friction=friction)
     once(made, wheel_speed=("speed_rad_s", wheel_speed))
     vehicle, craft = made.file, made.craft
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]

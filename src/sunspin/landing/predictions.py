@@ -1,8 +1,8 @@
 """What a vehicle with a known collision did before and after it, as far as a posterior of its free motion tells.
 
-Up to the collision the draws of the posterior run on; there each meets a sticking impact (paper, eqs. 8-11) of a leg, from a
-direction drawn as in section 3.3, and runs on after it. The impact takes the vehicle's nominal inertia: 1 % of it is nothing
-beside a blow from anywhere.
+Up to the collision the draws of the posterior run on; there each meets an impact of a leg, which sticks (paper, eqs. 8-11) unless
+assumed otherwise, from a direction drawn as in section 3.3, and runs on after it. The impact takes the vehicle's nominal inertia:
+1 % of it is nothing beside a blow from anywhere.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ from sunspin.estimate.posterior.predict import carried, checked_times, drawn_row
 from sunspin.landing import scenario as sc
 from sunspin.telemetry.case import case_names, load_case
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.assumptions import Collision
 from sunspin.vehicle.timeline import Timeline
+
+STICKS = Collision()
 
 
 def collision_s(vehicle: Vehicle, epoch_utc: str | None, timeline: Timeline | None = None) -> float | None:
@@ -38,12 +41,14 @@ def collision_s(vehicle: Vehicle, epoch_utc: str | None, timeline: Timeline | No
 
 
 def predicted(
-    vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed: int = 0, timeline: Timeline | None = None
+    vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed: int = 0, timeline: Timeline | None = None,
+    collision: Collision = STICKS,
 ) -> xr.Dataset:
     """As :func:`sunspin.estimate.posterior.predict.predict`, through the collision where the built-in case has one.
 
     At the instant of the collision it is the motion before. Coordinate `after_collision (predicted_s)` says which times
-    are behind it, `attrs["collision"]` in words how it was drawn. `seed` is that of legs and directions.
+    are behind it, `attrs["collision"]` in words how it was drawn. `seed` is that of legs and directions, `collision` what the blow
+    does.
     """
     first = float(tree.attrs["t_first_s"])
     times = checked_times(times_s, first)
@@ -56,19 +61,22 @@ def predicted(
         parts.append(predictions(unknown, rows, run, times[~behind]))
     said = "none: free motion throughout" if blow is None else "later than all times"
     if blow is not None and behind.any():
-        parts.append(_after(unknown, rows, first, times[behind], blow, seed))
+        parts.append(_after(unknown, rows, first, times[behind], blow, seed, collision))
         speed = _scenario(vehicle).collision_speed_m_s
-        said = "a leg drawn at random sticks for an instant, the centre of mass at "
-        said += f"{speed:g} m/s in any direction with a part along -z"
+        does = "sticks for an instant" if collision == STICKS else (
+            f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
+        )  # fmt: skip
+        said = f"a leg drawn at random {does}, the centre of mass at {speed:g} m/s in any direction with a part along -z"
     found = xr.concat(parts, "predicted_s", data_vars="minimal").assign_coords(after_collision=("predicted_s", behind))
     return found.assign_attrs(carried(tree), collision=said)
 
 
 def with_predictions(
-    vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], seed: int = 0, timeline: Timeline | None = None
+    vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], seed: int = 0, timeline: Timeline | None = None,
+    collision: Collision = STICKS,
 ) -> None:
     """Add the group `predictions` to a posterior: :func:`predicted` at `times`, s from the epoch -> as asked for."""
-    found = predicted(vehicle, tree, list(times), seed, timeline)
+    found = predicted(vehicle, tree, list(times), seed, timeline, collision)
     tree["predictions"] = xr.DataTree(found.assign_coords(asked=("predicted_s", list(times.values()))))
 
 
@@ -76,7 +84,8 @@ def _scenario(vehicle: Vehicle) -> sc.Scenario:
     return sc.paper_scenario(load_case(vehicle.name))
 
 
-def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, blow_s: float, seed: int) -> xr.Dataset:
+def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, blow_s: float, seed: int,
+           collision: Collision) -> xr.Dataset:  # fmt: skip
     """The draws (n), `rows` at the first sample, at times behind the blow."""
     vehicle = unknown.vehicle
     reached = run_to(vehicle, rows, [blow_s - first_s], unknown.wheel_mode)
@@ -86,7 +95,8 @@ def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, bl
     axis = np.tile(scenario.collision_axis_B, (len(rows), 1))
     velocity = scenario.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"])
     leg = (draw["leg"] * len(vehicle.legs)).astype(int)
-    hit = impact(vehicle, np.nan_to_num(omega), np.nan_to_num(speeds), velocity, leg, unknown.wheel_mode)
+    hit = impact(vehicle, np.nan_to_num(omega), np.nan_to_num(speeds), velocity, leg, unknown.wheel_mode,
+                 restitution=collision.restitution, damper=collision.damper)  # fmt: skip
     bodies = rows.bodies_of(vehicle)
     start = k.Rows(
         hit["omega_B"].values, np.where(fine[:, None], sun, rows.sun_B), hit["wheel_speed_rad_s"].values,

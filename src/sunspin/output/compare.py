@@ -26,6 +26,9 @@ COMPARED = ("reproduce", "rates", "posterior")
 INTERVAL_SIGMAS = 1.645
 """Half of a 90 % interval, in sigmas."""
 
+ROUNDING = 1e-12
+"""Part of a value by which it may differ and is the same."""
+
 
 class Moved(NamedTuple):
     """One quantity in both results.
@@ -267,7 +270,7 @@ def _moved(
     else:
         error = float("nan")
         largest = max((float(np.max(np.abs(each))) for each in values if each.size), default=0.0)
-        size = abs(change) / largest if largest > 0 else 0.0
+        size = abs(change) / largest if abs(change) > ROUNDING * largest else 0.0
     size = max(size, 1e-9) if words and not np.isfinite(error) else size  # what changed in words alone did change
     return Moved(name, what, texts[0], texts[1], unit, change, error, of, size, "; ".join(words))
 

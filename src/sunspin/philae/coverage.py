@@ -69,7 +69,7 @@ def _command(n: int, seed: int, coarser: int, factor: float, changes: tuple[Chan
     more = "" if coarser == 1 else f" --coarser {coarser}"
     more += "" if factor == 1.1 else f" --factor {factor:g}"
     more += "".join(f" --set {shlex.quote(str(change))}" for change in changes)
-    return f"sunspin worth --twins {n} --seed {seed}{more}"
+    return f"sunspin coverage --twins {n} --seed {seed}{more}"
 
 
 def _condensed(out: dict[str, np.ndarray]) -> Twins:

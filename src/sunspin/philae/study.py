@@ -145,7 +145,7 @@ def _published_lines(i: Inputs) -> published_lines.PublishedLines:
 def _worth(i: Inputs) -> tuple[Case, xr.Dataset]:
     found = coverage.shipped(i.case)
     if found is None:
-        raise InputError(sentence("the case comes without a study of twins", do="sunspin worth"))
+        raise InputError(sentence("the case comes without a study of twins", do="sunspin coverage"))
     alike = rb.moves_and_sees_alike(i.case.vehicle, load_vehicle(i.case.name))
     if not alike or any(one.key.startswith(("study.", *OF_READINGS)) for one in i.case.changes):
         do = "make one with `sunspin coverage` and the same --set"

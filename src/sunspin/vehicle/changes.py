@@ -146,6 +146,7 @@ def changed(
 
 
 def _unknown(key: str, known: list[str]) -> str:
+    known += [f"{k.rpartition('.')[0]}.gain" for k in known if k.rpartition(".")[2] in GAIN_UNITS]
     near = get_close_matches(key, known, n=1, cutoff=0.4) or get_close_matches(key, [k.rpartition(".")[2] for k in known], n=1)
     near = [k for k in known if k == near[0] or k.endswith(f".{near[0]}")][:1] if near else []
     meant = f"did you mean {near[0]}? " if near else ""

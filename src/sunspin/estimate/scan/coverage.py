@@ -195,4 +195,4 @@ def from_json(text: str, where: str) -> xr.Dataset:
         }  # fmt: skip
         return coverage_dataset(twins, command=data["command"], **{key: data[key] for key in SAID})
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(sentence(f"this is no result of `sunspin worth` ({error})", where=where)) from None
+        raise InputError(sentence(f"this is no result of `sunspin coverage` ({error})", where=where)) from None

@@ -36,13 +36,14 @@ def coverage_sentences(found: Any) -> list[str]:
     region = lines.at(factor, True)
     share = region["count"][1] / about["grid_points"]
     angles = np.degrees(lines.twin["line_angle"])
-    angle = np.median(angles[np.isfinite(angles)]) if np.isfinite(angles).any() else np.nan
+    known = angles[np.isfinite(angles)]
+    turn = f"the fitted lines turn by {np.median(known):.0f} degrees in the median" if known.size else "no set has four lines"
     return [
         f"The method repeated on {lines.n} synthetic rebounds whose truth lies on the published lines: the truth lies in the set "
-        f"within {chosen:g} times the smallest EMD in {lines.in_set(chosen)} of them, and the fitted lines turn by "
-        f"{angle:.0f} degrees in the median. For {confidence:.0%} the threshold must be {factor:.2g} times the smallest EMD (or "
-        f"EMD < {threshold:.3f}); the set then holds {share:.0%} of the scanned box, and the lower bound on the angular speed "
-        f"after the touchdown is {region['speed'][1]:.3f} rad/s, both in the median twin. Repeat with `{about['command']}`."
+        f"within {chosen:g} times the smallest EMD in {lines.in_set(chosen)} of them, and {turn}. "
+        f"For {confidence:.0%} the threshold must be {factor:.2g} times the smallest EMD (or EMD < {threshold:.3f}); the set then "
+        f"holds {share:.0%} of the scanned box, and the lower bound on the angular speed after the touchdown is "
+        f"{region['speed'][1]:.3f} rad/s, both in the median twin. Repeat with `{about['command']}`."
     ]
 
 

@@ -28,9 +28,8 @@ def draw(result: Against) -> Figure:
             axes.set(xlabel=rf"$\omega_{'xyz'[i]}$ (rad/s)", ylabel=rf"$\omega_{'xyz'[j]}$ (rad/s)")
         whole.plot(*result.omega_B[:SHOWN, [i, j]].T, ".", ms=3, color=COLOURS[6], rasterized=True, label="the posterior", zorder=5)
         _enlarged(near, result, i, j)
-    grid[0, 2].legend(fontsize=7, loc="lower right")
-    handles = [h for h in grid[1, 0].get_legend_handles_labels()[0] if not str(h.get_label()).startswith("L")]
-    grid[1, 0].legend(handles=handles, fontsize=7, loc="lower left")
+    handles = {str(h.get_label()): h for axes in grid[:, 0] for h in axes.get_legend_handles_labels()[0]}  # the lines are in both
+    figure.legend(handles=list(handles.values()), fontsize=9, loc="outside lower center", ncols=len(handles))
     smallest = min(result.factors.values())
     text = f"Rates at the first sample: the posterior holds 90 % in {_power(result.volume)} (rad/s)$^3$, "
     text += f"at least {smallest:.0f} times less than any of the line sets"
@@ -60,4 +59,5 @@ def _enlarged(axes: Any, result: Against, i: int, j: int) -> None:
     if result.truth is not None:
         axes.plot(result.truth[i], result.truth[j], "+", ms=11, mew=2, color=COLOURS[2], label="truth", zorder=6)
     reach = 1.2 * max(half, float(np.abs(omega[:, [i, j]] - middle[[i, j]]).max()))
+    axes.locator_params(nbins=5)
     axes.set(xlim=(middle[i] - reach, middle[i] + reach), ylim=(middle[j] - reach, middle[j] + reach))
