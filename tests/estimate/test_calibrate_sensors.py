@@ -18,7 +18,7 @@ from sunspin.cli import cli
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.calibrate import sensors as calibrate
-from sunspin.estimate.calibrate.gyro import fit_gyro
+from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict
 from sunspin.estimate.orbit.sensor_calibration import Calibration, _clusters
 from sunspin.vehicle.rewrite import NewValue, rewritten
@@ -62,8 +62,11 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
 
 @pytest.mark.evidence("calibrate_sensors", "modelled", "a magnetometer off by a known zero, scale and matrix")
 def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch):
+    """Its y is reversed, so a zero that the reversed column has is that of the other sign."""
     twin = make(1, 0, gyro=False)
-    sensors = replace(twin.vehicle.sensors, sun_sensors=())
+    part = replace(twin.vehicle.sensors.magnetometer, columns=("x", "-y", "z"))
+    twin = twin._replace(truth=twin.truth | {"magnetometer.zero": twin.truth["magnetometer.zero"] * part.sign})
+    sensors = replace(twin.vehicle.sensors, sun_sensors=(), magnetometer=part)
     data = twin.telemetry.drop_vars(["power_W", "panel", "sun_sensor_angle", "sun_sensor_y_turned"])
     data = data.isel(time=slice(None, None, 3))
     found = calibrated(twin._replace(vehicle=replace(twin.vehicle, sensors=sensors), telemetry=data), monkeypatch)
@@ -140,6 +143,14 @@ def test_a_gyro_is_calibrated_by_rates_found_without_it():
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(off))) < 1.5 and fit.passes == 8
     found["decided"][2:] = False
     assert fit_gyro(gyro, data, found) is None, "two passes do not show how far off their rates are"
+
+
+def test_the_keys_of_a_gyro_with_reversed_columns_read_it_as_the_fit_says():
+    gyro, read = Gyro(("-a", "b", "-c"), -0.5, [3, 1, 2], 5e-4), np.random.default_rng(1).normal(size=(20, 3))
+    fit = GyroFit(np.array([0.01, -0.02, 0.005, 1.04]), np.eye(4), np.eye(4), np.ones(4), 20, 3)
+    keys = {key.key: key.value for key in calibrate._gyro_keys(gyro, fit)}
+    now = replace(gyro, zero=keys["zero"], scale_rad_s=float(keys["scale_rad_s"][0]))
+    np.testing.assert_allclose(now.seen(read)[1], (gyro.seen(read)[1] - fit.values[:3]) / fit.values[3], atol=1e-12)
 
 
 @pytest.mark.evidence("calibrate_sensors", "modelled", "a gyro off by a known zero and scale, from telemetry to the file's keys")

@@ -80,18 +80,21 @@ def test_axes_have_48_wirings_and_a_quaternion_four_the_stated_one_first():
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong", "words"),
+    ("name", "wrong", "words", "do"),
     [
-        ("gyro_B", lambda read: read[:, [1, 0, 2]], "the gyro read as (+y, +x, +z)"),
-        ("gyro_B", lambda read: -read, "the gyro read as (-x, -y, -z)"),
-        ("field_B", lambda read: read * [1, -1, 1], "the magnetometer read as ("),
-        ("attitude_B_from_N", lambda read: read * [-1, -1, -1, 1], "the quaternion read the other way round"),
-        ("attitude_B_from_N", lambda read: read[:, [1, 2, 3, 0]], "the quaternion with its scalar at the other end"),
+        ("gyro_B", lambda read: read[:, [1, 0, 2]], "the gyro read as (+y, +x, +z)", 'set columns = ["y", "x", "z"] under [gyro]'),
+        ("gyro_B", lambda read: -read, "the gyro read as (-x, -y, -z)", 'set columns = ["-x", "-y", "-z"] under [gyro]'),
+        ("field_B", lambda read: read * [1, -1, 1], "the magnetometer read as (", "under [magnetometer]"),
+        ("attitude_B_from_N", lambda read: read * [-1, -1, -1, 1], "the quaternion read the other way round",
+         'set rotates = "B_to_N" under [attitude]'),
+        ("attitude_B_from_N", lambda read: read[:, [1, 2, 3, 0]], "the quaternion with its scalar at the other end",
+         'set scalar = "first" under [attitude]'),
     ],
-)
-def test_a_sensor_read_wrongly_is_named(name, wrong, words):
+)  # fmt: skip
+def test_a_sensor_read_wrongly_is_named(name, wrong, words, do):
     found = better(CUBE, seen(name, wrong), never, lambda *_: motion(), TURN_RATE)
     assert found is not None and found.gain > 10 and found.words.startswith(f"the data fit with {words}"), found
+    assert f"CHECK THE WIRING; if it is so, {do}" in found.words or (name == "field_B" and do in found.words)
 
 
 @pytest.mark.parametrize("name", ["gyro_B", "field_B", "attitude_B_from_N"])

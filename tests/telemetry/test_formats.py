@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import tomllib
 from dataclasses import replace
 from importlib import resources
 
@@ -13,7 +14,9 @@ import xarray as xr
 import sunspin as ss
 from sunspin.estimate.terms.panels import Instants
 from sunspin.output.folder import write_netcdf
+from sunspin.telemetry.gyro_axes import signed_axes, to_write
 from sunspin.telemetry.stored import stored_telemetry
+from sunspin.vehicle.changes import toml_text
 from sunspin.vehicle.file import parse_vehicle
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
@@ -162,6 +165,56 @@ scale_rad_s = 0.01
 zero = [1, 2, 3]
 noise_rad_s = 0.001
 """
+
+
+REVERSED = """
+[gyro]
+columns = ["-gy", "gx", "gz"]
+scale_rad_s = 0.01
+zero = [2, 1, 3]
+noise_rad_s = 0.001
+wraps_at = 256
+[magnetometer]
+columns = ["mx", "-mz", "my"]
+zero = [10, 30, 20]
+wraps_at = 256
+matrix = [[1, 0.1, 0], [0, 2, 0], [0, 0, 1]]
+"""
+
+
+def test_a_minus_before_a_column_reverses_it_after_its_zero(tmp_path):
+    (tmp_path / "t.csv").write_text("t,pa,pb,sx,sy,sz,gx,gy,gz,mx,my,mz\n2026-01-01T00:00:00Z,1,0,1,0,0,11,252,3,20,20,29\n")
+    text = VEHICLE.format(telemetry='time_column = "t"').replace('"sx", "sy"', '"sy", "-sx"')
+    data = ss.read_telemetry(tmp_path / "t.csv", parse_vehicle(text + REVERSED, "v.toml"))
+    np.testing.assert_allclose(data["gyro_B"].values, [[0.06, 0.10, 0.0]], atol=1e-12)  # 252 is -4
+    np.testing.assert_allclose(data["field_B"].values, [[10 + 0.1, 2.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(data["sun_sensor_B"].values, [[0, -1, 0]], atol=1e-12)
+    assert data.attrs["unused_columns"] == "" and data.attrs["missing_sensors"] == ""
+
+
+def test_what_is_to_be_written_reads_a_sensor_so():
+    """For each of the 48 ways: the keys that the sentence names, in the vehicle file, give the readings that were meant."""
+    base = tomllib.loads(REVERSED)
+    base["gyro"]["zero"] = {"value": [2, 1, 3], "sigma": [0.1, 0.2, 0.3]}
+    raw, header = np.random.default_rng(2).uniform(0, 255, (5, 6)), ["gx", "gy", "gz", "mx", "my", "mz"]
+    plain = VEHICLE.format(telemetry='time_column = "t"')
+    for table in ("gyro", "magnetometer"):
+        old = parse_vehicle(plain + toml_text({table: base[table]}), "v.toml").sensors.with_columns[table]
+        seen = old.seen(raw[:, [header.index(name) for name in old.names]])[1]
+        for _, order, sign in signed_axes():
+            told = to_write(table, old.read_as(order, sign)).removeprefix("set ").partition(" under ")[0]
+            keys = tomllib.loads(told.replace(" and ", "\n"))
+            new = parse_vehicle(plain + toml_text({table: base[table] | keys}), "v.toml").sensors.with_columns[table]
+            got = new.seen(raw[:, [header.index(name) for name in new.names]])[1]
+            np.testing.assert_allclose(got, seen[:, order] * sign, atol=1e-9)
+            np.testing.assert_array_equal(new.zero_sigma, old.zero_sigma[order])
+
+
+@pytest.mark.parametrize(("columns", "words"), [(["gx", "-gx", "gz"], "a column twice"), (["-", "gy", "gz"], "no column after it")])
+def test_columns_with_a_minus_that_make_no_sense_are_a_sentence(columns, words):
+    text = VEHICLE.format(telemetry='time_column = "t"') + SENSORS.replace('["gx", "gy", "gz"]', json.dumps(columns))
+    with pytest.raises(ss.VehicleError, match=f"gyro.columns .*{words}"):
+        parse_vehicle(text, "v.toml")
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -145,7 +146,8 @@ def test_the_axes_of_a_gyro(tmp_path, seed):
         read = np.empty_like(rate)
         read[:, order] = rate * sign  # what the columns hold, if they are to be read so
         found = wrong_gyro_axes(vehicle, samples.assign(gyro_B=(("time", "axis"), read)))
-        assert found is None or f"the gyro {what} turns" in found
+        columns = vehicle.sensors.gyro.read_as(order, sign)["columns"]
+        assert found is None or (f"the gyro {what} turns" in found and f"set columns = {json.dumps(columns)}" in found)
         named += found is not None
     assert named >= len(ways) / 2  # the others carry the Sun nearly as well
 

@@ -10,15 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import combinations, islice
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.effort import may_go_on
-from sunspin.telemetry.gyro_axes import signed_axes
+from sunspin.telemetry.gyro_axes import signed_axes, to_write
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import VARIABLES, Attitude, ThreeAxes
 
 CLEARLY = 10.0
 """Log evidence by which another wiring, or a pass without one of its sensors, must be better before that is named."""
@@ -29,16 +30,20 @@ MOST = 60
 MOST_SQUARE = 30.0
 """No reading of a second sensor speaks more against a motion than this squared distance: some are spikes."""
 
+TABLES = {variable: table for table, variable in VARIABLES.items()}
+"""Variable of the telemetry -> the sensor's table in the vehicle file."""
+
 SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
 """Variable of the telemetry -> what a person calls it."""
 
 
 class Wiring(NamedTuple):
-    """A vehicle and telemetry as they would be if something were wired otherwise, and what, in words."""
+    """A vehicle and telemetry as they would be if something were wired otherwise, what, in words, and of a sensor what to do."""
 
     what: str
     vehicle: Vehicle
     telemetry: xr.Dataset
+    do: str = ""
 
 
 class Better(NamedTuple):
@@ -50,7 +55,8 @@ class Better(NamedTuple):
     @property
     def words(self) -> str:
         """For the verdict."""
-        return f"the data fit with {self.wiring.what} (log evidence better by {self.gain:.0f}): CHECK THE WIRING"
+        told = f"the data fit with {self.wiring.what} (log evidence better by {self.gain:.0f}): CHECK THE WIRING"
+        return f"{told}; if it is so, {self.wiring.do}" if self.wiring.do else told
 
 
 class Culprit(NamedTuple):
@@ -93,25 +99,30 @@ def of_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> Iterator[Wiring]:
 
 def of_sensor(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> Iterator[Wiring]:
     """The 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
-    value = telemetry[name].values
-    for what, other in _readings(value) if name == "attitude_B_from_N" else _axes(value):
+    value, table = telemetry[name].values, TABLES[name]
+    sensor = vehicle.sensors.with_columns[table]
+    for what, other, keys in (_readings if table == "attitude" else _axes)(value, sensor):
         data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
-        yield Wiring(f"the {SENSORS[name]} {what}", vehicle, data)
+        yield Wiring(f"the {SENSORS[name]} {what}", vehicle, data, to_write(table, keys))
 
 
-def _axes(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+Read = Iterator[tuple[str, np.ndarray, dict[str, Any]]]
+"""In words, the values read so, and the keys of the vehicle file that say it."""
+
+
+def _axes(value: np.ndarray, sensor: ThreeAxes) -> Read:
     for what, order, sign in signed_axes():
-        yield what, value[:, order] * sign
+        yield what, value[:, order] * sign, sensor.read_as(order, sign)
 
 
-def _readings(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+def _readings(value: np.ndarray, sensor: Attitude) -> Read:
     """`value`: scalar last, B_from_N, as the vehicle file states it."""
     other_scalar = value[:, [3, 0, 1, 2]]  # what stands last is the first of its columns
     away = np.array([-1.0, -1.0, -1.0, 1.0])
-    yield "read as stated", value
-    yield "read the other way round (B_to_N for N_to_B)", value * away
-    yield "with its scalar at the other end", other_scalar
-    yield "with its scalar at the other end and read the other way round", other_scalar * away
+    yield "read as stated", value, sensor.read_as(False, False)
+    yield "read the other way round (B_to_N for N_to_B)", value * away, sensor.read_as(False, True)
+    yield "with its scalar at the other end", other_scalar, sensor.read_as(True, False)
+    yield "with its scalar at the other end and read the other way round", other_scalar * away, sensor.read_as(True, True)
 
 
 def better(

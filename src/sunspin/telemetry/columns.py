@@ -71,7 +71,7 @@ def _sensor_parts(vehicle: Vehicle) -> Iterator[tuple[str, str, list[str]]]:
         names = [name for name in (sensor.x_column, sensor.y_column, sensor.light_column) if name]
         yield "[sun_sensor]", f"Sun sensor {sensor.name}", names
     for section, part in sensors.with_columns.items():
-        yield section, section.replace("_", " "), list(part.columns)
+        yield section, section.replace("_", " "), list(part.names)
     for wheel in vehicle.wheels:
         if wheel.speed_column:
             yield "[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column]

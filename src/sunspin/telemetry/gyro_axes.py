@@ -5,14 +5,16 @@ Only where the rates as stated do not turn these directions as they are seen, an
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from sunspin.telemetry.units import BETTER, LAGS, TURNS_RIGHT, TURNS_WRONG, carried, directions_seen
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.changes import toml_text
 
 AS_GOOD = 1.3
 """Readings whose median angle is less than this many times the least turn the directions as well: the one nearest to the stated
@@ -27,10 +29,16 @@ def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
             yield f"read as ({axes}) of its columns", list(order), sign
 
 
+def to_write(table: str, keys: Mapping[str, Any]) -> str:
+    """What to do, in words: the keys of a table of the vehicle file that say how a sensor is read."""
+    return f"set {' and '.join(toml_text(keys).splitlines())} under [{table}] of the vehicle file"
+
+
 def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
-    """How the gyro of `read_telemetry` must be read to turn the Sun and the field as they are seen, in words; None where it does so
-    as stated, or no other reading does."""
-    if vehicle.sensors.gyro is None or "gyro_B" not in telemetry:
+    """How the gyro of `read_telemetry` must be read to turn the Sun and the field as they are seen, in words, and what to write;
+    None where it does so as stated, or no other reading does."""
+    gyro = vehicle.sensors.gyro
+    if gyro is None or "gyro_B" not in telemetry:
         return None
     time, rate, seen = telemetry["time"].values, telemetry["gyro_B"].values, directions_seen(vehicle, telemetry)
     ways = list(signed_axes())
@@ -44,5 +52,7 @@ def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
         if least < min(TURNS_RIGHT, BETTER * stated, BETTER * still):
             alike = np.flatnonzero(angles < AS_GOOD * least)
             chosen = max(alike, key=lambda k: (np.trace(maps[k]), -angles[k]))
-            return f"the gyro {ways[chosen][0]} turns the Sun as it is seen, and as stated it does not"
+            what, order, sign = ways[chosen]
+            found = f"the gyro {what} turns the Sun as it is seen, and as stated it does not"
+            return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}"
     return None

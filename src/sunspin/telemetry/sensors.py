@@ -38,7 +38,7 @@ def sensor_columns(vehicle: Vehicle) -> list[str]:
     """Columns that the vehicle's sensors read."""
     sensors = vehicle.sensors
     names = [name for s in sensors.sun_sensors for name in (s.x_column, s.y_column, s.light_column) if name]
-    names += [name for part in sensors.with_columns.values() for name in part.columns]
+    names += [name for part in sensors.with_columns.values() for name in part.names]
     return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
 
 
@@ -57,7 +57,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     sensors = vehicle.sensors
     present = [s for s in sensors.sun_sensors if all(n in table.header for n in (s.x_column, s.y_column, s.light_column) if n)]
     vector = sensors.sun_vector
-    vector = vector if vector is not None and all(name in table.header for name in vector.columns) else None
+    vector = vector if vector is not None and all(name in table.header for name in vector.names) else None
     if present or vector is not None:
         sun, covariance, angle = _sun(present, vector, table, sensors.sun_sensors)
         if present:
@@ -75,8 +75,8 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
             found["sun_sensor_other_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
     for name, variable in VARIABLES.items():
         sensor = sensors.with_columns.get(name)
-        if sensor is not None and all(column in table.header for column in sensor.columns):
-            along, value, about = sensor.seen(_numbers(table, sensor.columns))
+        if sensor is not None and all(column in table.header for column in sensor.names):
+            along, value, about = sensor.seen(_numbers(table, sensor.names))
             found[variable] = (("time", along), value, about)
     speeds = [wheel.speed_column for wheel in vehicle.wheels]
     if speeds and all(name in table.header for name in speeds if name) and any(speeds):
@@ -130,7 +130,7 @@ def _sun(
 
 def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions (n, 3) with their information (n, 3, 3), and where the Sun was seen (n)."""
-    value = _numbers(table, form.columns)
+    value = form.sign * _numbers(table, form.names)
     size = np.linalg.norm(value, axis=1)
     longest = float(np.nanmax(size, initial=0.0))
     sees = size > max(SHORTEST * longest, 1 / ABSURD)

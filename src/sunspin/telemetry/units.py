@@ -151,7 +151,7 @@ def _magnetometer(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
     if size == 0:
         return []
     zero = np.linalg.norm(magnetometer.zero)
-    raw = field @ np.linalg.inv(magnetometer.matrix).T + magnetometer.zero
+    raw = field @ np.linalg.inv(magnetometer.matrix).T * magnetometer.sign + magnetometer.zero
     reading = float(np.median(np.linalg.norm(raw, axis=1)))
     if zero > OFFSET * reading:  # then neither noise nor dipole can be judged
         what = f"the magnetometer reads {reading:.3g} and its stated zero is {zero:.3g}: the zero is in another unit"

@@ -1,10 +1,12 @@
 """What a vehicle carries beside its panels: Sun sensors, a gyro, a magnetometer; and what is known of its disturbances.
 
 All in body axes. A sensor that reads by itself says what its columns mean (`seen`), and `VARIABLES` where telemetry has that.
+A minus before a column of three (`"-wx"`) says that the sensor's axis points against the body's.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -28,6 +30,9 @@ from sunspin.vehicle.part import (
 
 VARIABLES = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N"}
 """Sensor, by its table in a vehicle file -> the variable of telemetry with what it saw."""
+
+REVERSED = "-"
+"""Before the name of a column whose readings count with the other sign."""
 
 UNIT = 0.02
 """A quaternion whose length is farther from one than this is none."""
@@ -58,11 +63,42 @@ def _columns(n: int) -> tuple[Any, ...]:
     """The rules for n columns: that many, and each another."""
 
     def check(columns: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(columns)) < n:
+        names = [column.removeprefix(REVERSED) for column in columns]
+        if not all(names):
+            what = "{path} has a minus and no column after it"
+            raise VehicleError(sentence(what, got=", ".join(columns), do='"-wx" reads column wx reversed'))
+        if len(set(names)) < n:
             raise VehicleError(sentence("{path} names a column twice", got=", ".join(columns), do="give each axis its own"))
         return columns
 
     return Field(min_length=n, max_length=n), AfterValidator(check)
+
+
+@part
+class ThreeAxes(Part):
+    """A sensor with a column for each body axis, x first; with a minus before its name the column counts reversed."""
+
+    columns: Annotated[tuple[Name, ...], *_columns(3)]
+
+    @property
+    def names(self) -> list[str]:
+        """The columns as a telemetry file calls them."""
+        return [column.removeprefix(REVERSED) for column in self.columns]
+
+    @property
+    def sign(self) -> FloatArray:
+        """-1 (3) where the column counts reversed, else 1."""
+        return np.array([-1.0 if column.startswith(REVERSED) else 1.0 for column in self.columns])
+
+    def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
+        """Keys of the vehicle file that make of these axes others: each is that of `order`, times `sign`."""
+        now = list(order)
+        named = [REVERSED * bool(s < 0) + self.names[k] for k, s in zip(now, self.sign[now] * sign, strict=True)]
+        zero, sigma = np.stack([getattr(self, key, np.zeros(3)) for key in ("zero", "zero_sigma")])[:, now]
+        if np.array_equal(zero, zero[np.argsort(now)]):
+            return {"columns": named}
+        told = {"value": zero.tolist(), "sigma": sigma.tolist()} if sigma.any() else zero.tolist()
+        return {"columns": named, "zero": told}  # it goes with its column
 
 
 @part
@@ -110,26 +146,24 @@ class SunSensor(Part):
 
 
 @part
-class SunVector(Part):
+class SunVector(ThreeAxes):
     """Three columns along the body axes with the direction to the Sun, as somebody has computed it: of any length.
 
     `sigma_rad`: one sigma of the direction. Where a vector is shorter than half of the longest, no Sun was seen.
     """
 
-    columns: Annotated[tuple[Name, ...], *_columns(3)]
     sigma_rad: Positive
 
 
 @part
-class Gyro(Part):
-    """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`).
+class Gyro(ThreeAxes):
+    """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`), reversed or not.
 
     `noise_rad_s` is that of one sample, `zero_sigma` (3) and `scale_sigma` are shared by all samples of a pass.
     """
 
     left_out = {"zero": [0.0, 0.0, 0.0]}
 
-    columns: Annotated[tuple[Name, ...], *_columns(3)]
     scale_rad_s: Number
     zero: Vector
     noise_rad_s: Positive
@@ -147,7 +181,7 @@ class Gyro(Part):
 
     def seen(self, read: np.ndarray) -> Seen:
         """Rates of the readings (n, 3) of its columns."""
-        value = self.scale_rad_s * (unwrapped(read, self.wraps_at) - self.zero)
+        value = self.scale_rad_s * self.sign * (unwrapped(read, self.wraps_at) - self.zero)
         return "axis", value, {"units": "rad s-1", "long_name": "gyro, body axes"}
 
 
@@ -156,8 +190,8 @@ def _turns_back(matrix: FloatArray) -> bool:
 
 
 @part
-class Magnetometer(Part):
-    """Three columns along the body axes, in any unit: field is `matrix` times (reading less `zero`).
+class Magnetometer(ThreeAxes):
+    """Three columns along the body axes, in any unit: field is `matrix` times (reading less `zero`), reversed or not.
 
     `matrix` (3, 3) is soft iron, axes and unequal scales, near one. `noise` (same unit) is None where the reading may not be used
     as a direction (zero or axes not known well enough). `scale_T`: a unit in tesla; None where not known. `zero_sigma` (3) is
@@ -166,7 +200,6 @@ class Magnetometer(Part):
 
     left_out = {"zero": [0.0, 0.0, 0.0], "noise": None}
 
-    columns: Annotated[tuple[Name, ...], *_columns(3)]
     zero: Vector
     noise: Positive | None
     wraps_at: Positive | None = None
@@ -180,8 +213,13 @@ class Magnetometer(Part):
 
     def seen(self, read: np.ndarray) -> Seen:
         """Fields of the readings (n, 3) of its columns, in their unit."""
-        value = (unwrapped(read, self.wraps_at) - self.zero) @ self.matrix.T
+        value = (self.sign * (unwrapped(read, self.wraps_at) - self.zero)) @ self.matrix.T
         return "axis", value, {"long_name": "magnetometer less its zero, times its matrix, body axes"}
+
+    def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
+        turned = np.eye(3)[list(order)] * np.array(sign)[:, None]
+        matrix = turned @ self.matrix @ turned.T + 0.0  # of the axes as they then are
+        return super().read_as(order, sign) | ({} if np.array_equal(matrix, self.matrix) else {"matrix": matrix.tolist()})
 
 
 @part
@@ -196,6 +234,11 @@ class Attitude(Part):
     rotates: Literal["N_to_B", "B_to_N"]
     sigma_rad: Positive
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns as a telemetry file calls them."""
+        return self.columns
+
     def seen(self, read: np.ndarray) -> Seen:
         """Unit quaternions B_from_N, scalar last, of the readings (n, 4) of its columns; NaN where they hold no unit quaternion."""
         value = read[:, [1, 2, 3, 0]] if self.scalar == "first" else read
@@ -204,6 +247,11 @@ class Attitude(Part):
         good = np.abs(size - 1) < UNIT
         about = {"units": "1", "long_name": "attitude as given, scalar last, from reference frame to body"}
         return "quaternion", np.where(good, value / np.where(good, size, 1.0), np.nan), about
+
+    def read_as(self, scalar: bool, way: bool) -> dict[str, str]:
+        """Keys of the vehicle file with the scalar at the other end, or the other way round."""
+        keys = {"scalar": "first" if self.scalar == "last" else "last"} if scalar else {}
+        return keys | ({"rotates": "N_to_B" if self.rotates == "B_to_N" else "B_to_N"} if way else {})
 
 
 @part

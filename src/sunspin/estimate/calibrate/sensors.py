@@ -206,7 +206,7 @@ def _magnetometer(vehicle: Vehicle, made: Calibration) -> list[Key]:
     n = made.samples["field"]
 
     def zero(one: Calibration) -> np.ndarray:
-        return part.zero + np.linalg.solve(part.matrix, one.zero)
+        return part.zero + part.sign * np.linalg.solve(part.matrix, one.zero)
 
     def axes(one: Calibration) -> tuple[np.ndarray, np.ndarray]:
         turn, stretch = polar(one.matrix_T @ part.matrix, side="right")
@@ -274,7 +274,7 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: b
 
 
 def _gyro_keys(gyro: Any, fit: GyroFit) -> list[Key]:
-    zero, by = gyro.zero + fit.values[:3] / gyro.scale_rad_s, fit.values[3]
+    zero, by = gyro.zero + gyro.sign * fit.values[:3] / gyro.scale_rad_s, fit.values[3]
     sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
     size, one = abs(gyro.scale_rad_s), abs(gyro.scale_rad_s) / by**2
     return [
