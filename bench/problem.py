@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -53,8 +54,12 @@ class Problem:
         full = rebound.grid(self.case)
         return {name: np.linspace(full[name][0], full[name][-1], n) for name, n in zip(AXES, counts, strict=True)}
 
-    def scan(self, axes: dict[str, np.ndarray], workers: int | None = None, direction_error: float | None = None) -> xr.DataArray:
-        """sunspin's own scan of a grid; unless a `direction_error` (rad) is asked for, for an EMD good to 1e-3."""
+    def scan(
+        self, axes: dict[str, np.ndarray], workers: int | None = None, direction_error: float | None = None,
+        factors: Sequence[float] = (),
+    ) -> xr.DataArray:  # fmt: skip
+        """sunspin's own scan of a grid; unless a `direction_error` (rad) is asked for, for an EMD good to 1e-3. With `factors` in
+        two grades, for the sets below so many times the smallest."""
         return ss.scan(
             self.vehicle,
             self.target_z,
@@ -64,6 +69,7 @@ class Problem:
             duration_s=self.window_s,
             workers=workers,
             direction_error=direction_error,
+            factors=factors,
         )
 
     def starts(self, omega_B: np.ndarray) -> np.ndarray:

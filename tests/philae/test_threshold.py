@@ -69,14 +69,14 @@ def test_rebounds_of_a_calibration_have_panels_that_stand_off_where_the_file_say
 
 
 def test_the_key_is_that_of_the_data(table):
-    """Anything that changes what a calibration depends on changes its key: noise, times, which samples tell, the scan."""
+    """Anything that changes what a calibration depends on changes its key: noise, times, which samples tell, the body, the scan."""
     own, keys = th.key_of(REBOUND, table), set()
     assert th.key_of(REBOUND, table) == own
     noisier = REBOUND.samples.assign_attrs(noise=0.2)
     later = REBOUND.samples.assign_coords(time=REBOUND.samples["time"] + np.arange(REBOUND.samples.sizes["time"]))
     fewer = REBOUND.samples.copy(deep=True)
     fewer["status"].values[5] = 6
-    heavier = replace(CASE, vehicle=replace(CASE.vehicle, mass_kg=90.0))
+    heavier = replace(CASE, vehicle=replace(CASE.vehicle, inertia_kg_m2=1.01 * CASE.vehicle.inertia_kg_m2))
     heavier.__dict__["telemetry"] = CASE.telemetry
     for samples in (noisier, later, fewer):
         keys.add(th.key_of(replace(REBOUND, samples=samples), table))
@@ -154,7 +154,8 @@ def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
 
 
 def test_what_a_calibration_depends_on_is_in_its_key():
-    """A change of body, wheel, panels, mask or weights asks for another calibration; one of the blow does not."""
+    """A change of body, wheel, panels, mask or weights asks for another calibration; one of the blow, or of mass, legs and names,
+    on which a scan does not depend, does not."""
     shipped = th.from_json((CASE.folder / th.SHIPPED).read_text("utf-8"), "here", "shipped").key
 
     def key(*changes):
@@ -165,6 +166,7 @@ def test_what_a_calibration_depends_on_is_in_its_key():
         return th.key_of(rebound, SimpleNamespace(rows=SimpleNamespace(start=start)))
 
     assert key() == shipped == key("collision.restitution=0.3", "study.confidence=0.8")
+    assert key("body.mass_kg*=0.9", "leg[2].tip_B_m[0]+=0.1") == shipped
     others = ["wheel.speed_rad_s=833", "body.inertia_kg_m2[2][2]*=0.99", "wheel.friction=printed", "study.lead_s=30",
               "study.mask=everywhere", "study.target_weights=interval", "panel[6].gain*=1.05", "telemetry.noise=0.1"]  # fmt: skip
     keys = {key(change) for change in others}

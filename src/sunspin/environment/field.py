@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.ndimage import map_coordinates, spline_filter
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.lazy import lazy
+
+if TYPE_CHECKING:
+    from scipy import ndimage
+else:
+    ndimage = lazy("scipy.ndimage")
 
 YEARS = (1900.0, 2030.0)
 """Of IGRF-14."""
@@ -47,7 +52,7 @@ class FieldMap(NamedTuple):
             others = np.delete(self.inverse, k)
             weight = np.prod((inverse[:, None] - others) / (node - others), axis=1)
             for axis in range(3):
-                field[:, axis] += weight * map_coordinates(self.coefficients[k, axis], [row, column], prefilter=False)
+                field[:, axis] += weight * ndimage.map_coordinates(self.coefficients[k, axis], [row, column], prefilter=False)
         return (field * inverse[:, None] ** 3).reshape(place.shape)
 
 
@@ -75,7 +80,7 @@ def _field_map(jd: float, low: float, high: float) -> FieldMap:
         half = np.roll(field, len(longitude) // 2, axis=2)  # beyond a pole is the other side
         field = np.concatenate([half[:, BEYOND:0:-1], field, half[:, -2 : -2 - BEYOND : -1]], axis=1)
         rows.append(np.concatenate([field[:, :, -BEYOND:], field, field[:, :, : BEYOND + 1]], axis=2))
-    return FieldMap(np.array([[spline_filter(part) for part in row] for row in rows]), inverse)
+    return FieldMap(np.array([[ndimage.spline_filter(part) for part in row] for row in rows]), inverse)
 
 
 def _igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:

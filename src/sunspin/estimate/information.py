@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.likelihood import Likelihood
@@ -72,7 +72,7 @@ class Information:
 
 def rate_volume(covariance: np.ndarray) -> float:
     """Volume in (rad/s)^3 of the ellipsoid that holds 90 % of the rates; `covariance` (>= 3, >= 3), rates first."""
-    radius = float(np.sqrt(chi2.ppf(LEVEL, 3)))
+    radius = float(np.sqrt(2 * gammaincinv(1.5, LEVEL)))
     return float(4 / 3 * np.pi * radius**3 * np.sqrt(max(np.linalg.det(covariance[:3, :3]), 0.0)))
 
 

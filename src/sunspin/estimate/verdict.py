@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtr  # scipy.stats takes longer to import than a short pass to estimate
 
 from sunspin.vehicle import Vehicle
 
 NARROWER = 0.5
 """A component is informed where its standard deviation, all modes counted, is below this part of the prior's."""
 
-BEYOND = 2 * norm.sf(3.0)
+BEYOND = 2 * float(ndtr(-3.0))
 """Chance of a sound reading to lie beyond three sigma."""
 
 MOST_BEYOND, ONE_SPIKE = 0.3, 1.5
@@ -95,7 +95,7 @@ def answers(
 
 def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:
     """Sums of squared residuals (...) with so many degrees of freedom, scaled so that 3 has the chance of three sigma."""
-    return 3 * np.sqrt(np.maximum(square, 0.0) / chi2.isf(BEYOND, np.maximum(freedom, 1)))
+    return 3 * np.sqrt(np.maximum(square, 0.0) / chdtri(np.maximum(freedom, 1), BEYOND))
 
 
 def misfit(sigmas: np.ndarray) -> Misfit:
@@ -108,7 +108,7 @@ def misfit(sigmas: np.ndarray) -> Misfit:
     runs = 1 + int(np.count_nonzero(beyond[1:] != beyond[:-1]))  # Wald and Wolfowitz
     expected = 1 + 2 * bad * good / n
     variance = (expected - 1) * (expected - 2) / max(n - 1, 1)
-    chance = norm.cdf((runs - expected) / np.sqrt(variance)) if variance > 0 else 1.0
+    chance = ndtr((runs - expected) / np.sqrt(variance)) if variance > 0 else 1.0
     return Misfit(n, bad / n, float(chance))
 
 

@@ -58,13 +58,14 @@ def counted(case: Case) -> Mask | None:
 
 
 def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
-    """Whether what is concluded from the panels on the free motion of one vehicle holds for the other: body, wheels, panels."""
+    """Whether what is concluded from the panels on the free motion of one vehicle holds for the other."""
+    return moving_and_seeing(vehicle) == moving_and_seeing(other)
 
-    def told(craft: Vehicle) -> object:
-        wheels = [(wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction) for wheel in craft.wheels]
-        return plain([craft.inertia_kg_m2, wheels, craft.panels, craft.panel_response, craft.sun_rules, craft.channels])
 
-    return told(vehicle) == told(other)
+def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
+    """What free motion and panels depend on: body, wheels, panels; not the mass, nor what can touch the ground."""
+    wheels = [(wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction) for wheel in vehicle.wheels]
+    return plain([vehicle.inertia_kg_m2, wheels, vehicle.panels, vehicle.panel_response, vehicle.sun_rules, vehicle.channels])
 
 
 def published_lines(case: Case) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -32,6 +32,7 @@ from sunspin.telemetry.case import Case
 from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import stated_sigma
 
 SHIPPED = "threshold.json"
 """The calibration of the case's own telemetry, which comes with the case."""
@@ -98,13 +99,14 @@ class Calibration:
 
 
 def key_of(rebound: rb.Rebound, table: Table) -> str:
-    """The hash of all that a calibration depends on: vehicle, times of the samples that can be read, how many gave directions,
-    noise, brightness, first direction, scan.
+    """The hash of all that a calibration depends on: body, wheels and panels with their sigmas, times of the samples that can be
+    read, how many gave directions, noise, brightness, first direction, scan.
     """
-    sun, start = rebound.samples.attrs, table.rows.start
+    sun, start, vehicle = rebound.samples.attrs, table.rows.start, rebound.case.vehicle
     return fingerprint(
         {
-            "study": "threshold of a level set, truths even in the scanned box", "vehicle": plain(rebound.case.vehicle),
+            "study": "threshold of a level set, truths even in the scanned box", "vehicle": rb.moving_and_seeing(vehicle),
+            "panel_sigmas": plain(stated_sigma(vehicle)),
             "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(), "directions": rebound.z.size,
             "noise": float(sun["noise"]), "lit_threshold": float(sun["lit_threshold"]), "scale": _scale(rebound),
             "sun_B": np.round(rebound.sun_B, 4).tolist(),

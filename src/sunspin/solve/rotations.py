@@ -46,7 +46,7 @@ def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         products[..., k, 3] = products[..., 3, k] = m[..., i, j] - m[..., j, i]
     products[..., 3, 3] = 1 + trace
     largest = np.argmax(np.einsum("...ii->...i", products), axis=-1)
-    q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    q = products.reshape(-1, 4, 4)[np.arange(largest.size), largest.ravel()].reshape(products.shape[:-1])
     q = np.where(q[..., 3:] < 0, -q, q)
     sine = np.sqrt(np.einsum("...i,...i->...", q[..., :3], q[..., :3]))[..., None]
     angle = 2 * np.arctan2(sine, q[..., 3:])
@@ -70,23 +70,23 @@ def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
 
 def smallest_turn(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
     """x (n, 3) under the smallest rotation that takes the unit vectors a to b."""
-    v, c = np.cross(a, b), np.sum(a * b, axis=1, keepdims=True)
-    return x + np.cross(v, x) + np.cross(v, np.cross(v, x)) / np.maximum(1 + c, 1e-9)
+    v, c = cross(a, b), np.sum(a * b, axis=1, keepdims=True)
+    return x + cross(v, x) + cross(v, cross(v, x)) / np.maximum(1 + c, 1e-9)
 
 
 def tangents(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors (n, 3) that make a right-handed frame with each direction (n, 3)."""
     other = np.where(np.abs(unit[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = _cross(unit, other)
+    first = cross(unit, other)
     first = first / np.linalg.norm(first, axis=1, keepdims=True)
-    return first, _cross(unit, first)
+    return first, cross(unit, first)
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """NumPy's `cross` of vectors (n, 3), bit by bit; for few of them it takes several times as long."""
-    out = np.empty(a.shape)
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """NumPy's `cross` of vectors (..., 3), bit by bit; for few of them it takes several times as long."""
+    out = np.empty(a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape))
     for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[:, k] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
+        out[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
     return out
 
 

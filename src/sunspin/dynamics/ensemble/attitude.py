@@ -15,7 +15,7 @@ import numpy as np
 from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.codegen import assignments
-from sunspin.dynamics.ensemble.compiled import compiler, module_of, template
+from sunspin.dynamics.ensemble.compiled import compiler, kept_text, module_of, template
 from sunspin.dynamics.torques.acting import Torque, directions_of, n_carried, n_parameters, outside
 
 if TYPE_CHECKING:
@@ -67,10 +67,15 @@ def slopes(torques: Sequence[Torque], pulled: bool) -> list[str]:
 @lru_cache(maxsize=32)
 def attitude_kernel(torques: tuple[Torque, ...], pulled: bool) -> Callable[..., None]:
     """The compiled `run` of attitude_template.py."""
+    return module_of(kept_text(("attitude", pulled), torques, lambda: source(torques, pulled)), compiler()).run
+
+
+def source(torques: tuple[Torque, ...], pulled: bool) -> str:
+    """Its text."""
     text = template("attitude").replace('\nN_STATE = "N_STATE"', f"\nN_STATE = {7 + n_directions(torques)}")
     indent = " " * 16
     body = "\n".join(indent + line for line in slopes(torques, pulled))
-    return module_of(text.replace(f"{indent}pass  # SLOPE", body), compiler()).run
+    return text.replace(f"{indent}pass  # SLOPE", body)
 
 
 def carry(

@@ -13,11 +13,13 @@ import os
 import sys
 import tempfile
 import threading
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from sunspin.base.atomic_write import write_whole
 from sunspin.base.cache import is_writable
@@ -168,19 +170,24 @@ def kernel(structure: c.Structure) -> ModuleType:
 
 
 def kept_source(structure: c.Structure) -> str:
-    """`source(structure)`, from the cache folder where the same code has generated it before: with SymPy it takes a second.
+    """`source(structure)`, kept."""
+    return kept_text((structure, series_lanes.ORDER), structure.torques, lambda: source(structure))
+
+
+def kept_text(made_from: tuple[Any, ...], torques: Sequence[Any], make: Callable[[], str]) -> str:
+    """Generated source, from the cache folder where the same code has made it before: with SymPy it takes up to a second.
 
     Not for torques: what a user's own function says is not known by its name.
     """
-    if structure.torques:
-        return source(structure)
-    made_from = (structure, series_lanes.ORDER, code()["physics_sha256"], metadata.version("sympy"))
+    if torques:
+        return make()
+    made_from = (*made_from, code()["physics_sha256"], metadata.version("sympy"))
     path = cache_folder() / f"source_{_digest(repr(made_from))}.txt"
     if path.exists():
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")
         if digest == _digest(text):
             return text
-    text = source(structure)
+    text = make()
     write_whole(path, lambda part: part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8"))
     return text
 

@@ -149,8 +149,9 @@ def _fitted(
         error[:, places.inertia] = of_a_body(motion.body, error[:, places.inertia])
         return state[0], followed(state[1], motion), error
 
+    unseen = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, SunTerm | StateTerm)))
     found = least_squares(
-        lambda state: _equations(o, Track(state[0], state[1]), state[2], motion, clock),
+        lambda state: _equations(o, unseen, places, Track(state[0], state[1]), state[2], motion, clock),
         lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
         bordered, (track.attitude, track.omega, error), steps=steps, tolerance=tolerance, limit=limit,
     )  # fmt: skip
@@ -210,9 +211,10 @@ def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
     return clock.late_s + clock.sigma_s * error[:, -1]
 
 
-def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> Bordered:
-    places = places_of(o, motion, clock)
-    unseen = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, SunTerm | StateTerm)))
+def _equations(
+    o: Observations, unseen: Observations, places: Places, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None
+) -> Bordered:
+    """`unseen`: the observations without what was seen of the states themselves."""
     own = error[:, places.inertia].size > 0  # else one body serves all at once
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
     moved = [moving(unseen, track.take(k), motion, error[k, places.moving]) for k in each]
@@ -223,7 +225,7 @@ def _equations(o: Observations, track: Track, error: np.ndarray, motion: Motion,
     border[..., places.moving] += inside
     corner[:, places.moving, places.moving] += between_errors
     error_slope[:, places.moving] += downhill
-    sun = sun_part(o, track, error, motion, clock)
+    sun = sun_part(o, places, track, error, motion, clock)
     cost = cost + (error**2).sum(axis=1) / 2 + sun.cost
     slope, border, corner, error_slope = slope + sun.slope, border + sun.border, corner + sun.corner, error_slope + sun.error_slope
     told = sun.matrix
@@ -305,9 +307,8 @@ class SunPart(NamedTuple):
     cost: np.ndarray
 
 
-def sun_part(o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> SunPart:
+def sun_part(o: Observations, places: Places, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> SunPart:
     """The Sun's readings, which answer to the states, to their own unknowns and to how late the states are, at errors (K, m)."""
-    places = places_of(o, motion, clock)
     late = np.zeros(len(error)) if clock is None else _late(clock, error)
     seen = track if clock is None else seen_later(o, track, motion, late)
     size = 6 + places.n

@@ -22,7 +22,7 @@ from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.linear import each_row
-from sunspin.solve.rotations import matrix_of, turn, turn_between
+from sunspin.solve.rotations import cross, matrix_of, turn, turn_between
 from sunspin.vehicle import Vehicle
 
 STEP_ANGLE = 0.4
@@ -145,7 +145,7 @@ def _sphere(
     size = dt[..., None]
     if field is None or field_end is None or not np.any(body.dipole):
         return turn(still, omega * size), omega.copy()
-    first, change = np.cross(body.dipole, field), np.cross(body.dipole, field_end - field)
+    first, change = cross(body.dipole, field), cross(body.dipole, field_end - field)
 
     def rate(s: float) -> np.ndarray:
         return omega + size * (s * first + s**2 / 2 * change)
@@ -154,7 +154,7 @@ def _sphere(
     for start in (0.0, 0.5):
         a, b = (rate(start + 0.25 * (1 + sign / np.sqrt(3))) for sign in (-1, 1))
         half = size / 2
-        matrix = turn(matrix, half / 2 * (a + b) - np.sqrt(3) / 12 * half**2 * np.cross(b, a))
+        matrix = turn(matrix, half / 2 * (a + b) - np.sqrt(3) / 12 * half**2 * cross(b, a))
     return matrix, rate(1.0)
 
 
@@ -220,20 +220,20 @@ def step_with_answer(
     size = np.asarray(dt)[..., None]
     shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)]) * DIFFERENCE
     many = omega[None] + shifts.reshape(4, *(1,) * (omega.ndim - 1), 3) / size
-    counts = steps_of(body, omega, dt, ends)  # the same for all, or their differences would be those of the steps
+    # the same for all, or their differences would be those of the steps
+    counts = None if body.spherical else steps_of(body, omega, dt, ends)
     matrix, rate = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.spread(), counts)
     answer = np.zeros((*omega.shape[:-1], 6, 6))
     answer[..., :3, :3] = matrix[0]  # a turn at the start is the same turn in the axes of the end
-    for k in range(3):
-        answer[..., :3, 3 + k] = turn_between(matrix[0], matrix[1 + k]) * size / DIFFERENCE
-        answer[..., 3:, 3 + k] = (rate[1 + k] - rate[0]) * size / DIFFERENCE
+    answer[..., :3, 3:] = np.moveaxis(turn_between(matrix[0], matrix[1:]) * size / DIFFERENCE, 0, -1)
+    answer[..., 3:, 3:] = np.moveaxis((rate[1:] - rate[0]) * size / DIFFERENCE, 0, -1)
     if ends.directions is not None:
         _add_turns(answer, body, omega, dt, ends, counts, matrix[0], rate[0])
     return matrix[0], rate[0], answer
 
 
 def _add_turns(
-    answer: np.ndarray, body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, counts: np.ndarray, matrix: np.ndarray,
+    answer: np.ndarray, body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, counts: np.ndarray | None, matrix: np.ndarray,
     rate: np.ndarray,
 ) -> None:  # fmt: skip
     """Into an answer (..., 6, 6): what a turn at the start does besides, where torques depend on directions in space."""

@@ -18,7 +18,7 @@ from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.shoot import carried, shot
-from sunspin.estimate.rates.smooth import cost_limit, measured, smooth
+from sunspin.estimate.rates.smooth import cost_limit, costs, smooth
 from sunspin.estimate.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.terms.known_field import KnownField
@@ -123,7 +123,7 @@ def _best(o, index, suns, rates, motion, apart, keep) -> Track:
     loose = wider(o, motion.noise, index, apart)
     track = carried(o, index, suns, rates, motion)
     parts = np.array_split(np.arange(len(rates)), 1 + len(rates) // 4000)
-    cost = np.concatenate([measured(loose, track.take(part))[2].sum(axis=1) for part in parts])
+    cost = np.concatenate([costs(loose, track.take(part)).sum(axis=1) for part in parts])
     cost += (rates**2).sum(axis=1) / (2 * motion.rate_prior**2)
     return track.take(np.argsort(cost, kind="stable")[:keep])
 

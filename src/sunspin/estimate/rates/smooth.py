@@ -9,6 +9,7 @@ wild. Only the Sun is known in N, as its z axis: the turn about it is held by a 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from sunspin.estimate.rates.motion import Body, Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.terms.term import Seen, normal
+from sunspin.estimate.terms.term import Seen, normal, student
 from sunspin.solve.least_squares import least_squares, shortened
 from sunspin.solve.linear import Bordered, bordered, spread
 from sunspin.solve.rotations import turn, turn_between
@@ -47,6 +48,15 @@ def measured(o: Observations, track: Seen) -> tuple[np.ndarray, np.ndarray, np.n
     return matrix, slope, cost
 
 
+def costs(o: Observations, track: Seen) -> np.ndarray:
+    """The costs (K, n) alone."""
+    cost = np.zeros(track.omega.shape[:2])
+    for term in (*o.of_sun, *o.of_state):
+        for value, _ in term.residuals(track):
+            cost += student(value)[1]
+    return cost
+
+
 Tied = tuple[np.ndarray, np.ndarray, np.ndarray]
 """What neighbours say: residuals (K, n-1, m), Jacobians (K, n-1, m, 6) to the first and to the second."""
 
@@ -64,12 +74,8 @@ class Intervals(NamedTuple):
         dt, start, end = np.diff(o.t_s), track.attitude[:, :-1], track.attitude[:, 1:]
         relative = end @ np.swapaxes(start, -1, -2)
         ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
-        if np.any(motion.body.dipole):
-            met = np.all(np.isfinite(o.field_B), axis=1)
-            pair = (met[:-1] & met[1:])[:, None]
-            if pair.any():
-                ends = ends._replace(field=np.nan_to_num(o.field_B[:-1]) * pair, field_end=np.nan_to_num(o.field_B[1:]) * pair)
-        ends = Ends(*(None if part is None else np.broadcast_to(part, (*relative.shape[:2], 3)) for part in ends))
+        if o.field_at_ends is not None and np.any(motion.body.dipole):
+            ends = ends._replace(field=o.field_at_ends[0], field_end=o.field_at_ends[1])
         return cls(dt, relative, motion.body.seen(ends, start, o.t_s[:-1]), whitening(dt, *noises(o, motion)))
 
     def step(self, body: Body, omega: np.ndarray, derive: Callable[..., Any]) -> Any:
@@ -114,8 +120,15 @@ def wandering(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) ->
 
 
 def whitening(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) -> np.ndarray:
-    """Inverse square roots (n, 6, 6) of that covariance."""
-    return np.linalg.inv(np.linalg.cholesky(wandering(dt, acceleration, rate)))
+    """Inverse square roots (n, 6, 6) of that covariance, kept: each step of a fit asks for the same."""
+    return _whitening(dt.tobytes(), np.asarray(acceleration, dtype=np.float64).tobytes(), rate)
+
+
+@lru_cache(maxsize=64)
+def _whitening(dt: bytes, acceleration: bytes, rate: float) -> np.ndarray:
+    found = np.linalg.inv(np.linalg.cholesky(wandering(np.frombuffer(dt), np.frombuffer(acceleration), rate)))
+    found.setflags(write=False)
+    return found
 
 
 def log_noise(o: Observations, motion: Motion) -> float:
@@ -157,10 +170,10 @@ def free_turn(o: Observations, sun_B: np.ndarray) -> np.ndarray:
 def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
     """Damping (K, 6) of turn and rate in the measure of what was measured (K, n, 6, 6): one in that of the equations of motion,
     which are stiff where samples are close together, would hold a whole hypothesis in its place."""
-    size = np.einsum("knii->kni", told).mean(axis=1)
-    turn_size = size[:, :3].mean(axis=1, keepdims=True)
+    size = np.einsum("knii->kni", told).sum(axis=1) / len(t_s)
+    turn_size = size[:, :3].sum(axis=1, keepdims=True) / 3
     step_s = np.diff(t_s).mean() if len(t_s) > 1 else 1.0
-    rate_size = size[:, 3:].mean(axis=1, keepdims=True) + turn_size * step_s**2
+    rate_size = size[:, 3:].sum(axis=1, keepdims=True) / 3 + turn_size * step_s**2
     return np.repeat(np.concatenate([turn_size, rate_size], axis=1), 3, axis=1)
 
 

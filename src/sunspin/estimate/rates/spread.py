@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimate.rates.common_errors import Clock, Common, sun_part
+from sunspin.estimate.rates.common_errors import Clock, Common, places_of, sun_part
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.linear import bordered
 
@@ -30,7 +30,7 @@ def with_spread(
         return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[0][0]
 
     def slopes(other: Observations) -> tuple[np.ndarray, np.ndarray]:
-        part = sun_part(other, track, common.error, motion, clock)
+        part = sun_part(other, places_of(other, motion, clock), track, common.error, motion, clock)
         return part.slope, part.error_slope
 
     variance = np.empty((len(track.omega), 3))

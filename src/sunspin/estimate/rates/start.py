@@ -11,7 +11,7 @@ import numpy as np
 
 from sunspin.estimate.rates.images import imaged, images_of, one_of_each
 from sunspin.estimate.rates.motion import Body, nutation
-from sunspin.estimate.rates.smooth import measured
+from sunspin.estimate.rates.smooth import costs
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import SUN_N, facing
 from sunspin.vehicle.response.protocol import sphere
@@ -60,7 +60,7 @@ def candidates(o: Observations, index: int) -> np.ndarray:
             return sharp
     grid = sphere(GRID)
     still = Track(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
-    cost = measured(o.part(index, index + 1), still)[2][:, 0]
+    cost = costs(o.part(index, index + 1), still)[:, 0]
     allowed = grid[cost < cost.min() + 3.0]
     first = images_of(o) @ grid[np.argmin(cost)]
     while len(first) < min(CANDIDATES, len(allowed)):  # the farthest from those taken already: they span the region

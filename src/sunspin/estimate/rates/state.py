@@ -64,6 +64,14 @@ class Observations:
         read = [term.field_B for term in self.terms if isinstance(term, Magnetometer | KnownField)]
         return read[0] if read else np.full((len(self), 3), np.nan)
 
+    @cached_property
+    def field_at_ends(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """That field at the start and at the end of each interval (n - 1, 3), zero where one of the two was not read; None
+        where all are so."""
+        met = np.all(np.isfinite(self.field_B), axis=1)
+        pair, field = (met[:-1] & met[1:])[:, None], np.nan_to_num(self.field_B)
+        return (field[:-1] * pair, field[1:] * pair) if pair.any() else None
+
     def take(self, index: np.ndarray | slice) -> Observations:
         """The samples `index`."""
         return Observations(self.t_s[index], self.momentum[index], tuple(term.take(index) for term in self.terms))

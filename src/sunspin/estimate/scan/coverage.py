@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.stats import binom, norm
+from scipy.special import ndtri
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -49,7 +49,7 @@ class Share:
     def interval(self) -> tuple[float, float]:
         if not self.n:
             return 0.0, 1.0
-        z, p = float(norm.ppf(0.975)), self.value
+        z, p = float(ndtri(0.975)), self.value
         centre, half = p + z**2 / (2 * self.n), z * np.sqrt(p * (1 - p) / self.n + z**2 / (4 * self.n**2))
         return float((centre - half) / (1 + z**2 / self.n)), float((centre + half) / (1 + z**2 / self.n))
 
@@ -116,6 +116,8 @@ def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]
     """
     n, ordered = len(values), np.sort(values)
     at = check_confidence(n, confidence)
+    from scipy.stats import binom
+
     low, high = binom.ppf([0.025, 0.975], n, confidence).astype(int)
     return float(ordered[at]), float(ordered[max(low - 1, 0)]), float(ordered[min(high, n - 1)])
 

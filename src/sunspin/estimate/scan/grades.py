@@ -105,11 +105,11 @@ class Graded:
 
     def _interpolate(self) -> None:
         """Run the coarser grid and interpolate the motions between, with their bounds."""
-        nodes = [_nodes(len(axis)) for axis in self.axes]
+        places = [nodes(len(axis)) for axis in self.axes]
         there = np.zeros(self.emd.shape, dtype=bool)
-        there[np.ix_(*nodes)] = True
+        there[np.ix_(*places)] = True
         self._run(there)
-        emd, x = self._known()[np.ix_(*nodes)], [axis[at] for axis, at in zip(self.axes, nodes, strict=True)]
+        emd, x = self._known()[np.ix_(*places)], [axis[at] for axis, at in zip(self.axes, places, strict=True)]
         rough = maximum_filter(_roughness(emd, x), size=2 * REACH + 1, mode="nearest")
         for k, axis in enumerate(self.axes):
             if len(x[k]) < len(axis):
@@ -234,7 +234,7 @@ def in_two_grades(
     return found
 
 
-def _nodes(n: int) -> np.ndarray:
+def nodes(n: int) -> np.ndarray:
     """Places of the coarser grid on an axis of n points; the last is always one."""
     return np.union1d(np.arange(0, n, STRIDE), n - 1) if n >= FEWEST_POINTS else np.arange(n)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -77,17 +78,24 @@ class Gyro(StateTerm):
         made = (Unknown(f"gyro_zero_{axis}", "gyro_zero", "rad/s", 0.0, float(zero[i]), i) for i, axis in enumerate("xyz"))
         return (*made, Unknown("gyro_scale", "gyro_scale", "1", 0.0, float(scale)))
 
-    def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
+    @cached_property
+    def _constant(self) -> tuple[np.ndarray, ...]:
+        """Which rates were read (n), the rates (n, 3), in sigmas what one sigma of zero and scale adds (n, 4, 3), and slopes."""
         read = self.present()
+        column = np.nan_to_num(self.common) * read[:, None, None] / self.sigma
+        own = read[:, None, None] * np.eye(3) / self.sigma
+        slope = np.concatenate([np.zeros((len(read), 3, 3)), own, np.swapaxes(column, -1, -2)], axis=-1)
+        return read, np.nan_to_num(self.rate_B), column, slope
+
+    def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
+        read, rate, column, slope = self._constant
         if not read.any():
             return
-        value = np.where(read[:, None], (seen.omega - np.nan_to_num(self.rate_B)) / self.sigma, 0.0)
-        parts = [np.zeros((len(read), 3, 3)), read[:, None, None] * np.eye(3) / self.sigma]
+        value = np.where(read[:, None], (seen.omega - rate) / self.sigma, 0.0)
         if error is not None and error.shape[1]:
-            column = np.nan_to_num(self.common) * read[:, None, None] / self.sigma
             value = value + np.einsum("ka,nai->kni", error, column)
-            parts.append(np.swapaxes(column, -1, -2))
-        slope = np.concatenate(parts, axis=-1)
+        else:
+            slope = slope[..., :6]
         yield value, np.broadcast_to(slope, (len(value), *slope.shape))
 
 

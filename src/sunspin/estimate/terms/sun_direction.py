@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -92,24 +93,37 @@ class SunDirection(SunTerm):
     def coarser(self, factor: float) -> Self:
         return replace(self, covariance=factor**2 * self.covariance, other_covariance=factor**2 * self.other_covariance)
 
+    @cached_property
+    def _read(self) -> tuple[np.ndarray, np.ndarray]:
+        return _whitened(self.direction_B, self.covariance)
+
+    @cached_property
+    def _other(self) -> tuple[np.ndarray, np.ndarray]:
+        return _whitened(self.other_B, self.other_covariance)
+
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
         if not self.present().any():
             return
-        value, slope = _off(self.direction_B, self.covariance, seen.sun_B)
+        value, slope = _off(*self._read, seen.sun_B)
         if (unsure := np.isfinite(self.other_covariance[:, 0, 0])).any():
-            other = _off(self.other_B[unsure], self.other_covariance[unsure], seen.sun_B[:, unsure])
+            other = _off(*(part[unsure] for part in self._other), seen.sun_B[:, unsure])
             better = ((other[0] ** 2).sum(axis=-1) < (value[:, unsure] ** 2).sum(axis=-1))[..., None]
             value[:, unsure] = np.where(better, other[0], value[:, unsure])
             slope[:, unsure] = np.where(better[..., None], other[1], slope[:, unsure])
         yield value, slope
 
 
-def _off(direction: np.ndarray, covariance: np.ndarray, sun: np.ndarray) -> Residual:
-    """Of the Sun (K, n, 3) from directions (n, 3) with covariances (n, 3, 3); zero where there is none."""
+def _whitened(direction: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (n, 3) and roots (n, 3, 3) of the inverse of their covariances (n, 3, 3); zero where there is none."""
     read = np.isfinite(covariance[:, 0, 0])
     white = np.zeros((len(read), 3, 3))
     white[read] = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance[read])), -1, -2)
-    off = sun - np.where(read[:, None], direction, 0.0)
+    return np.where(read[:, None], direction, 0.0), white
+
+
+def _off(direction: np.ndarray, white: np.ndarray, sun: np.ndarray) -> Residual:
+    """Of the Sun (K, n, 3) from directions (n, 3), as `_whitened` gives them."""
+    off = sun - direction
     return np.einsum("nij,knj->kni", white, off), white @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
 
 

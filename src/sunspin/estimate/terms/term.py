@@ -23,6 +23,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from sunspin.environment import Surroundings, unknown
+from sunspin.solve.rotations import cross
 from sunspin.vehicle.response.protocol import sphere
 
 SUN_N = unknown().at(0.0).sun_N[0]
@@ -270,9 +271,9 @@ def normal(term: SunTerm | StateTerm, seen: Seen, error: np.ndarray | None = Non
 def facing(sun_B: np.ndarray) -> np.ndarray:
     """Some attitude (..., 3, 3), B_from_N, that shows the Sun of N in the direction `sun_B` (..., 3)."""
     other = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = np.cross(other, sun_B)
+    x = cross(other, sun_B)
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(sun_B, x), sun_B], axis=-1)
+    return np.stack([x, cross(sun_B, x), sun_B], axis=-1)
 
 
 def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

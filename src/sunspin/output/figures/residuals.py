@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from sunspin.output.figures import COLOURS, named, titled
 from sunspin.output.figures.rates import SHOWN, chosen_passes, clock_text
@@ -119,6 +119,6 @@ def _distribution(axes: Any, value: np.ndarray) -> None:
     edges = np.linspace(-SHOWN_SIGMAS, SHOWN_SIGMAS, 25)
     axes.hist(value, edges, histtype="stepfilled", orientation="horizontal", color=COLOURS[0], alpha=0.5)
     x = np.linspace(-SHOWN_SIGMAS, SHOWN_SIGMAS, 200)
-    axes.plot(len(value) * (edges[1] - edges[0]) * norm.pdf(x), x, color=COLOURS[6], lw=1)
-    far, expected = np.mean(np.abs(value) > BEYOND), 2 * norm.sf(BEYOND)
+    axes.plot(len(value) * (edges[1] - edges[0]) * np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), x, color=COLOURS[6], lw=1)
+    far, expected = np.mean(np.abs(value) > BEYOND), 2 * ndtr(-BEYOND)
     axes.set_title(f"{far:.1%} beyond {BEYOND:g} sigma\n(of noise alone: {expected:.1%})", fontsize=7)
