@@ -101,6 +101,17 @@ def test_medians_of_two_posteriors_in_sigmas(tmp_path):
     assert found["words"].values[0] == "verdict_word unique, now aliases" and not found["beyond"].values[1:].any()
 
 
+def test_shares_of_runs_of_the_strategies_in_common(tmp_path):
+    def made(name, value, *more):
+        told = {"touch_leg": {"value": value, "error": 0.03}, "up_z": {"value": 0.5, "error": 0.04}}
+        return folder(tmp_path / name, "outcomes", strategies=dict.fromkeys(("off", *more), told), inputs=[])
+
+    found = ss.compare(made("a", 0.8, "held"), made("b", 0.6))
+    assert found["row"].values.tolist() == ["wheels off touch_leg", "wheels off up_z"]
+    assert found["size"].values == pytest.approx([0.2 / (0.03 * 2**0.5), 0.0]) and found["what"].values[0] == "a leg touches first"
+    assert "telemetry" not in str(found.sunspin.summary())
+
+
 def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
     rates = folder(tmp_path / "rates", "rates", passes=[a_pass(0, 1, 1.0)])
     other = folder(tmp_path / "other", "rates", passes=[a_pass(0, 9, 1.0)])

@@ -67,9 +67,11 @@ class Changeable(click.Command):
 LANDING = ("body.mass_kg", "leg", "hull", "antenna")
 """What only collisions and landings use of a vehicle file."""
 
-SEEING = ("panel", "panel_response", "sun_rule", "telemetry", "channel", "sun_sensor", "sun_vector", "gyro", "attitude",
-          "magnetometer", "clock", "disturbance", "orbit")  # fmt: skip
+READING = ("telemetry", "channel", "sun_sensor", "sun_vector", "gyro", "attitude", "magnetometer", "clock", "disturbance", "orbit")
 """What only those use who read telemetry."""
+
+SEEING = ("panel", "panel_response", "sun_rule", *READING)
+"""The same with the panels, which also say for whom the printed lines were found."""
 
 
 def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] = ()) -> Callable:

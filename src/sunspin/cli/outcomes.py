@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from sunspin.cli.changes import Changeable, once, opened, set_options
+from sunspin.cli.changes import READING, Changeable, once, opened, set_options
 from sunspin.cli.common import claim, deliver, factor_option, on_terminal, output_options, run_options, store_option
 from sunspin.cli.values import numbers
 from sunspin.cli.values import vertical as read_vertical
@@ -38,7 +38,7 @@ from sunspin.cli.values import vertical as read_vertical
 @store_option("Folder that keeps what is computed; the same command resumes.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786 or `local`.")
 @click.option("--printed-lines", is_flag=True, help="Take the lines that the paper prints, though this body is another.")
-@set_options("study.lead_s", "collision", short=("friction", "restitution", "damper"))
+@set_options("study.lead_s", "collision", short=("friction", "restitution", "damper"), idle=READING)
 @output_options()
 @run_options
 def outcomes(vehicle, strategies, runs, scan, factor, omega, sun_B, wheel_speed, lead, before, after, collision_speed,

@@ -1,4 +1,4 @@
-"""What moved between two results folders: rows of the study, rates of passes, or a posterior, each change against its error."""
+"""What moved between two results folders: rows of the study, rates of passes, a posterior, outcomes, each against its error."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from sunspin.base.netcdf import read_groups
 from sunspin.base.provenance import provenance
 from sunspin.base.untrusted import is_own, read_bytes
 from sunspin.output.folder import MARKER, maker
+from sunspin.output.kinds.outcomes import SHOWN
 from sunspin.output.text import number_text
 
 MAX_SUMMARY_BYTES = 20_000_000
 
-COMPARED = ("reproduce", "rates", "posterior")
+COMPARED = ("reproduce", "rates", "posterior", "outcomes")
 """Commands whose results can be compared."""
 
 INTERVAL_SIGMAS = 1.645
@@ -55,7 +56,7 @@ class Moved(NamedTuple):
 
 
 def compare(a: str | Path, b: str | Path) -> xr.Dataset:
-    """What moved from one results folder to another of the same command: `reproduce`, `rates` or `posterior`.
+    """What moved from one results folder to another of the same command: `reproduce`, `rates`, `posterior` or `outcomes`.
 
     Parameters
     ----------
@@ -66,9 +67,9 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     -------
     xarray.Dataset
         Over `row`, the largest move first: `change` (B less A, unit in `unit`), `error` it is held against (of the rows of
-        `reproduce` the half width of the wider of the two intervals; of rates and medians one sigma, of both together; NaN where
-        none is known), `size` (change over error; without one over the value), `beyond`, both values as text, and in `words` what
-        changed in agreement or verdict. `.sunspin.plot()` draws it, `.sunspin.save(folder)` writes it.
+        `reproduce` the half width of the wider of the two intervals; of rates, medians and shares of runs one sigma, of both
+        together; NaN where none is known), `size` (change over error; without one over the value), `beyond`, both values as
+        text, and in `words` what changed in agreement or verdict. `.sunspin.plot()` draws it, `.sunspin.save(folder)` writes it.
 
     Raises
     ------
@@ -84,7 +85,7 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         known = ", ".join(COMPARED)
         raise InputError(sentence("results of this command cannot be compared", got=f"sunspin {commands[0]}", do=f"known: {known}"))
     said = [_summary(folder) for folder in folders]
-    find = {"reproduce": _rows, "rates": _passes, "posterior": _posterior}[commands[0]]
+    find = {"reproduce": _rows, "rates": _passes, "posterior": _posterior, "outcomes": _outcomes}[commands[0]]
     found = sorted(find(said[0], said[1], *folders), key=lambda one: (not np.isfinite(one.error), -one.size))
     if not found:
         got = f"{a} and {b}"
@@ -244,6 +245,17 @@ def _draws(path: Path) -> xr.Dataset:
     if found is None or not found.data_vars:
         raise InputError(sentence("this file holds no draws", do="run the command again", where=str(path)))
     return found
+
+
+# ------------------------------------------------------------------------------------------------------------------------ outcomes
+
+
+def _outcomes(a: dict[str, Any], b: dict[str, Any], *_: Path) -> Iterator[Moved]:
+    """Means and shares over the runs of the strategies that both have; with one seed both drew alike, and less is chance."""
+    mine, theirs = (said.get("strategies") or {} for said in (a, b))
+    for strategy, name in ((one, name) for one in mine if one in theirs for name in mine[one] if name in theirs[one]):
+        values, errors = ([float(said[strategy][name][key]) for said in (mine, theirs)] for key in ("value", "error"))
+        yield _sigmas(f"wheels {strategy} {name}", dict(SHOWN).get(name, name), values, "", _together(errors), [])
 
 
 # -------------------------------------------------------------------------------------------------------------------------- shared

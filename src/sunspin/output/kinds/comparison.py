@@ -37,7 +37,8 @@ def comparison_summary(found: Any) -> Summary:
     lines.append(
         f"{numbers['beyond']} of {int(known.sum())} rows with a known error moved beyond it; of {int((~known).sum())} without one "
         f"{numbers['changed_without_error']} changed"
-        + ("; both are of the same telemetry" if numbers["same_telemetry"] else "; the telemetry is not the same")
+        + ("; both are of the same telemetry" if numbers["same_telemetry"] else
+           "" if found.attrs["command"] == "outcomes" else "; the telemetry is not the same")
     )  # fmt: skip
     chosen = [i for i in range(beyond.size) if beyond[i] or found["words"].values[i]]
     lines += [_line(found, i) for i in chosen[:MOST_LINES]]
