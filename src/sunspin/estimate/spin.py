@@ -121,6 +121,7 @@ def fit_spin(
     degree: int = 3,
     axis_B: npt.ArrayLike = (0.0, 0.0, 1.0),
     rate_range: tuple[float, float] | None = None,
+    tolerance: float = 1e-12,
 ) -> SpinFit:
     """The rate polynomial with the smallest E, found among all aliases in a range of mean rates.
 
@@ -136,6 +137,8 @@ def fit_spin(
         Body axis about which the body spins.
     rate_range : (low, high) rad/s, optional
         Mean rates to look at. Default: two alias distances, 2 pi over the median interval, to either side of zero.
+    tolerance : float
+        Of the last step, relative, in coefficients and in E: where samples fit no polynomial, steps gain little and are many.
     """
     t, n, axis = _checked(t_s, sun_B, axis_B, degree)
     along, across, basis = _split(n, axis)
@@ -144,7 +147,7 @@ def fit_spin(
         raise InputError(sentence("rate_range must be (low, high) in rad/s", got=(low, high)))
     scan_rate, scan_E, drift = _scan(t, along, across, low, high)
     middle, half = (t[0] + t[-1]) / 2, (t[-1] - t[0]) / 2
-    fits = [_refine(t, along, across, degree, float(scan_rate[i]), float(drift[i])) for i in _deepest(scan_E)]
+    fits = [_refine(t, along, across, degree, float(scan_rate[i]), float(drift[i]), tolerance) for i in _deepest(scan_E)]
     kept = _distinct(fits, DISTINCT / (2 * half))
     error, legendre = kept[0]
     variance = 4 * t.size * error / max(2 * t.size - degree - 3, 1)  # of one tangent component, rad2
@@ -227,7 +230,7 @@ def _legendre_phases(t: np.ndarray, degree: int) -> np.ndarray:
 
 
 def _refine(
-    t: np.ndarray, along: np.ndarray, across: np.ndarray, degree: int, rate: float, drift: float
+    t: np.ndarray, along: np.ndarray, across: np.ndarray, degree: int, rate: float, drift: float, tolerance: float
 ) -> tuple[float, np.ndarray]:
     """E and Legendre coefficients of the nearest minimum: least squares of chords, whose squares add up to 4 E n."""
     design = _legendre_phases(t, degree)
@@ -252,7 +255,7 @@ def _refine(
         return np.concatenate([off.real, off.imag])
 
     jacobian: Any = slopes  # SciPy declares nothing, and the default of this argument is a word
-    found = least_squares(chords, start * scale, jacobian, xtol=1e-12, ftol=1e-12, gtol=1e-12).x / scale
+    found = least_squares(chords, start * scale, jacobian, xtol=tolerance, ftol=tolerance, gtol=tolerance).x / scale
     return float(_error(along, np.mean(across * np.exp(1j * design @ found)))), found
 
 
