@@ -50,13 +50,13 @@ def test_aliases_go_on_and_are_drawn(found, craft, tmp_path, monkeypatch):
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_minutes_leave_one_motion(craft):
     often = sampling.neighbours_left(craft, 120.0, True, 0, 0, 1)
     assert often["motions"] == 1 and often["weight_of_true"] > 0.99
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_regular_seven_and_a_half_minutes_leave_several_motions(craft):
     """Of the twin of the test above, whose third part of samples cannot tell turns between them apart."""
     seldom = sampling.neighbours_left(craft, 450.0, False, 0, 0, 1)

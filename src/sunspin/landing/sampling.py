@@ -126,8 +126,8 @@ class Near(Search):
         self.start = start
 
     def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
-        """The given ones, each standing for itself."""
-        return self.start, np.ones(len(self.start), dtype=np.int64)
+        """The given ones, each standing for itself, other unknowns at their centres."""
+        return replace(self.start, u=np.zeros((len(self.start), len(model.unknowns)))), np.ones(len(self.start), dtype=np.int64)
 
 
 def around(truth: State, period_s: float) -> State:
@@ -137,7 +137,7 @@ def around(truth: State, period_s: float) -> State:
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     grid = np.concatenate([np.zeros((1, 3)), grid[np.linalg.norm(grid, axis=1) <= radius]])
     n = len(grid)
-    return State(truth.omega + grid, np.tile(truth.sun, (n, 1)), np.tile(truth.u, (n, 1)))
+    return State(truth.omega + grid, np.tile(truth.sun, (n, 1)), np.empty((n, 0)))
 
 
 def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, seed: int, workers: int | None) -> dict[str, Any]:
