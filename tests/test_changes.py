@@ -12,7 +12,7 @@ from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli.changes import opened
 from sunspin.cli.common import Group
 from sunspin.compute.identity import plain
-from sunspin.landing.outcomes import _own_scenario
+from sunspin.landing.outcomes import own_scenario
 from sunspin.landing.scenario import case_scenario, paper_scenario, scenario_of
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
@@ -244,7 +244,7 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
 def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
     craft = with_changes("wheel.speed_rad_s=833")
     assert scenario_of("philae", craft, {}).wheel_speed_rad_s == (833.0,)
-    assert _own_scenario(craft).wheel_speed_rad_s == (833.0,) and _own_scenario(OWN).wheel_speed_rad_s == (865.0,)
+    assert own_scenario(craft).wheel_speed_rad_s == (833.0,) and own_scenario(OWN).wheel_speed_rad_s == (865.0,)
     case = ss.load_case("philae", ["collision.restitution=0.2", "collision.damper=0.5", "study.lead_s=30"])
     found = case_scenario(case)
     assert (found.restitution, found.damper, found.lead_s) == (0.2, 0.5, 30.0)

@@ -168,3 +168,19 @@ def test_names_of_panels_are_drawn_as_they_are(names, tmp_path, monkeypatch):
     Path("vehicle.toml").write_text(template, "utf-8")
     told = sunspin("sun", "vehicle.toml", "telemetry.csv", "--out", "out")
     assert told.code == 0 and not told.err and not told.escaped, told
+
+
+REVERSED = (
+    '["-", "gy", "gz"]', '["gx", "-gx", "gz"]', '["-gx", "-gx", "gz"]', '["-gx"]', '["-gx", "gy", "gz", "-gw"]', '"-gx,-gy,-gz"',
+    "[-1, 2, 3]", '["-gx", 3, "gz"]', '["", "gy", "gz"]', '[["-gx"], "gy", "gz"]', '{ x = "-gx" }', "true",
+    '["-gx\\n", "gy", "gz"]', '["-gx\\u0000", "gy", "gz"]', f'["-{"g" * 200}", "gy", "gz"]',
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("table", "more"), [("gyro", "scale_rad_s = 1\nnoise_rad_s = 1"), ("magnetometer", "noise = 1"),
+                                             ("sun_vector", "sigma_rad = 0.1")])  # fmt: skip
+def test_columns_of_three_axes_that_make_no_sense_are_one_sentence(table, more):
+    for columns in REVERSED:
+        with pytest.raises(ss.VehicleError, match=rf"^v.toml[:,] {table}.columns") as told:
+            parse_vehicle(f'name = "v"\n[{table}]\ncolumns = {columns}\n{more}\n', "v.toml")
+        assert "\n" not in str(told.value)

@@ -36,6 +36,27 @@ def test_a_vehicle_without_legs_and_hull(tmp_path):
     assert (tmp_path / "rows" / "held").is_dir()
 
 
+WHEELS, TIPS = {"wx": [1, 0, 0], "wz": [0, 0, 1]}, {"a": [1, 0, -0.6], "b": [-0.5, 0.9, -0.6], "c": [-0.5, -0.9, -0.6]}
+FRICTION = "{ coulomb_N_m = 2e-3, viscous_N_m_s = 1e-5 }"
+LANDER = "\n".join([
+    'name = "two wheels and legs"\n[body]\nmass_kg = 60\ninertia_kg_m2 = [[12, 0, 0], [0, 14, 0], [0, 0, 10]]',
+    *(f'[[wheel]]\nname = "{name}"\naxis_B = {axis}\ninertia_kg_m2 = 0.02\nspeed_rad_s = 300\nfriction = {FRICTION}'
+      for name, axis in WHEELS.items()),
+    *(f'[[leg]]\nname = "{name}"\ntip_B_m = {tip}' for name, tip in TIPS.items()),
+])  # fmt: skip
+
+
+def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_told(tmp_path):
+    """No rate before or after a collision that there is not, no panel that touches; and delays end before the landing."""
+    (tmp_path / "lander.toml").write_text(LANDER)
+    given = ("--omega", "0.05,0,0.1", "--sun", "0,0,1", "--after", 600, "--collision-speed", 0, "--runs", 40, "--strategy", "held")
+    done = sunspin("outcomes", tmp_path / "lander.toml", *given, "--best-delay")
+    assert "There is no collision" in done.out and "before the collision" not in done.out
+    assert "a leg touches first: 1.0000" in done.out and "a panel touches" not in done.out and "the bare body" not in done.out
+    told = json.loads(sunspin("outcomes", tmp_path / "lander.toml", *given, "--best-delay", "--json").out)
+    assert max(told["best_delay"]["as_good_s"]) < 600
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

@@ -154,10 +154,21 @@ def test_small_scans_run_each_motion_and_say_so():
     assert found["exact"].all() and (found["emd_bound"] == 0).all() and found.attrs["factors"] == [1.1]
 
 
+NO_LIMITS = (3, None, "1.1", ("x",), [None], [np.nan], [np.inf], [-1], [0], [[1.1, 1.2]], [[1.1], [1.2, 1.3]], {"a": 1}, [True],
+             [1.1, "x"], [1 + 1j], np.array([[1.1]]), np.array(1.1), [10**400], [b"2"], [object()])  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["factors", "thresholds"])
+def test_what_are_no_limits_is_a_sentence(name):
+    for given in NO_LIMITS:
+        with pytest.raises(InputError, match=r"(number above 1|positive number) \(found .*give a list of them"):
+            ss.scan(PHILAE, [0.5], FIRST_SUN, [0.1], [0.1], [0.0], 865.0, 60.0, **{name: given})
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"factors": [1.1, 0.9]}, "must exceed 1"),
+        ({"factors": [1.1, 0.9]}, "a number above 1"),
         ({"thresholds": [np.nan]}, "positive number"),
         ({"target_z": "track", "factors": [1.1]}, "by E runs each motion"),
     ],

@@ -130,3 +130,9 @@ def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
     for b, words in ((tmp_path / "attitude.bc", "--frame is missing"), ("absent.bc", "no such file")):
         told = CliRunner().invoke(Group("sunspin"), ["compare", str(studies[0]), str(b)])
         assert isinstance(told.exception, SunspinError) and words in str(told.exception)
+
+
+def test_a_folder_that_is_not_there_is_said_to_be_missing(studies, tmp_path):
+    for more in ([], ["--out", str(tmp_path / "moved")]):
+        done = CliRunner().invoke(Group("sunspin"), ["compare", str(studies[0]), str(tmp_path / "nowhere"), *more])
+        assert "there is no such file or folder" in str(done.exception) and not (tmp_path / "moved").exists()

@@ -235,6 +235,27 @@ def test_what_a_results_folder_holds_is_read_as_it_was(stored):
     xr.testing.assert_identical(stored_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data)
 
 
+SPOILT = {
+    "texts": lambda one: one.values.astype(str), "complex": lambda one: one.values.astype(complex),
+    "endless": lambda one: np.full(one.shape, np.inf), "huge": lambda one: np.full(one.shape, 1e300),
+    "truths": lambda one: np.ones(one.shape, dtype=bool), "objects": lambda one: np.full(one.shape, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", SPOILT)
+def test_whatever_is_spoilt_in_stored_telemetry_is_named(stored, how):
+    """Every variable, its values in another form or beyond all measure; and with a dimension of its own."""
+    vehicle, data, path = stored
+    for name in ("flag", "power_W", "gyro_B", "sun_sensor_B", "sun_sensor_cov_B", "time"):
+        one = data[name]
+        wrong = data.assign_coords({name: (one.dims, SPOILT[how](one))})
+        with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
+            stored_telemetry(wrong, vehicle, path)
+        other = data.rename_dims(time="row") if name == "time" else data.assign({name: one.mean("time")})
+        with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
+            stored_telemetry(other, vehicle, path)
+
+
 def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(stored):
     vehicle, data, path = stored
     spoilt = (

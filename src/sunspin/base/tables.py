@@ -208,6 +208,6 @@ def _from_columns(columns: dict[str, np.ndarray], where: str, content: bytes) ->
 def _as_text(column: np.ndarray) -> list[str]:
     if np.issubdtype(column.dtype, np.datetime64):
         return [str(value) + "Z" if value == value else "" for value in np.asarray(column, dtype="datetime64[us]")]
-    if np.issubdtype(column.dtype, np.number):
+    if np.issubdtype(column.dtype, np.number) and column.dtype.kind != "c":  # complex cells are no numbers of ours
         return [repr(value) for value in column.astype(np.float64).tolist()]
     return [str(value) for value in column.tolist()]

@@ -36,12 +36,12 @@ def compare(folder, others, frame, base, epoch, out, as_json, quiet) -> None:
         claim(out, "compare")
         deliver(run(folder, others[0]), out, as_json, quiet, None, main="comparison.csv")
         return
+    if missing := next((other for other in others if not other.exists()), None):
+        raise InputError(sentence("there is no such file or folder", where=str(missing)))
     if out is not None:
         raise InputError(sentence("--out is for two results folders", got=str(others[0]), do="leave it out with kernels"))
     from sunspin.output.export.against import against_kernels
 
-    if missing := next((other for other in others if not other.exists()), None):
-        raise InputError(sentence("there is no such file or folder", where=str(missing)))
     if frame is None:
         raise InputError(sentence("--frame is missing", do="name the body's frame in the kernels, or give two results folders"))
     summary, line = against_kernels(folder, others, frame, base, epoch)

@@ -159,7 +159,8 @@ class OutcomeRows:
         else:
             before = touchdown
         after, impulse_B = self._collide(before, draw, out) if self.collides else (before, None)
-        out["omega_before_B"][:], out["omega_after_B"][:] = before.omega_B, after.omega_B
+        if self.collides:
+            out["omega_before_B"][:], out["omega_after_B"][:] = before.omega_B, after.omega_B
         momenta = [g.total_momentum(self.vehicle, x.omega_B, x.wheel_speed_rad_s) for x in (touchdown, before, after)]
         for name, momentum in zip(("momentum_before", "momentum_after"), momenta[1:], strict=True):
             out[name][:] = np.linalg.norm(momentum, axis=1)
@@ -371,7 +372,7 @@ def outcomes(
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(sentence("seed must be zero or a positive whole number", got=seed))
     vehicle.require_inertia()
-    scenario = scenario or _own_scenario(vehicle)
+    scenario = scenario or own_scenario(vehicle)
     rows = OutcomeRows(
         vehicle, scenario, sc.strategy_of(vehicle, strategy), candidates_of(vehicle, candidates, scenario), int(n), int(seed)
     )
@@ -379,7 +380,7 @@ def outcomes(
     return dataset(rows, ensemble(rows, label="runs", **options))
 
 
-def _own_scenario(vehicle: Vehicle) -> sc.Scenario:
+def own_scenario(vehicle: Vehicle) -> sc.Scenario:
     if vehicle.name in case_names():
         return sc.case_scenario(replace(load_case(vehicle.name), vehicle=vehicle))
     raise InputError(

@@ -12,7 +12,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
 from sunspin.dynamics.friction import spin_down_time
-from sunspin.landing.outcomes import outcomes
+from sunspin.landing.outcomes import outcomes, own_scenario
 from sunspin.landing.scenario import Scenario, delayed, strategy_of
 from sunspin.landing.tally import Estimate, estimate, per_run, tally
 from sunspin.vehicle import Vehicle
@@ -119,14 +119,14 @@ def records(table: xr.Dataset) -> list[dict[str, Any]]:
 def best_delay(
     vehicle: Vehicle,
     candidates: Any,
-    delays_s: Sequence[float] = DELAYS_S,
+    delays_s: Sequence[float] | None = None,
     metric: str = "touch_leg",
     n: int = 10_000,
     seed: int = 0,
     scenario: Scenario | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """The delay (s after touchdown) that makes `metric` largest, and how sure that is.
+    """The delay (s after touchdown) that makes `metric` largest, and how sure that is; unless given, of eleven before the landing.
 
     All delays are tried on the same draws; the uncertainty is that of the Monte Carlo runs and their scenario, not of the
     models (vertical, terrain, hull). The largest of many noisy means is biased upward: look at `as_good`, not at `value`.
@@ -140,6 +140,10 @@ def best_delay(
     """
     if not vehicle.wheels:
         raise InputError(sentence(f"vehicle {vehicle.name!r} has no wheel to switch off"))
+    scenario = scenario or own_scenario(vehicle)
+    if delays_s is None:
+        end = scenario.landing_s
+        delays_s = DELAYS_S if end > DELAYS_S[-1] else np.linspace(0.0, end, len(DELAYS_S), endpoint=False).round(1).tolist()
     table, runs = compare(vehicle, candidates, [delayed(t) for t in delays_s], n, seed, scenario, **options)
     each = [per_run(found).get(metric) for found in runs.values()]
     if each[0] is None or not np.isfinite(each[0]).any():

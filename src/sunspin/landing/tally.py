@@ -152,7 +152,7 @@ def _contacts(runs: xr.Dataset) -> dict[str, np.ndarray]:
         if kinds not in runs.coords:
             continue
         index, names = runs[number].values, runs[kinds].values
-        for kind in KINDS:
+        for kind in (kind for kind in KINDS if kind in names):
             found[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, names[index] == kind)
     if "point_on_panel" in runs.coords:
         index = runs["contact_point"].values

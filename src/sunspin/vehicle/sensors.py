@@ -59,11 +59,11 @@ def _sigma_of(key: str, *shape: int) -> PlainValidator:
     return PlainValidator(check)
 
 
-def _columns(n: int) -> tuple[Any, ...]:
-    """The rules for n columns: that many, and each another."""
+def _columns(n: int, sign: str = "") -> tuple[Any, ...]:
+    """The rules for n columns: that many, and each another, though one had the `sign` before it."""
 
     def check(columns: tuple[str, ...]) -> tuple[str, ...]:
-        names = [column.removeprefix(REVERSED) for column in columns]
+        names = [column.removeprefix(sign) for column in columns]
         if not all(names):
             what = "{path} has a minus and no column after it"
             raise VehicleError(sentence(what, got=", ".join(columns), do='"-wx" reads column wx reversed'))
@@ -78,7 +78,7 @@ def _columns(n: int) -> tuple[Any, ...]:
 class ThreeAxes(Part):
     """A sensor with a column for each body axis, x first; with a minus before its name the column counts reversed."""
 
-    columns: Annotated[tuple[Name, ...], *_columns(3)]
+    columns: Annotated[tuple[Name, ...], *_columns(3, REVERSED)]
 
     @property
     def names(self) -> list[str]:

@@ -10,7 +10,7 @@ enter the runs: they give rotations.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -82,7 +82,8 @@ TRIAL_ERROR = 1e-3
 def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> np.ndarray:
     """Directions (n, 3), about `CANDIDATE_RAD` apart, that a sample allows; best first."""
     grid = sphere(CANDIDATE_GRID)
-    gap = panel_power(model.vehicle, grid) * scale - data.value[sample]
+    power = scale * panel_power(model.vehicle, grid)[:, None]
+    gap = (data.take(np.array([sample])).factor(power) * power)[:, 0] - data.value[sample]
     tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.input_gains)
     misfit = np.where(data.used[sample], np.minimum((gap / tolerance) ** 2, CAP), 0.0).sum(axis=1)
     allowed = grid[order := np.argsort(misfit, kind="stable")][misfit[order] < misfit.min() + 1.0]
@@ -96,8 +97,20 @@ def shortfall(model: Model, data: Readings, sun: np.ndarray, angle: float, scale
     """How far (n) readings of samples (K) speak against any direction within `angle` rad of `sun` (n, K, 3)."""
     low, high = model.vehicle.response_in().bounds(sun, angle)
     low, high = scale * low * (1 - SCALE_SHARE), scale * high * (1 + SCALE_SHARE)
-    beyond = np.maximum(np.maximum(low - data.value, data.value - high) / data.sigma - SIGMAS, 0.0)
-    return np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=(1, 2))
+    least = np.full(low.shape[:2], np.inf)
+    for factor in _factors(data, low, high) if data.throttled else [1.0]:
+        beyond = np.maximum(np.maximum(factor * low - data.value, data.value - factor * high) / data.sigma - SIGMAS, 0.0)
+        least = np.minimum(least, np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=2))
+    return least.sum(axis=1)
+
+
+def _factors(data: Readings, low: np.ndarray, high: np.ndarray) -> Iterator[np.ndarray]:
+    """Factors (n, K, 1) of throttled samples among which there is one that agrees with all bounds (n, K, P) where there is any: the
+    ends of the intervals that each reading allows."""
+    slack = SIGMAS * data.sigma
+    for end, value in ((high, data.value - slack), (low, data.value + slack)):
+        ends = np.divide(np.maximum(value, 0.0), end, out=np.zeros_like(end), where=data.used & (end > 0))
+        yield from np.moveaxis(ends, -1, 0)[..., None]
 
 
 def grid_edge(times: np.ndarray) -> float:
@@ -219,10 +232,11 @@ class Starts:
         corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [side**2, side, 1]
         law = self.attitudes.model.vehicle.response_in().inside((NEAR + NODE_RAD, FAR + NODE_RAD))
         law, readings = law._replace(gains=self.scale * law.gains), (self.data.value, self.data.used, self.data.sigma)
+        throttled = self.data.throttled
         frame = np.stack([self.suns, *tangents(self.suns)], axis=1)
         fixed = (
-            self.row_of, corners, self.turn, frame, *told(nodes(NODES), law, *readings), law, *readings[:2],
-            self.here, self.here_used, readings[2],
+            self.row_of, corners, self.turn, frame, *told(nodes(NODES), law, *readings, throttled), law, *readings[:2],
+            self.here, self.here_used, readings[2], throttled,
         )  # fmt: skip
         pieces = np.array_split(self.cells, max(1, len(self.cells) // 5_000))
         with ThreadPoolExecutor(workers) as pool:
@@ -289,7 +303,7 @@ def _points():
 
 
 @jit
-def look_through(cells, row_of, corners, turn, suns, short, total, law, value, used, here, here_used, sigma):
+def look_through(cells, row_of, corners, turn, suns, short, total, law, value, used, here, here_used, sigma, throttled):
     """The settled starts of cells, (n, 8): place, direction, x, y, z in the cell, two steps of the direction, misfit."""
     room = 1024
     found = np.empty((room, 8))
@@ -313,7 +327,7 @@ def look_through(cells, row_of, corners, turn, suns, short, total, law, value, u
                 if least == np.inf:
                     continue
                 begin = points[eighth, best]
-                x, step, misfit = _settle(quaternions, begin, suns[c], law, value, used, here, here_used, sigma)
+                x, step, misfit = _settle(quaternions, begin, suns[c], law, value, used, here, here_used, sigma, throttled)
                 if misfit <= SETTLED and np.abs(x - middles[eighth]).max() < 0.5:
                     if count == room:
                         room *= 2
@@ -358,27 +372,56 @@ def _times(turn, vector, out):
 
 
 @jit
-def told(nodes, law, value, used, sigma):
+def told(nodes, law, value, used, sigma, throttled):
     """What speaks against all directions within each angle (2) of nodes (n, 3), for samples (m): (2, m, n); and what against the
     nodes themselves (m, n)."""
-    count = len(law.turns)
+    count, low, high = len(law.turns), np.empty(len(law.gains)), np.empty(len(law.gains))
     short = np.zeros((count, len(value), len(nodes)), np.float32)
     misfit = np.zeros((len(value), len(nodes)), np.float32)
     for m in range(len(value)):
         for i in range(len(nodes)):
             x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
+            factor = _factor(law, nodes[i], value[m], used[m])[0] if throttled else 1.0
             for j in range(len(law.gains)):
-                if not used[m, j]:
-                    continue
-                share, gain = seen(law, j, x, y, z)[0], law.gains[j]
-                misfit[m, i] += min(((gain * share - value[m, j]) / sigma) ** 2, 1e6)
-                for angle in range(count):
-                    low, high = between(law, angle, j, x, y, z)
-                    low, high = gain * low * (1 - SCALE_SHARE), gain * high * (1 + SCALE_SHARE)
-                    beyond = max(low - value[m, j], value[m, j] - high) / sigma - SIGMAS
-                    if beyond > 0:
-                        short[angle, m, i] += min(beyond * beyond, CAP)
+                if used[m, j]:
+                    misfit[m, i] += min(((factor * law.gains[j] * seen(law, j, x, y, z)[0] - value[m, j]) / sigma) ** 2, 1e6)
+            for angle in range(count):
+                for j in range(len(law.gains)):
+                    low[j], high[j] = between(law, angle, j, x, y, z)
+                    low[j], high[j] = law.gains[j] * low[j] * (1 - SCALE_SHARE), law.gains[j] * high[j] * (1 + SCALE_SHARE)
+                short[angle, m, i] = _short(low, high, value[m], used[m], sigma, throttled)
     return short, misfit
+
+
+@jit
+def _factor(law, r, value, used):
+    """The factor with which a throttled sample fits a direction r (3) best, and the sum of squares of its powers."""
+    along, size = 0.0, 0.0
+    for j in range(len(law.gains)):
+        if used[j]:
+            power = law.gains[j] * seen(law, j, r[0], r[1], r[2])[0]
+            along += power * max(value[j], 0.0)
+            size += power * power
+    return (along / size if size > 0 else 1.0), size
+
+
+@jit
+def _short(low, high, value, used, sigma, throttled):
+    """What speaks against powers between bounds (n_panel); of a throttled sample against all factors on them: if any agrees with
+    every reading, one does at the end of the interval that a reading allows."""
+    least, n, slack = np.inf, len(low), SIGMAS * sigma
+    for end in range(2 * n if throttled else 1):
+        factor, j = 1.0, end % n
+        if throttled:
+            bound, reach = (high[j], value[j] - slack) if end < n else (low[j], value[j] + slack)
+            factor = max(reach, 0.0) / bound if used[j] and bound > 0 else 0.0
+        total = 0.0
+        for j in range(n):
+            beyond = max(factor * low[j] - value[j], value[j] - factor * high[j]) / sigma - SIGMAS
+            if used[j] and beyond > 0:
+                total += min(beyond * beyond, CAP)
+        least = min(least, total)
+    return least
 
 
 @jit
@@ -400,20 +443,30 @@ def _against(turns, sun, short, misfit):
 
 
 @jit
-def _gather(normal, gradient, r, column, law, reading, counts, sigma):
-    """Add one sample's readings to the normal equations; its misfit. `r` (3) is the direction, `column` (5, 3) its derivatives."""
-    misfit, slope, change = 0.0, np.empty(3), np.empty(5)
+def _gather(normal, gradient, r, column, law, reading, counts, sigma, throttled):
+    """Add one sample's readings to the normal equations; its misfit. `r` (3) is the direction, `column` (5, 3) its derivatives; a
+    throttled one has its best factor."""
+    misfit, slope, change, factor, follows = 0.0, np.empty(3), np.empty(5), 1.0, np.zeros(5)
+    if throttled:
+        factor, size = _factor(law, r, reading, counts)
+        for j in range(len(law.gains)):
+            share, slope[0], slope[1], slope[2] = seen(law, j, r[0], r[1], r[2])
+            if counts[j] and share > 0:
+                for i in range(5):
+                    along = column[i, 0] * slope[0] + column[i, 1] * slope[1] + column[i, 2] * slope[2]
+                    follows[i] += law.gains[j] ** 2 * share * along / size
     for j in range(len(law.gains)):
         share, slope[0], slope[1], slope[2] = seen(law, j, r[0], r[1], r[2])
         if not counts[j] or (share <= 0 and reading[j] <= 0):
             continue
-        gain = law.gains[j]
+        gain = factor * law.gains[j]
         s = np.sqrt(sigma * sigma + (BLUR * gain) ** 2)
         residual = (reading[j] - gain * share) / s
         misfit += min(residual * residual, CAP)
         weight = 1.0 / (1.0 + residual * residual / 25.0)
         for i in range(5):
-            change[i] = -gain / s * (column[i, 0] * slope[0] + column[i, 1] * slope[1] + column[i, 2] * slope[2])
+            along = column[i, 0] * slope[0] + column[i, 1] * slope[1] + column[i, 2] * slope[2]
+            change[i] = -gain / s * (along - share * follows[i])
             gradient[i] += weight * change[i] * residual
             for q in range(i + 1):
                 normal[i, q] += weight * change[i] * change[q]
@@ -441,7 +494,7 @@ def _solve(normal, gradient, move):
 
 
 @jit
-def _settle(quaternions, x, frame, law, value, used, here, here_used, sigma):
+def _settle(quaternions, x, frame, law, value, used, here, here_used, sigma, throttled):
     """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit."""
     x, step, sun = x.copy(), np.zeros(2), frame[0].copy()
     r, other, column = np.empty(3), np.empty(3), np.empty((5, 3))
@@ -471,7 +524,7 @@ def _settle(quaternions, x, frame, law, value, used, here, here_used, sigma):
                 for i in range(2):
                     _times(turns[3, m], frame[1 + i], column[3 + i])
             reading, counts = (here, here_used) if m < 0 else (value[m], used[m])
-            misfit += _gather(normal, gradient, r, column, law, reading, counts, sigma)
+            misfit += _gather(normal, gradient, r, column, law, reading, counts, sigma, throttled)
         if iteration == STEPS or arrived:
             break
         for i in range(5):

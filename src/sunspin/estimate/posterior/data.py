@@ -47,6 +47,7 @@ class Readings:
 
     `t_s` (K): s after the reference, increasing; `value` (K, P); `used` (K, P): it counts; `lit` (K, P): above the threshold;
     `sigma`: one sigma stated; `threshold`; `largest`: reading; `others`: further observations, their times after the reference too.
+    `throttled`: all readings of a sample are lowered by one factor that nobody knows.
     """
 
     t_s: np.ndarray
@@ -57,6 +58,7 @@ class Readings:
     threshold: float
     largest: float
     others: tuple[Reading, ...] = ()
+    throttled: bool = False
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -70,6 +72,19 @@ class Readings:
     def reach_s(self) -> float:
         """The longest time from the reference to a sample."""
         return max(float(np.abs(self.t_s).max()), 1e-6)
+
+    def factor(self, power: np.ndarray, weight: np.ndarray | float = 1.0) -> np.ndarray:
+        """The factor (..., K, 1) on expected readings (..., K, P) that fits a throttled sample best; else 1."""
+        if not self.throttled:
+            return np.ones((*power.shape[:-1], 1))
+        size = np.sum(weight * self.used * power**2, axis=-1, keepdims=True)
+        along = np.sum(weight * self.used * np.maximum(self.value, 0.0) * power, axis=-1, keepdims=True)
+        return np.divide(along, size, out=np.ones_like(size), where=size > 0)
+
+    @property
+    def factors(self) -> np.ndarray:
+        """Which samples (..., K) have a factor that their readings determine, and so one reading fewer for all else."""
+        return np.logical_and(self.throttled, self.lit.any(axis=-1))
 
     def since(self, sample: int) -> Readings:
         """The same with a sample as the reference."""
@@ -104,9 +119,6 @@ def readings(
         Fewer than three samples with a lit panel, an unknown phase or observation, powers of other panels than the vehicle's.
     """
     vehicle.require_panels()
-    if vehicle.throttled:
-        what = "the posterior takes the Sun to be as bright in all samples, and throttled inputs read any part of its light"
-        raise InputError(sentence(what, do="use `sunspin rates`, which needs only their ratios"))
     value = np.asarray(signals(telemetry), dtype=np.float64)
     if value.ndim != 2 or value.shape[1] != len(vehicle.inputs):
         raise InputError(sentence("the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"))
@@ -135,7 +147,7 @@ def readings(
     sigma = vehicle.telemetry.noise or dark_noise(value[used]) or NOISE_OF_LARGEST * largest
     start = float(times[index[0]])
     others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
-    made = Readings(times[index] - start, value, used, lit, float(sigma), threshold, largest, others)
+    made = Readings(times[index] - start, value, used, lit, float(sigma), threshold, largest, others, vehicle.throttled)
     return made, start, remarks
 
 

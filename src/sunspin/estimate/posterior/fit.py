@@ -316,7 +316,7 @@ class _Search:
             _, each, w = self.likelihood.weigh(raw, extra, s)
             share = (s[:, None] / each) ** 2 * w  # time tags' errors do not scale with the noise
             spread = np.sum(np.where(lit, share * (raw / each) ** 2, 0.0), axis=1)
-            count = np.maximum(np.sum(np.where(lit, share, 0.0), axis=1) - taken, 0.0)
+            count = np.maximum(np.sum(np.where(lit, share, 0.0), axis=1) - taken - self.likelihood.data.factors.sum(), 0.0)
             slope = width * (count - spread) + u[:, at]
             u[:, at] = np.clip(u[:, at] - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1), least, 5)
         self.state = State(self.state.omega, self.state.sun, u)

@@ -3,6 +3,10 @@
 A lit reading is the panel's power with Gaussian noise. A dark one is a reading at or below the threshold, so it has the
 probability that noise keeps the power there; relative to that of no power, so that panels turned away say nothing. Any reading
 may, with probability `OUTLIERS`, have nothing to do with the Sun: a shadow, a spike, a dead panel.
+
+The readings of a throttled sample share a factor that nobody knows. It is put at its best (variable projection), and integrated out
+as readings are linear in it: that leaves one power of the noise, so that a sample of two lit panels says of the noise as much as
+one reading does.
 """
 
 from __future__ import annotations
@@ -32,6 +36,9 @@ DARK_OUTLIER = 0.5
 
 RATE_STEP = 3e-4
 """Step of the differences in rates, as a turn (rad) over the window; the second order it leaves is a part in a thousand."""
+
+SPOILT, ROUNDS = 5.0, 3
+"""Sigmas at which a reading counts half where the factor of a throttled sample is found, and how often it is found anew."""
 
 UNIT_STEP = 1e-4
 """The same of the further unknowns, in prior sigmas, over `UNIT_STEP_S` s; shorter windows take larger ones."""
@@ -75,6 +82,27 @@ class Linearised(NamedTuple):
     extra: np.ndarray
     jacobian: np.ndarray
     moves: np.ndarray
+
+
+class Throttle(NamedTuple):
+    """Readings (n, K, P) that the Sun's whole light would give, those that count for the factor of their sample, and it (n, K, 1);
+    None where inputs are not throttled."""
+
+    light: np.ndarray
+    weight: np.ndarray
+    factor: np.ndarray | None
+
+    @property
+    def power(self) -> np.ndarray:
+        return self.light if self.factor is None else self.factor * self.light
+
+    def slope(self, slope: np.ndarray) -> np.ndarray:
+        """Derivatives of `power` from those (n, K, P) of the light, the factor following at its best."""
+        if self.factor is None:
+            return slope
+        size = np.sum(self.weight * self.light**2, axis=-1, keepdims=True)
+        along = np.sum(self.weight * self.light * slope, axis=-1, keepdims=True)
+        return self.factor * (slope - self.light * np.divide(along, size, out=np.zeros_like(size), where=size > 0))
 
 
 class Secant(NamedTuple):
@@ -131,7 +159,23 @@ class Likelihood:
 
     def power(self, sun: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Expected readings (n, K, P) of directions (n, K, 3)."""
+        return self.throttle(self.light(sun, u)).power
+
+    def light(self, sun: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """The same if nothing is throttled."""
         return self.response.power(sun, gain=self.gain(u), tilt=self.tilt(u))
+
+    def throttle(self, light: np.ndarray) -> Throttle:
+        """Expected readings (n, K, P) with the factors of their samples; a reading far from its own hardly counts for these."""
+        data = self.data
+        weight = np.broadcast_to(1.0 * data.used, light.shape)
+        if not data.throttled:
+            return Throttle(light, weight, None)
+        factor = data.factor(light)
+        for _ in range(ROUNDS):
+            weight = data.used / (1.0 + ((data.value - factor * light) / (SPOILT * data.sigma)) ** 2)
+            factor = data.factor(light, weight)
+        return Throttle(light, weight, factor)
 
     def tilt(self, u: np.ndarray) -> np.ndarray | None:
         """Turns (n, 1, P, 3) of the panels, rad; None where they stand as drawn."""
@@ -170,9 +214,12 @@ class Likelihood:
 
     def samples(self, prediction: Prediction, u: np.ndarray) -> np.ndarray:
         """Log density (n, K) of each sample, the error of its time integrated out."""
+        noise = self.noise(u)
         if self.model.time_sigma_s:
-            return tagged(self, prediction, u, self.model.time_sigma_s)[0]
-        return self.readings(self.power(prediction.sun, u), self.noise(u)).sum(axis=-1)
+            out = tagged(self, prediction, u, self.model.time_sigma_s)[0]
+        else:
+            out = self.readings(self.power(prediction.sun, u), noise).sum(axis=-1)
+        return out + self.data.factors * np.log(noise / self.data.sigma)[:, None]
 
     def others(self, prediction: Prediction) -> np.ndarray:
         """Log density (n) of the other observations."""
@@ -233,6 +280,7 @@ class Likelihood:
         total = np.logaddexp(good, outlier)
         stated = np.log1p(-OUTLIERS) - np.where(lit, np.log(self.data.sigma) + 0.5 * LOG_2PI, 0.0)
         cost = np.where(used, np.logaddexp(stated, outlier) - total, 0.0).sum(axis=1)
+        cost -= self.data.factors.sum() * np.log(sigma / self.data.sigma)
         return cost, s, np.where(used, np.exp(good - total), 0.0)
 
     def linearised(
@@ -277,12 +325,13 @@ class Likelihood:
     def _put_together(self, state: State, base: Prediction, moves: np.ndarray, moving: list[int]) -> Linearised:
         """The differences and their derivatives, from those of what is seen (n, 5 + moving, seen, 3)."""
         raw, extra = self.misfit(base, state.u)
-        power = self.power(base.sun, state.u)
+        throttle = self.throttle(self.light(base.sun, state.u))
+        power = throttle.power
         counts = self.data.used & (self.data.lit | (power > self.data.threshold))  # not a dark panel that should be dark
-        columns = self._along(base, state.u, list(np.moveaxis(moves, 1, 0)), counts)
+        columns = self._along(base, state.u, list(np.moveaxis(moves, 1, 0)), counts, throttle)
         own_run = iter(columns[5:])
         each = range(state.u.shape[1])
-        changes = self._standing(base, state.u, power)
+        changes = self._standing(base, state.u, throttle)
         columns = columns[:5] + [next(own_run) if i in moving else self._column(changes(i), counts) for i in each]
         jacobian = np.stack(columns, axis=-1)
         jacobian = np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
@@ -300,29 +349,32 @@ class Likelihood:
         turned = [max(x.sigma * window_s**2 / 2, RATE_STEP) if x.kind == "steady_torque" else 0.0 for x in self.model.unknowns]
         return np.array([RATE_STEP / turn if turn else own for turn in turned])
 
-    def _along(self, base: Prediction, u: np.ndarray, moves: list[np.ndarray], counts: np.ndarray) -> list[np.ndarray]:
+    def _along(
+        self, base: Prediction, u: np.ndarray, moves: list[np.ndarray], counts: np.ndarray, throttle: Throttle
+    ) -> list[np.ndarray]:
         """Derivatives (n, R) of the differences along those of the motion (n, K + 2 others, 3); `counts` (n, K, P): readings that
         change."""
         found, gain, tilt, count, others = [], self.gain(u), self.tilt(u), len(self.data), self.data.others
         slopes = self.response.along(base.sun, [move[:, :count] for move in moves], gain=gain, tilt=tilt)
         for move, slope in zip(moves, slopes, strict=True):
-            columns = [np.where(counts, -slope, 0.0).reshape(len(u), -1)]
+            columns = [np.where(counts, -throttle.slope(slope), 0.0).reshape(len(u), -1)]
             for i, o in enumerate(others):
                 omega, at = move[:, count + i], move[:, count + len(others) + i]
                 columns.append(-o.slope(base.at[:, i], base.omega[:, i], at, omega) / o.sigma)
             found.append(np.concatenate(columns, axis=1))
         return found
 
-    def _standing(self, base: Prediction, u: np.ndarray, power: np.ndarray) -> Callable[[int], np.ndarray]:
+    def _standing(self, base: Prediction, u: np.ndarray, throttle: Throttle) -> Callable[[int], np.ndarray]:
         """How powers (n, K, P) change with an unknown that does not change the motion, by its place: scale, gains, tilts."""
-        turns, panels = self.model.turns, np.arange(power.shape[-1])
+        turns, panels = self.model.turns, np.arange(throttle.light.shape[-1])
         to_tilt = None if turns is None else self.response.slopes(base.sun, gain=self.gain(u), tilt=self.tilt(u)).to_tilt
 
         def change(i: int) -> np.ndarray:
             unknown = self.model.unknowns[i]
             if turns is not None and to_tilt is not None and turns[i].any():
-                return np.einsum("nkpi,pi->nkp", to_tilt, turns[i])
-            return power * {"scale": 1.0, "gain": (panels == unknown.index) * 1.0}.get(unknown.kind, 0.0) * unknown.sigma
+                return throttle.slope(np.einsum("nkpi,pi->nkp", to_tilt, turns[i]))
+            share = {"scale": 1.0, "gain": (panels == unknown.index) * 1.0}.get(unknown.kind, 0.0)
+            return throttle.slope(throttle.light * share * unknown.sigma)
 
         return change
 

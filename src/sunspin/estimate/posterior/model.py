@@ -296,9 +296,10 @@ def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) ->
         _not_negative(priors.get(key, 0.0), f"the prior sigma of {key} must be zero (known) or positive, in rad")
     own, common, words = tilt.told(priors, vehicle)
     told.update(words)
-    if vehicle.channels and (own.any() or common):
-        what, do = "the posterior does not know turns of panels that share an input", "leave them out: tilt and tilt_common 0"
-        raise InputError(sentence(what, got=f"channel {vehicle.channels[0].name!r}", do=do))
+    if (vehicle.channels or vehicle.throttled) and (own.any() or common):
+        what = "the posterior does not know turns of panels that share an input or are throttled"
+        got = f"channel {vehicle.channels[0].name!r}" if vehicle.channels else "throttled = true"
+        raise InputError(sentence(what, got=got, do="leave them out: tilt and tilt_common 0"))
     return tilt.unknowns(vehicle, own, common)
 
 
@@ -323,6 +324,9 @@ def _stated(vehicle: Vehicle, key: str) -> Any:
 
 
 def _scale_sigma(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> float:
+    if vehicle.throttled:
+        told["scale"] = "free in each sample (throttled)"
+        return 0.0
     return _sigma(priors, "scale", None, SCALE_SIGMA[vehicle.gain_unit is not None], told)
 
 

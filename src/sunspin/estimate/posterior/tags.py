@@ -35,7 +35,8 @@ def turned(sun: np.ndarray, rate: np.ndarray, shift_s: np.ndarray) -> np.ndarray
 
 def power_slope(likelihood: Likelihood, sun: np.ndarray, rate: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Rates of change (n, K, P) of the powers at directions and rates (n, K, 3): none on dark panels."""
-    return likelihood.response.along(sun, [-np.cross(rate, sun)], gain=likelihood.gain(u), tilt=likelihood.tilt(u))[0]
+    slope = likelihood.response.along(sun, [-np.cross(rate, sun)], gain=likelihood.gain(u), tilt=likelihood.tilt(u))[0]
+    return likelihood.throttle(likelihood.light(sun, u)).slope(slope)
 
 
 def tagged(likelihood: Likelihood, prediction: Prediction, u: np.ndarray, tag_s: float) -> tuple[np.ndarray, np.ndarray]:

@@ -144,7 +144,7 @@ def scan(
         from sunspin.estimate.scan import grades  # imports scipy.ndimage, which other scans do not need
 
         if grades.applies(rows):
-            found = grades.in_two_grades(rows, factors, thresholds, **settings)
+            found = grades.in_two_grades(rows, limits.get("factors", []), limits.get("thresholds", []), **settings)
             result = volume(vehicle, start, name, found.emd, found.outcome, mask, wheel_mode, device, directions=count)
             return _graded(result, found.exact, found.bound, limits | found.attributes())
     out = ensemble(rows, label="scan", **settings)
@@ -154,14 +154,23 @@ def scan(
 
 def _limits(factors: Sequence[float], thresholds: Sequence[float], target_z: Any) -> dict[str, list[float]]:
     """The sets asked for, as attributes of the result; checked."""
-    limits = {name: [float(one) for one in some] for name, some in (("factors", factors), ("thresholds", thresholds)) if len(some)}
+    limits = {"factors": _above(factors, 1.0, "each factor of the smallest EMD must be a number above 1"),
+              "thresholds": _above(thresholds, 0.0, "each threshold on EMD must be a positive number")}  # fmt: skip
+    limits = {name: some for name, some in limits.items() if some}
     if limits and isinstance(target_z, xr.Dataset):
         raise InputError(sentence("a scan by E runs each motion", got=str(limits), do="leave out factors and thresholds"))
-    if not all(factor > 1 for factor in limits.get("factors", [])):
-        raise InputError(sentence("each factor of the smallest EMD must exceed 1", got=list(factors)))
-    if not all(0 < threshold < np.inf for threshold in limits.get("thresholds", [])):
-        raise InputError(sentence("each threshold on EMD must be a positive number", got=list(thresholds)))
     return limits
+
+
+def _above(given: Any, low: float, what: str) -> list[float]:
+    """A list of finite numbers above a limit."""
+    try:
+        found = np.asarray(given)
+    except ValueError:  # rows of unlike length
+        found = np.array(None)
+    if found.ndim != 1 or found.dtype.kind not in "iuf" or not np.all((found > low) & (found < np.inf)):
+        raise InputError(sentence(what, got=str(given)[:80], do="give a list of them"))
+    return found.astype(np.float64).tolist()
 
 
 def _graded(result: xr.DataArray, exact: np.ndarray, bound: np.ndarray, said: dict[str, Any]) -> xr.DataArray:

@@ -28,7 +28,7 @@ DOTS = (
         "share of the time",
         (("rz_time_below_0", "$r_z$ < 0"), ("rz_time_below_-0.5", "$r_z$ < -0.5")),
     ),
-    ("angular speed", "mean (rad/s)", (("rate_before", "before the collision"), ("rate_after", "after it"))),
+    ("angular speed", "mean (deg/s)", (("rate_before", "before the collision"), ("rate_after", "after it"))),
 )
 """Panels of the comparison: title, axis, (quantity, label) pairs."""
 
@@ -46,7 +46,7 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
         curve = density(found, merge=FINER)
         width = 2.0 / curve.sizes["rz"]
         edges = np.append(curve["rz"].values - width / 2, 1.0)
-        said = f"{named(name)}: {found.sizes['run']:,} runs".replace(",", " ")
+        said = f"{_short(name)}: {found.sizes['run']:,} runs".replace(",", " ").replace("\n", " ")
         colour, alpha = COLOURS[k % 8], 0.45 if k == 0 else 1
         axes.stairs(curve["density"].values, edges, color=colour, lw=1.6, fill=k == 0, alpha=alpha, label=said)
         axes.errorbar(curve["rz"].values, curve["density"].values, curve["error"].values, fmt="none", ecolor=colour, elinewidth=1.0)
@@ -55,7 +55,7 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
     axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis")
     axes.set_ylabel("probability density")
     axes.legend(title="wheel", loc="upper left", frameon=False)
-    axes.set_title("Height of the Sun between collision and second touchdown")
+    axes.set_title("Height of the Sun on the way to the landing")
     return figure
 
 
@@ -73,6 +73,7 @@ def strategies_figure(table: xr.Dataset) -> Figure:
         for k, (quantity, text) in enumerate(q for q in quantities if q[0] in known):
             at = table.sel(quantity=quantity)
             place = np.arange(len(names)) + 0.12 * (k - 0.5)
+            at = at * np.degrees(1.0) if "deg/s" in label else at
             error = _within(at["value"].values, at["error"].values) if label in SHARES else at["error"].values
             axes.errorbar(place, at["value"], yerr=error, fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
         axes.set_title(title, fontsize=10)
@@ -80,6 +81,8 @@ def strategies_figure(table: xr.Dataset) -> Figure:
         axes.set_ylim(0, 1.3 * max([axes.dataLim.y1, 1e-3]))
         if axes.get_legend_handles_labels()[0]:
             axes.legend(fontsize=8, frameon=False, loc="upper center", ncols=3, columnspacing=1, handletextpad=0.3)
+        else:
+            _nothing(axes, "not determined by this vehicle and scenario")
     for axes in parts:
         axes.set_xticks(range(len(names)), [_short(name) for name in names], fontsize=8)
         axes.set_xlim(-0.6, len(names) - 0.4)
@@ -89,7 +92,8 @@ def strategies_figure(table: xr.Dataset) -> Figure:
 
 def _short(name: str) -> str:
     if name.startswith("delay:"):
-        return f"off after\n{float(name[6:]) / 60:g} min"
+        seconds = float(name[6:])
+        return f"off after\n{seconds:g} s" if seconds < 120 else f"off after\n{seconds / 60:.3g} min"
     return {"off": "off at\ntouchdown", "held": "held", "brake": "braked", "after_rest": "off after\nrest"}.get(name, named(name))
 
 
@@ -125,7 +129,13 @@ def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[st
     if np.any(bottom):
         axes.legend(ncols=3, fontsize=8, frameon=False, loc="upper center")
     else:
-        axes.text(0.5, 0.5, "not told: no hull", transform=axes.transAxes, ha="center")
+        _nothing(axes, "not determined without a hull")
+
+
+def _nothing(axes, why: str) -> None:
+    """Say in an empty panel why it is, and leave out the ticks of its scale."""
+    axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", fontsize=9)
+    axes.set_yticks([])
 
 
 def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: float | None = None) -> Figure:
@@ -141,6 +151,8 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
         ("antenna_share", np.linspace(0, 1, 26), "share of time, orbiter in the antenna's cone", "probability density"),
     )
     for axes, (name, edges, x, y) in zip(parts, panels, strict=True):
+        if not any(np.isfinite(found[name].values).any() for found in runs.values()):
+            _nothing(axes, "not determined by this vehicle")
         for k, (strategy, found) in enumerate(runs.items()):
             values = found[name].values[np.isfinite(found[name].values)]
             counts = np.histogram(values, edges)[0] / max(values.size, 1)
@@ -157,7 +169,7 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
     if published_tip_speed is not None:
         parts[1].axvline(published_tip_speed, color=COLOURS[6], lw=1, ls=":", label=f"paper: {published_tip_speed:g} m/s")
     parts[1].legend(fontsize=8, frameon=False)
-    figure.suptitle("At the second touchdown, and on the way to it")
+    figure.suptitle("At the landing, and on the way to it")
     return figure
 
 
@@ -209,7 +221,7 @@ def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
     axes.set_xticks(range(len(labels)), labels, fontsize=9)
     axes.set_ylabel("probability of touching first")
     axes.legend(title="wheel", frameon=False)
-    axes.set_title("What touches the ground first at the second touchdown (a shared corner counts for each panel)", fontsize=10)
+    axes.set_title("What touches the ground first (a shared corner counts for each panel)", fontsize=10)
     return figure
 
 

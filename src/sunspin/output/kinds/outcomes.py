@@ -23,11 +23,19 @@ SHOWN = (
     ("leg_tip_speed", "fastest leg tip at first contact, m/s"),
     ("antenna_share", "antenna holds the orbiter, share of the time"),
     ("antenna_at_rest", "antenna holds the orbiter at rest"),
-    ("rz_time_below_-0.5", "r_z below -0.5, share of the time"),
-    ("rate_before", "rate before the collision, rad/s"),
-    ("rate_after", "rate after it, rad/s"),
+    ("rz_time_below_-0.5", "Sun more than 120 deg from the z axis (r_z below -0.5), share of the time"),
+    ("rate_before", "rate before the collision, deg/s"),
+    ("rate_after", "rate after it, deg/s"),
 )
 """What is printed of a tally, in this order."""
+
+
+def _shown(found: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    """A line for each quantity that is known; rates, in rad/s as all numbers of files, in deg/s."""
+    for name, text in SHOWN:
+        if name in found:
+            value, error = (found[name][key] * (np.degrees(1.0) if text.endswith("deg/s") else 1.0) for key in ("value", "error"))
+            yield f"  {text}: {value:.4f} +- {error:.4f}"
 
 
 def outcomes_summary(runs: Any) -> Summary:
@@ -40,7 +48,7 @@ def _lines(runs: Any, found: Mapping[str, Mapping[str, float]]) -> list[str]:
     failed = int((runs["outcome"].values != 0).sum())
     head = f"wheels {runs.attrs['strategy']}: {runs.sizes['run']} runs"
     head += f", {failed} of them could not be computed" if failed else ""
-    return [head, *(f"  {text}: {found[q]['value']:.4f} +- {found[q]['error']:.4f}" for q, text in SHOWN if q in found)]
+    return [head, *_shown(found)]
 
 
 def _not_told(data: Any) -> list[str]:
@@ -56,9 +64,7 @@ def strategies_summary(table: Any) -> Summary:
         found[str(name)] = {
             str(q): {"value": float(v), "error": float(e)} for q, v, e in zip(*parts, strict=True) if np.isfinite(v)
         }
-        known = found[str(name)]
-        shown = [f"  {text}: {known[q]['value']:.4f} +- {known[q]['error']:.4f}" for q, text in SHOWN if q in known]
-        lines += [f"wheels {name}: {table.attrs['runs']} runs", *shown]
+        lines += [f"wheels {name}: {table.attrs['runs']} runs", *_shown(found[str(name)])]
     keys = ("runs", "seed", "candidates")
     numbers = {key: int(table.attrs[key]) for key in keys} | {"not_told": table.attrs["not_told"], "strategies": found}
     return Summary(numbers, lines, _not_told(table))
