@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import combinations, islice
+from itertools import combinations, islice, permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,6 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.effort import may_go_on
-from sunspin.telemetry.gyro_axes import signed_axes
 from sunspin.vehicle import Vehicle
 
 CLEARLY = 10.0
@@ -97,6 +96,14 @@ def of_sensor(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> Iterator[Wi
     for what, other in _readings(value) if name == "attitude_B_from_N" else _axes(value):
         data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
         yield Wiring(f"the {SENSORS[name]} {what}", vehicle, data)
+
+
+def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
+    """The 48 ways to read three columns as axes, in words, with the column and the sign of each axis; the stated one first."""
+    for order in permutations(range(3)):
+        for sign in product((1.0, -1.0), repeat=3):
+            axes = ", ".join(f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True))
+            yield f"read as ({axes}) of its columns", list(order), sign
 
 
 def _axes(value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
