@@ -13,8 +13,8 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.terms.panels import Instants
+from sunspin.estimate.wiring import signed_axes, to_write
 from sunspin.output.folder import write_netcdf
-from sunspin.telemetry.gyro_axes import signed_axes, to_write
 from sunspin.telemetry.stored import stored_telemetry
 from sunspin.vehicle.changes import toml_text
 from sunspin.vehicle.file import parse_vehicle

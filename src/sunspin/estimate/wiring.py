@@ -7,9 +7,9 @@ better by `CLEARLY` in log evidence; so a file that fits is never accused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from itertools import combinations, islice
+from itertools import combinations, islice, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +17,8 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.effort import may_go_on
-from sunspin.telemetry.gyro_axes import signed_axes, to_write
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.changes import toml_text
 from sunspin.vehicle.sensors import VARIABLES, Attitude, ThreeAxes
 
 CLEARLY = 10.0
@@ -108,6 +108,19 @@ def of_sensor(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> Iterator[Wi
 
 Read = Iterator[tuple[str, np.ndarray, dict[str, Any]]]
 """In words, the values read so, and the keys of the vehicle file that say it."""
+
+
+def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
+    """The 48 ways to read three columns as axes, in words, with the column and the sign of each axis; the stated one first."""
+    for order in permutations(range(3)):
+        for sign in product((1.0, -1.0), repeat=3):
+            axes = ", ".join(f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True))
+            yield f"read as ({axes}) of its columns", list(order), sign
+
+
+def to_write(table: str, keys: Mapping[str, Any]) -> str:
+    """What to do, in words: the keys of a table of the vehicle file that say how a sensor is read."""
+    return f"set {' and '.join(toml_text(keys).splitlines())} under [{table}] of the vehicle file"
 
 
 def _axes(value: np.ndarray, sensor: ThreeAxes) -> Read:

@@ -98,18 +98,28 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
 def carried(time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: int, maps: list[np.ndarray]) -> list[float]:
     """Median angle (rad), for each matrix (3, 3) on the rates, between directions carried on by them over `lag` samples and seen
     there. Zero where too few are seen."""
-    turns = (rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None]
+    turns = even_turns(time, rate)
+    return carried_by(time, seen, [turns @ matrix.T for matrix in maps], lag)
+
+
+def even_turns(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """The turns (n - 1, 3), rad, of a body whose rate (n, 3) changes evenly from sample to sample."""
+    return (rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None]
+
+
+def carried_by(time: np.ndarray, seen: list[np.ndarray], turns: list[np.ndarray], lag: int) -> list[float]:
+    """The same for each set of turns (n - 1, 3) between neighbours."""
     n = len(time) - lag
     begin = np.arange(max(n, 0))
-    good = np.isfinite(turns).all(axis=1) & (np.diff(time) > 0)
+    good = np.isfinite(turns[0]).all(axis=1) & (np.diff(time) > 0)
     good = np.all([good[begin + k] for k in range(lag)], axis=0)
     pairs = [(k, begin[good & np.isfinite(each[begin] + each[begin + lag]).all(axis=1)]) for k, each in enumerate(seen)]
     pairs = [(k, at[:: -(-len(at) // MOST_PAIRS) or 1]) for k, at in pairs]
     if sum(len(at) for _, at in pairs) < PAIRS:
-        return [0.0] * len(maps)
+        return [0.0] * len(turns)
     at = np.concatenate([at for _, at in pairs])
     first, then = (np.concatenate([seen[k][at + ahead] for k, at in pairs]) for ahead in (0, lag))
-    return [_median_angle(_turned(first, turns @ matrix.T, at, lag), then) for matrix in maps]
+    return [_median_angle(_turned(first, each, at, lag), then) for each in turns]
 
 
 def _turned(direction: np.ndarray, turns: np.ndarray, at: np.ndarray, lag: int) -> np.ndarray:

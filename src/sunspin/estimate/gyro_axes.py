@@ -1,0 +1,67 @@
+"""A gyro whose columns are not along the body axes as stated: another order or other signs, as the Sun and the field show.
+
+Only where the rates as stated do not turn these directions as they are seen, and others do: a gyro that fits is not accused.
+Between two samples the rate changes evenly, or as wheels turn it round: each reading counts by the better of the two.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from sunspin.estimate.rates.motion import MOST_NUTATION, Body, Ends, nutation, step
+from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.wiring import signed_axes, to_write
+from sunspin.telemetry.units import BETTER, LAGS, TURNS_RIGHT, TURNS_WRONG, carried_by, directions_seen, even_turns
+from sunspin.vehicle import Vehicle
+
+AS_GOOD = 1.3
+"""Readings whose median angle is less than this many times the least turn the directions as well: the one nearest to the stated
+is named, as a component that is small at all times may have any sign."""
+
+
+def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
+    """How the gyro of `read_telemetry` must be read to turn the Sun and the field as they are seen, in words, and what to write;
+    None where it does so as stated, or no other reading does."""
+    gyro = vehicle.sensors.gyro
+    if gyro is None or "gyro_B" not in telemetry:
+        return None
+    time, rate, seen = telemetry["time"].values, telemetry["gyro_B"].values, directions_seen(vehicle, telemetry)
+    ways = list(signed_axes())
+    read = [rate[:, order] * sign for _, order, sign in ways]
+    even, nutating = [even_turns(time, one) for one in read], None
+    for lag in LAGS:
+        stated, still = carried_by(time, seen, [even[0], np.zeros_like(even[0])], lag)
+        if stated <= TURNS_WRONG:
+            continue
+        nutating = _nutating(vehicle, telemetry, read) if nutating is None else nutating
+        angles = np.min([carried_by(time, seen, turns, lag) for turns in (even, nutating) if turns], axis=0)
+        least = float(angles.min())
+        if angles[0] > TURNS_WRONG and least < min(TURNS_RIGHT, BETTER * angles[0], BETTER * still):
+            alike = np.flatnonzero(angles < AS_GOOD * least)
+            chosen = max(alike, key=lambda k: (np.trace(_map(*ways[k])), -angles[k]))
+            what, order, sign = ways[chosen]
+            found = f"the gyro {what} turns the Sun as it is seen, and as stated it does not"
+            return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}"
+    return None
+
+
+def _map(_: str, order: list[int], sign: tuple[float, ...]) -> np.ndarray:
+    return np.eye(3)[order] * np.array(sign)[:, None]
+
+
+def _nutating(vehicle: Vehicle, telemetry: xr.Dataset, read: list[np.ndarray]) -> list[np.ndarray]:
+    """For each reading (n, 3) of the rate at the samples, the turns (n - 1, 3) of the body that moves freely from there with its
+    wheels; none where they are not known, or turn the rate round too often."""
+    if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
+        return []
+    body, momentum = Body.of(vehicle), next(iter(wheel_momenta(vehicle, telemetry).values()))
+    dt = np.diff(telemetry["time"].values)
+    if not nutation(body, momentum[:-1]).max(initial=0.0) * dt.max(initial=0.0) <= MOST_NUTATION:
+        return []
+    held = Ends(momentum=momentum[:-1], momentum_end=momentum[1:])
+    made, _ = step(body, np.nan_to_num(read)[:, :-1], np.tile(dt, (len(read), 1)), held)
+    turns = -Rotation.from_matrix(made.reshape(-1, 3, 3)).as_rotvec().reshape(len(read), -1, 3)
+    turns[:, ~np.asarray(np.isfinite(read[0][:-1]).all(axis=1))] = np.nan
+    return list(turns)
