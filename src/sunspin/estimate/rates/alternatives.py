@@ -136,12 +136,13 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
 
 
 def pooled(trials: list[Trial]) -> np.ndarray:
-    """Weights of the modes of all trials, one after another, that add to one: the mean of those with every rate up to the largest
-    as likely, most of which are near the largest, and of those with every size of it. Whole turns more may fit alike, and which
+    """Weights of the modes of all trials, one after another, that add to one: of each the larger of two, with every rate up to the
+    largest as likely, most of which are near the largest, and with every size of it. Whole turns more may fit alike, and which
     motion is the likelier must not hang on what was taken for likely before."""
     log = np.concatenate([trial.log_evidence for trial in trials])
     each = [log, log + np.concatenate([trial.any_size for trial in trials])]
-    return np.mean([np.exp(one - np.logaddexp.reduce(one)) for one in each], axis=0)
+    most = np.max([np.exp(one - np.logaddexp.reduce(one)) for one in each], axis=0)
+    return most / most.sum()
 
 
 def _tried(one: Hypothesis, begin: Trial) -> Trial:
