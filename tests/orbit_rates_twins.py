@@ -91,13 +91,15 @@ def sunlit(place: np.ndarray, sun: np.ndarray) -> bool:
     return bool(along > 0 or np.linalg.norm(place - along * sun) > EARTH_KM)
 
 
-def make(seed: int, i: int, patches: int = 20_000) -> tuple[Vehicle, xr.Dataset, tuple[str, str], xr.Dataset, dict[str, Any]]:
-    """Vehicle, telemetry, the two lines, the true motion, and what was drawn."""
+def make(
+    seed: int, i: int, patches: int = 20_000, every_s: tuple[float, float] = (15, 40), power: tuple[float, float] = (-0.5, 0.6)
+) -> tuple[Vehicle, xr.Dataset, tuple[str, str], xr.Dataset, dict[str, Any]]:
+    """Vehicle, telemetry, the two lines, the true motion, what was drawn; a sample `every_s`, rates of 10 to this `power` deg/s."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     given, sigma = lines(rng), float(10 ** rng.uniform(0.3, 1.3))
-    ahead, interval, passes = sigma * rng.normal(), float(rng.uniform(15, 40)), int(rng.integers(4, 8))
+    ahead, interval, passes = sigma * rng.normal(), float(rng.uniform(*every_s)), int(rng.integers(4, 8))
     ground, (body, units) = Ground.drawn(rng, patches), drawn_body(rng)
-    body, speed = body._replace(coil=0.0), np.radians(10 ** rng.uniform(-0.5, 0.6))
+    body, speed = body._replace(coil=0.0), np.radians(10 ** rng.uniform(*power))
     starts = np.sort(rng.choice(12, passes, replace=False)) * 5600.0 + rng.uniform(0, 2500, passes)
     starts -= starts[0]
     matrix, zero = np.eye(3) + 0.03 * rng.normal(size=(3, 3)), 4000 * rng.normal(size=3)
@@ -142,6 +144,12 @@ def orbit_of(given: tuple[str, str], data: xr.Dataset, about: dict[str, Any], by
     return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=about["sigma_s"])
 
 
+def one_pass(data: xr.Dataset, begin_s: float) -> xr.Dataset:
+    """The samples of the pass that begins then."""
+    t = data["time"].values - begin_s
+    return data.isel(time=(t > -1) & (t < LONGEST_S))
+
+
 def judged(result: xr.Dataset, truth: xr.Dataset, k: int) -> dict[str, Any]:
     """Rate at the middle, and Sun direction, against the truth of pass `k`."""
     t = result["time"].values[result["pass_of"].values == k]
@@ -180,10 +188,8 @@ def judge(seed: int, i: int) -> dict[str, Any]:
         dropped = ["power_W", "panel"] if name == "field alone" else []
         about[name] = {"check": words, "passes": []}
         for begin in about["begin_s"][: 1 if dropped else None]:
-            t = data["time"].values - begin
-            some = data.isel(time=(t > -1) & (t < LONGEST_S)).drop_vars(dropped)
             try:
-                result = ss.rates(vehicle, some, environment=orbit, calibration=calibration)
+                result = ss.rates(vehicle, one_pass(data, begin).drop_vars(dropped), environment=orbit, calibration=calibration)
                 about[name]["passes"].append(judged(result, truth, 0))
             except SunspinError as error:
                 about[name]["passes"].append({"refused": str(error)})

@@ -4,11 +4,14 @@ All telemetry is synthetic, made by the equations of `validation/passes.py` and 
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.rates.alternatives import Others, _sized, alternatives, counted, weighed
+from sunspin.estimate.rates.alternatives import Others, Trial, _sized, alternatives, counted, pooled, weighed
 from sunspin.estimate.rates.common_errors import with_common
 from sunspin.estimate.rates.dense import bridge
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
@@ -53,6 +56,35 @@ def test_the_evidence_of_a_smaller_torque_is_that_of_its_integral():
     found = _sized(np.array([[2 * variance / 0.04]]), np.array([[[variance]]]), np.array([1.0, 0.3]))
     assert found[0, 0] == pytest.approx(0.0, abs=1e-12)
     assert found[1, 0] == pytest.approx(log[1] - log[0], rel=1e-6)
+
+
+def test_a_torque_of_one_size_is_fitted_no_worse_than_torques_of_all_sizes():
+    """Its evidence is that of the best of the sizes, whose mean the trial tells."""
+    found = tried(pushed(1e-5 * np.array([1.0, -0.5, 0.5]), False), 3e-4)[0]
+    torques = [trial for trial in found if trial.hypothesis.what.startswith("a steady torque")]
+    assert torques and all(weighed(trial.hypothesis, trial.fit).best > trial.best for trial in torques)
+
+
+def motions(log_evidence, deg_s):
+    """A trial with one mode of each rate about z, all as well known as if the rate were even before the data, to 8 deg/s."""
+    prior, count = np.radians(8.0), len(deg_s)
+    omega = np.zeros((count, 1, 3))
+    omega[:, 0, 2] = np.radians(deg_s)
+    covariance = np.tile(np.radians(0.1) ** 2 * np.eye(6), (count, 1, 1, 1))
+    one = Hypothesis(AS_STATED, Observations(T_S[:1], np.zeros((1, 3)), ()), np.arange(1), Motion(BODY, 1e-6, prior))
+    fit: Any = SimpleNamespace(track=Track(np.tile(np.eye(3), (count, 1, 1, 1)), omega, covariance=covariance))
+    return Trial(one, fit, np.array(log_evidence) - (omega**2).sum(axis=(1, 2)) / (2 * prior**2))
+
+
+@pytest.mark.parametrize(("slower", "faster", "low", "high"), [
+    (0.0, 0.0, 0.4, 0.9),  # as good: open
+    (-4.0, 0.0, 0.4, 0.6),  # the faster one is ahead only if every rate is as likely
+    (0.0, -4.0, 0.9, 1.0),
+    (-20.0, 0.0, 0.0, 0.01),  # nothing but the data counts
+])  # fmt: skip
+def test_which_alias_is_the_likelier_does_not_hang_on_the_prior_of_the_rate(slower, faster, low, high):
+    weight = pooled([motions([slower, faster], [1.4, 12.0])])
+    assert weight.sum() == pytest.approx(1.0) and low < weight[0] < high
 
 
 def test_noise_of_the_rate_makes_the_attitude_wander_and_holds_at_both_ends():

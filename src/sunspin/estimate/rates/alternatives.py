@@ -29,6 +29,9 @@ from sunspin.estimate.terms.term import MotionTerm, PairTerm, StateTerm, SunTerm
 from sunspin.estimate.terms.unsteady import RateStep, Swinging
 from sunspin.solve.rotations import smallest_turn, turn_between
 
+SLOWER = np.geomspace(1.0, 1 / 30, 6)
+"""How much less than up to the largest rate a body may turn: each as likely as any other where the rate may be of any size."""
+
 MODES, LIGHTEST, MORE_MODES = 2, 0.02, 5
 """Modes from which alternatives begin, at most, and the least weight of one; and modes from which those begin that may lead far."""
 
@@ -92,6 +95,13 @@ class Trial(NamedTuple):
     def best(self) -> float:
         return float(np.max(self.log_evidence, initial=-np.inf))
 
+    @property
+    def any_size(self) -> np.ndarray:
+        """What each mode (K) gains in log evidence if nobody knows to a power of ten how fast the body turns."""
+        track, prior = self.fit.track, self.hypothesis.motion.rate_prior
+        gains = _sized(track.omega[:, 0] / prior, track.covariance[:, 0, 3:, 3:] / prior**2, SLOWER)
+        return np.logaddexp.reduce(gains, axis=0) - np.log(len(SLOWER))
+
     def take(self, index: np.ndarray) -> Trial:
         """The modes `index`."""
         return Trial(self.hypothesis, self.fit.take(index), self.log_evidence[index])
@@ -112,8 +122,9 @@ def weighed(one: Hypothesis, fit: Common) -> Trial:
 
 def alternatives(stated: Trial, how: Others) -> list[Trial]:
     """The model as stated and its alternatives."""
-    order = np.argsort(-stated.log_evidence, kind="stable")[:MODES]
-    start = stated.take(order[stated.log_evidence[order] > stated.best + np.log(LIGHTEST)])
+    weight = pooled([stated])
+    order = np.argsort(-weight, kind="stable")[:MODES]
+    start = stated.take(order[weight[order] > LIGHTEST * weight.max()])
     noises = [stated, *_stronger(start)]
     loosest = max([start, *noises[1:]], key=lambda trial: trial.best)  # where torques and steps that the noise holds down can grow
     rungs = falling(loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise)[1:]
@@ -122,6 +133,16 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     found += _without_readings(stated, how.clock_time)
     found += [*_swinging(stated), *_wandering(stated)] if how.free else []  # else the vehicle's file says what torques there are
     return [one for one in found if np.isfinite(one.best)]
+
+
+def pooled(trials: list[Trial]) -> np.ndarray:
+    """Weights of the modes of all trials, one after another, that add to one: of each the larger of two, with every rate up to the
+    largest as likely, most of which are near the largest, and with every size of it. Whole turns more may fit alike, and which
+    motion is the likelier must not hang on what was taken for likely before."""
+    log = np.concatenate([trial.log_evidence for trial in trials])
+    each = [log, log + np.concatenate([trial.any_size for trial in trials])]
+    most = np.max([np.exp(one - np.logaddexp.reduce(one)) for one in each], axis=0)
+    return most / most.sum()
 
 
 def _tried(one: Hypothesis, begin: Trial) -> Trial:
@@ -154,11 +175,18 @@ def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
         size = int(np.argmax(gains[:, k]))
         if size and evidence[k] > start.best - HOPELESS:
             sized = term.sized(float(tried[size] / tried[-1]))
-            trial = _tried(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), trial)
+            trial = _tried(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), _in_sigmas_of(sized, term, trial))
             pulled = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
             what = f"a steady torque of {pulled:.1g} rad/s2 in {WORDS[frame]}"
             evidence = evidence - np.log(1 + len(rungs))
             yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
+
+
+def _in_sigmas_of(sized: SteadyTorque, term: SteadyTorque, trial: Trial) -> Trial:
+    """A trial whose torque was fitted in sigmas of one term, in those of another: the same torque."""
+    error = trial.fit.error.copy()
+    error[:, _place(trial)] *= term.sigma / sized.sigma
+    return trial._replace(fit=trial.fit._replace(error=error))
 
 
 def _place(trial: Trial) -> slice:
@@ -389,20 +417,21 @@ class Counted(NamedTuple):
 
 def counted(trials: list[Trial]) -> list[Counted]:
     """The motions that the trials leave, heaviest first, with weights that add to one."""
-    every = [(float(log), i, k) for i, trial in enumerate(trials) for k, log in enumerate(trial.log_evidence)]
-    top = max(log for log, _, _ in every)
-    every = sorted((one for one in every if one[0] > top + np.log(COUNTED)), key=lambda one: -one[0])
-    weights = np.exp(np.array([log for log, _, _ in every]) - top)
+    weights = pooled(trials)
+    order = np.argsort(-weights, kind="stable")
+    order = order[weights[order] > COUNTED * weights.max()]
+    every = [(i, k) for i, trial in enumerate(trials) for k in range(len(trial.log_evidence))]
+    every, weights = [every[m] for m in order], weights[order]
     found: list[tuple[np.ndarray, list[int]]] = []
-    for m, (_, i, k) in enumerate(every):
+    for m, (i, k) in enumerate(every):
         one = trials[i].hypothesis
         place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
         for head, members in found:
-            others = all(every[n][1] != i for n in members) or any(term.several() for term in one.o.terms)
+            others = all(every[n][0] != i for n in members) or any(term.several() for term in one.o.terms)
             if ((head - place) ** 2).sum(axis=-1).max() <= (BENT_RAD if others else ALIKE_RAD) ** 2:
                 members.append(m)
                 break
         else:
             found.append((place, [m]))
-    groups = [Counted([every[m][1:] for m in members], weights[members] / weights.sum()) for _, members in found]
+    groups = [Counted([every[m] for m in members], weights[members] / weights.sum()) for _, members in found]
     return sorted(groups, key=lambda one: -one.weights.sum())

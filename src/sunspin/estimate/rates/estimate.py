@@ -205,7 +205,9 @@ def rates(
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
-    result = result.assign_coords(pass_id=ids).assign(believed(o, found, motion, missed | cut, telemetry.attrs.get("epoch_utc")))
+    result = result.assign_coords(pass_id=ids).assign(
+        believed(o, found, motion, missed | cut | _not_met(motion, given), telemetry.attrs.get("epoch_utc"))
+    )
     result = result.assign(without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(body.spherical and noise >= HIGHER_NOISES[0]),
@@ -220,6 +222,12 @@ def rates(
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _not_met(motion: Motion, given: float | None) -> bool:
+    """Whether the search, which took a body of unknown inertia for a sphere, may not have met its motion: with moments as they may
+    be, too, the data want torques as strong as hardly any satellite has."""
+    return motion.body.spherical and given is None and motion.noise >= HIGHER_NOISES[0]
 
 
 def _useful(workers: int, parts: list[np.ndarray], torques: Sequence[Torque]) -> int:
