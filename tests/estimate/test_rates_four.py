@@ -7,7 +7,7 @@ import pytest
 
 import sunspin as ss
 from coverage_twins import CUBE, FAULTS, FOUR, battery, coverage, twin
-from sunspin.estimate.rates.common_errors import Clock, sun_part
+from sunspin.estimate.rates.common_errors import Clock, places_of, sun_part
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import measured
@@ -58,12 +58,13 @@ def test_the_gradient_of_the_readings_to_gains_is_that_of_their_cost():
 def test_a_clock_and_gains_border_the_equations_together():
     o, track = seen()
     clock, error = Clock(0.0, 0.5), np.zeros((1, len(MOTION.body.errors) + 4 + 1))
-    part = sun_part(o, track, error, MOTION, clock)
+    places = places_of(o, MOTION, clock)
+    part = sun_part(o, places, track, error, MOTION, clock)
     step = np.zeros_like(error)
     for place in (-1, -2):
         step[:] = 0
         step[:, place] = 1e-5
-        up, down = (sun_part(o, track, error + sign * step, MOTION, clock).cost[0] for sign in (1, -1))
+        up, down = (sun_part(o, places, track, error + sign * step, MOTION, clock).cost[0] for sign in (1, -1))
         assert part.error_slope[0, place] == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-5)
 
 

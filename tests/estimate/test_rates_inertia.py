@@ -11,7 +11,10 @@ import strange_rates
 import sunspin as ss
 from sunspin.estimate.inertia import ASSUMED, inertia_errors, stated_sigma
 from sunspin.estimate.rates.common_errors import THINNEST, of_a_body
+from sunspin.estimate.rates.estimate import not_met
 from sunspin.estimate.rates.motion import Body, step
+from sunspin.estimate.rates.noise import HIGHER_NOISES
+from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
@@ -92,3 +95,12 @@ def test_a_body_of_unknown_inertia_is_not_held_for_a_sphere(i):
 def test_a_noise_that_is_given_stands_for_what_is_no_sphere():
     craft = replace(CUBE, inertia_kg_m2=None)
     assert len(Body.of(craft).errors) == 6 and not len(Body.of(craft, torques_known=True).errors)
+
+
+def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_searched():
+    """Only where nobody gave the noise, and the inertia is not told."""
+    unknown, known = (Body.of(replace(CUBE, inertia_kg_m2=one)) for one in (None, CUBE.inertia_kg_m2))
+    quiet, strong = 0.5 * HIGHER_NOISES[0], HIGHER_NOISES[0]
+    assert unknown.spherical and not_met(Motion(unknown, strong, 0.1), None)
+    assert not not_met(Motion(unknown, quiet, 0.1), None) and not not_met(Motion(unknown, strong, 0.1), strong)
+    assert not not_met(Motion(known, strong, 0.1), None)

@@ -54,9 +54,12 @@ STATUS_TEXT = {
     SunStatus.ARC: "lit panels face directions in one plane only: the Sun lies somewhere on an arc",
     SunStatus.REGION: "lit panels all face one way: the Sun lies somewhere in a region",
     SunStatus.DARK: "no panel lit",
-    SunStatus.SEVERAL: "several directions fit alike: an input that panels share does not tell which of them is lit",
+    SunStatus.SEVERAL: "several directions fit alike: the panels that would be lit there do not tell one from the other",
     SunStatus.MISSING: "the telemetry of this sample is missing or flagged",
 }
+
+ON_EDGE = 1e-9
+"""Share of full Sun below which a panel is not lit: its edge is on the Sun."""
 
 RECONSTRUCTED = (SunStatus.OK, SunStatus.UNCHECKED)
 
@@ -147,7 +150,7 @@ def sun_directions(
     if np.isnan(noise) and dark is not None:
         noise, noise_from = dark, "estimated from readings below zero"
     doubtful = told.copy()
-    doubtful[told] = _several(vehicle, clean[told], noise)
+    doubtful[told] = _several(vehicle, clean[told], noise) | _free(vehicle, direction[told])
     if doubtful.any():
         status[doubtful], texts = SunStatus.SEVERAL, np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
         told &= ~doubtful
@@ -204,6 +207,14 @@ def _several(vehicle: Vehicle, power: np.ndarray, noise: float) -> np.ndarray:
     found = vehicle.response_in().alike(power, np.maximum(made, ALIKE))
     away = np.linalg.norm(found - found[:, :1], axis=-1)
     return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))
+
+
+def _free(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
+    """Which directions (n, 3) may move without a reading's changing: some panel reads that the Sun there does not light, and those
+    that it lights tell less than three numbers."""
+    response = vehicle.response_in()
+    lit, inverse = np.unique(response.power(direction) > ON_EDGE * vehicle.input_gains, axis=0, return_inverse=True)
+    return np.array([response.rank(one) < 3 for one in lit], dtype=bool)[inverse.ravel()]
 
 
 def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray) -> float:

@@ -206,7 +206,7 @@ def rates(
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(
-        believed(o, found, motion, missed | cut | _not_met(motion, given), telemetry.attrs.get("epoch_utc"))
+        believed(o, found, motion, missed | cut | not_met(motion, given), telemetry.attrs.get("epoch_utc"))
     )
     result = result.assign(without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
@@ -224,7 +224,7 @@ def rates(
     return result.assign_attrs(verdict=verdict(result))
 
 
-def _not_met(motion: Motion, given: float | None) -> bool:
+def not_met(motion: Motion, given: float | None) -> bool:
     """Whether the search, which took a body of unknown inertia for a sphere, may not have met its motion: with moments as they may
     be, too, the data want torques as strong as hardly any satellite has."""
     return motion.body.spherical and given is None and motion.noise >= HIGHER_NOISES[0]
