@@ -412,17 +412,15 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     weight = np.exp(np.minimum(weight, cut))
     share = np.exp(made.parts - made.density[:, None]) * (weight / weight.sum())[:, None]
     used = np.flatnonzero(share.sum(axis=0) > 1e-4)
-    means, covariances, masses = [], [], []
-    for m in used:
-        part, mass = share[:, m] / share[:, m].sum(), share[:, m].sum()
-        x = mixture.coordinates(made.proposed, int(m))
-        keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
-        mean = keep * (part @ x) + (1 - keep) * mixture.mean[m]
-        spread = np.einsum("n,ni,nj->ij", part, x - mean, x - mean)
-        means.append(mean)
-        covariances.append(keep * spread + (1 - keep) * mixture.covariance[m])
-        masses.append(mass)
-    origin, mean, learnt, shares = used, np.array(means), np.array(covariances), np.array(masses) / np.sum(masses)
+    mean, learnt = mixture.mean[used], mixture.covariance[used]
+    for alike, x in mixture.charts(made.proposed, used):
+        for i in np.searchsorted(used, alike):
+            part = share[:, used[i]] / share[:, used[i]].sum()
+            keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
+            mean[i] = keep * (part @ x) + (1 - keep) * mean[i]
+            spread = (part[:, None] * (x - mean[i])).T @ (x - mean[i])
+            learnt[i] = keep * spread + (1 - keep) * learnt[i]
+    origin, shares = used, share[:, used].sum(axis=0) / share[:, used].sum()
     if local:
         pick = rng.choice(len(weight), LOCAL, p=weight / weight.sum())
         owner = np.argmax(share[np.ix_(pick, used)], axis=1)
