@@ -14,6 +14,7 @@ import xarray as xr
 import sunspin as ss
 from posteriors import tree_of
 from sunspin.dynamics.torques import Steady
+from sunspin.estimate.posterior.estimate import _listed
 from sunspin.estimate.posterior.hypotheses import Sampled, mixed
 from sunspin.estimate.posterior.importance import NO_MASS, Sample, _over_sizes
 from sunspin.estimate.posterior.mixture import Mixture, Sheet
@@ -107,6 +108,15 @@ def test_evidence_weighs_hypotheses_and_what_a_torque_bends_stays_one_region():
     np.testing.assert_allclose(found.share, [4 / 4.5, 0.5 / 4.5], rtol=1e-6)  # bent by 30 sigma, but by 0.3 rad in the window
     assert list(found.said) == ["as stated", "a torque", "something else"] and set(found.starts) == {3}
     assert set(found.region[found.of == 2]) == {1} and found.effective == pytest.approx(1 / np.sum(np.square(found.weight) / 500))
+
+
+@pytest.mark.parametrize(("share", "copies", "listed"), [(0.004, 1, 1), (0.004, 40, 2), (0.05, 1, 2), (5e-5, 40, 1)])
+def test_a_region_of_few_draws_is_not_listed_unless_it_counts(share, copies, listed):
+    """One draw has no width: it was told with a sigma of zero."""
+    region = np.repeat([0, 1], [500, copies])
+    log_weight = np.log(np.where(region == 0, (1 - share) / 500, share / copies))
+    drawn: Any = SimpleNamespace(share=np.array([1 - share, share]), region=region, log_weight=log_weight)
+    assert _listed(drawn) == listed
 
 
 def test_draws_go_on_under_their_own_torques():
