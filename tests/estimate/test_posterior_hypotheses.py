@@ -14,6 +14,7 @@ import xarray as xr
 import sunspin as ss
 from posteriors import tree_of
 from sunspin.dynamics.torques import Steady
+from sunspin.estimate.posterior.estimate import _listed
 from sunspin.estimate.posterior.hypotheses import Sampled, mixed
 from sunspin.estimate.posterior.importance import NO_MASS, Sample, _over_sizes
 from sunspin.estimate.posterior.mixture import Mixture, Sheet
@@ -45,18 +46,22 @@ def test_a_torque_of_any_size_is_expected_and_the_chances_of_all_add_up_to_one()
     assert np.log(tail[0] / tail[1]) < 7.0 < 0.5 * (5**2 - 1)  # a Gaussian of 30 degrees would cost e^12
 
 
-def test_a_size_that_was_not_fitted_gets_the_mass_that_a_gaussian_has_under_it():
-    """For readings that answer linearly, linear theory is exact: the integral under each size, by the formula of two normals."""
-    d, told = 5 + len(PUSHED.unknowns), np.array([0.02, -0.01, 0.005])  # what the readings say of the torque
-    precise, fitted = 400.0 * np.eye(3), 0.3
-    at = 5 + np.array(PLACES)
+def fit_of(precise: np.ndarray, told: np.ndarray, fitted: float) -> Mixture:
+    """Laplace's component of a fit under one size, of readings that tell the torque (3) with so much precision (3, 3)."""
+    d, at = 5 + len(PUSHED.unknowns), 5 + np.array(PLACES)
     covariance = np.eye(d)
     covariance[np.ix_(at, at)] = np.linalg.inv(precise + np.eye(3) / fitted**2)
     centre = State(np.zeros((1, 3)), SUN[None], np.zeros((1, d - 5)))
     centre.u[0, PLACES] = covariance[np.ix_(at, at)] @ precise @ told
     sheet = Sheet.of(d, 1, [], PUSHED.where("scale"))
-    one = Mixture(centre, np.eye(5)[None], np.zeros((1, sheet.terms, len(sheet.stiff))), np.zeros((1, d)), covariance[None],
-                  np.ones(1), sheet)  # fmt: skip
+    return Mixture(centre, np.eye(5)[None], np.zeros((1, sheet.terms, len(sheet.stiff))), np.zeros((1, d)), covariance[None],
+                   np.ones(1), sheet)  # fmt: skip
+
+
+def test_a_size_that_was_not_fitted_gets_the_mass_that_a_gaussian_has_under_it():
+    """For readings that answer linearly, linear theory is exact: the integral under each size, by the formula of two normals."""
+    told, fitted, at = np.array([0.02, -0.01, 0.005]), 0.3, 5 + np.array(PLACES)
+    one = fit_of(400.0 * np.eye(3), told, fitted)
     wide, mass, _ = _over_sizes(PUSHED, one, np.zeros(1), np.array([fitted]))
 
     def log_evidence(share: float) -> float:
@@ -66,8 +71,20 @@ def test_a_size_that_was_not_fitted_gets_the_mass_that_a_gaussian_has_under_it()
     expected = np.array([log_evidence(share) for share in PUSHED.shares])
     expected = expected[expected > expected.max() - NO_MASS]
     np.testing.assert_allclose(np.sort(mass - mass.max()), np.sort(expected - expected.max()), atol=1e-9)
-    narrow = int(np.argmin(np.linalg.norm(wide.mean[:, at] + centre.u[0, PLACES], axis=1)))
-    assert np.abs(wide.mean[narrow, at] + centre.u[0, PLACES]).max() < 0.1 * np.abs(told).max()  # no torque where none is expected
+    torque = one.centre.u[0, PLACES]
+    narrow = int(np.argmin(np.linalg.norm(wide.mean[:, at] + torque, axis=1)))
+    assert np.abs(wide.mean[narrow, at] + torque).max() < 0.1 * np.abs(told).max()  # no torque where none is expected
+
+
+def test_a_promise_far_from_the_fit_does_not_leave_out_the_size_that_was_fitted():
+    """Of one direction of a torque readings say next to nothing: from a fit under a small size linear theory asks for five times
+    the largest, and promises e^19 for it, as if readings answered linearly so far away."""
+    fitted = PUSHED.shares[1]
+    one = fit_of(np.diag([400.0, 400.0, 1.0]), np.array([0.0, 0.0, 10.0]), fitted)
+    wide, mass, _ = _over_sizes(PUSHED, one, np.zeros(1), np.array([fitted]))
+    torque = np.linalg.norm(wide.mean[:, 5 + np.array(PLACES)] + one.centre.u[0, PLACES], axis=1)
+    own = np.flatnonzero(np.isclose(wide.covariance, one.covariance, rtol=1e-9).all(axis=(1, 2)))
+    assert len(own) == 1 and mass[own] > mass.max() - NO_MASS and torque.max() < 1.0, (mass, torque)
 
 
 def sampled(what: str, log_evidence: float, middle: list[float], sigma: float, log_prior: float = 0.0) -> Any:
@@ -91,6 +108,15 @@ def test_evidence_weighs_hypotheses_and_what_a_torque_bends_stays_one_region():
     np.testing.assert_allclose(found.share, [4 / 4.5, 0.5 / 4.5], rtol=1e-6)  # bent by 30 sigma, but by 0.3 rad in the window
     assert list(found.said) == ["as stated", "a torque", "something else"] and set(found.starts) == {3}
     assert set(found.region[found.of == 2]) == {1} and found.effective == pytest.approx(1 / np.sum(np.square(found.weight) / 500))
+
+
+@pytest.mark.parametrize(("share", "copies", "listed"), [(0.004, 1, 1), (0.004, 40, 2), (0.05, 1, 2), (5e-5, 40, 1)])
+def test_a_region_of_few_draws_is_not_listed_unless_it_counts(share, copies, listed):
+    """One draw has no width: it was told with a sigma of zero."""
+    region = np.repeat([0, 1], [500, copies])
+    log_weight = np.log(np.where(region == 0, (1 - share) / 500, share / copies))
+    drawn: Any = SimpleNamespace(share=np.array([1 - share, share]), region=region, log_weight=log_weight)
+    assert _listed(drawn) == listed
 
 
 def test_draws_go_on_under_their_own_torques():

@@ -52,6 +52,18 @@ def test_the_pooled_mixture_has_the_density_of_all_rounds():
     np.testing.assert_allclose(density(made, state), expected, rtol=1e-9)
 
 
+def test_components_in_common_coordinates_have_the_densities_that_each_has_alone():
+    """Mixed up among others, with means and widths of their own; two centres of the same bend are not taken for one."""
+    first, rng = mixture(10, 3), np.random.default_rng(11)
+    first = replace(first, bend=first.bend[[0, 0, 1]], basis=first.basis * np.array([1.0, 1.0, 2.0])[:, None, None])
+    other = replace(first, mean=rng.normal(0, 0.2, first.mean.shape), covariance=1.5 * first.covariance)
+    made = Mixture.joined([first, other]).take(np.array([4, 0, 2, 3, 1, 5]))
+    state = first.draw(60, rng)
+    alone = [made.take(np.array([m])).log_densities(state)[:, 0] for m in range(6)]
+    np.testing.assert_array_equal(made.log_densities(state), np.stack(alone, axis=1))
+    assert sorted(len(alike) for alike, _ in made.charts(state, np.arange(6))) == [2, 2, 2]
+
+
 def test_a_bend_of_nothing_is_no_bend():
     """Components without products in their bend go a shorter way to the same coordinates."""
     straight = mixture(4, 2)

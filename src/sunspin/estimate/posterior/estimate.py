@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
@@ -40,7 +41,7 @@ from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
-from sunspin.estimate.posterior.verdict import Found, believed, refused, spoilt_panels, verdict, word_of
+from sunspin.estimate.posterior.verdict import COUNTS, Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
@@ -68,6 +69,10 @@ OF_REGION = 4000
 
 LEAST_WEIGHT = 1e-4
 """Regions with less weight are not listed."""
+
+LEAST_DRAWS = 10.0
+"""Effective draws below which a region is not listed either, where its weight does not count: one draw would be told with a sigma
+of zero."""
 
 
 def posterior(
@@ -278,9 +283,18 @@ def _tree(model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray) -> xr.D
     return xr.DataTree.from_dict(groups)
 
 
+def _listed(drawn: Mixed) -> int:
+    """How many regions are listed: by falling weight, up to the first that has too little of it, or of draws."""
+    for region, share in enumerate(drawn.share):
+        own = drawn.log_weight[drawn.region == region]
+        if share <= LEAST_WEIGHT or (share < COUNTS and 2 * logsumexp(own) - logsumexp(2 * own) < np.log(LEAST_DRAWS)):
+            return max(1, region)
+    return len(drawn.share)
+
+
 def _modes(drawn: Mixed) -> xr.Dataset:
     """The regions, by falling weight, from their draws."""
-    count = max(1, int(np.count_nonzero(drawn.share > LEAST_WEIGHT)))
+    count = _listed(drawn)
     rows, rng = [], np.random.default_rng(0)
     for region in range(count):
         every = np.flatnonzero(drawn.region == region)

@@ -58,6 +58,11 @@ RIDGE_POINTS, RIDGE_WIDTHS = 4, (0.3, 0.7, 1.3)
 NO_MASS = 7.0
 """Log mass by which a size of a steady torque may be less likely than the likeliest of its mode to be given a component."""
 
+FAR_TORQUE = 3.0
+"""How many times a size linear theory may put a torque at, where the fit was under a smaller size. A torque in space that turns the
+angular momentum about the Sun is hardly seen: from a fit under a hundredth of the size it was put whole turns away, with a mass
+that left out all that fits. Were there such a mode, the fits under three of the sizes would have come to it."""
+
 ON_RIDGE = 9.0
 """Squared distance for each dimension, in sigmas, up to which a mode lies on the ridge of another."""
 
@@ -317,7 +322,7 @@ def _first(
 
 def _over_sizes(model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.ndarray) -> tuple[Mixture, np.ndarray, np.ndarray]:
     """Components under each sigma that a steady torque may have instead of the one (m) of their fit, by linear theory, those of
-    no mass left out; their log masses, and which component each was made of, in order."""
+    no mass and those beyond its reach (`FAR_TORQUE`) left out; their log masses, and which component each was made of, in order."""
     places = 5 + np.array(model.where("steady_torque"))
     made: list[tuple[int, float, np.ndarray, np.ndarray]] = []
     for m, share in enumerate(fitted):
@@ -328,9 +333,12 @@ def _over_sizes(model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.nda
             precision[places, places] += more
             pull[places] = -more * torque
             covariance = np.linalg.inv(precision)
-            gain = 0.5 * (pull @ covariance @ pull - more * torque @ torque)
+            mean = covariance @ pull
+            if other > share and np.linalg.norm(torque + mean[places]) > FAR_TORQUE * other:
+                continue
+            gain = 0.5 * (pull @ mean - more * torque @ torque)
             size = 0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mixture.covariance[m])[1])
-            made.append((m, mass[m] + gain + size - 3 * np.log(other / share), covariance @ pull, covariance))
+            made.append((m, mass[m] + gain + size - 3 * np.log(other / share), mean, covariance))
     every = np.array([one[1] for one in made])
     best = np.array([max(one[1] for one in made if one[0] == m) for m in range(len(fitted))])
     kept = [one for one, value in zip(made, every, strict=True) if value > best[one[0]] - NO_MASS]
@@ -412,17 +420,15 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     weight = np.exp(np.minimum(weight, cut))
     share = np.exp(made.parts - made.density[:, None]) * (weight / weight.sum())[:, None]
     used = np.flatnonzero(share.sum(axis=0) > 1e-4)
-    means, covariances, masses = [], [], []
-    for m in used:
-        part, mass = share[:, m] / share[:, m].sum(), share[:, m].sum()
-        x = mixture.coordinates(made.proposed, int(m))
-        keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
-        mean = keep * (part @ x) + (1 - keep) * mixture.mean[m]
-        spread = np.einsum("n,ni,nj->ij", part, x - mean, x - mean)
-        means.append(mean)
-        covariances.append(keep * spread + (1 - keep) * mixture.covariance[m])
-        masses.append(mass)
-    origin, mean, learnt, shares = used, np.array(means), np.array(covariances), np.array(masses) / np.sum(masses)
+    mean, learnt = mixture.mean[used], mixture.covariance[used]
+    for alike, x in mixture.charts(made.proposed, used):
+        for i in np.searchsorted(used, alike):
+            part = share[:, used[i]] / share[:, used[i]].sum()
+            keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
+            mean[i] = keep * (part @ x) + (1 - keep) * mean[i]
+            spread = (part[:, None] * (x - mean[i])).T @ (x - mean[i])
+            learnt[i] = keep * spread + (1 - keep) * learnt[i]
+    origin, shares = used, share[:, used].sum(axis=0) / share[:, used].sum()
     if local:
         pick = rng.choice(len(weight), LOCAL, p=weight / weight.sum())
         owner = np.argmax(share[np.ix_(pick, used)], axis=1)

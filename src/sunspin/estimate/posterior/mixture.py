@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,6 +110,16 @@ class Mixture:
             x[:, stiff] -= x[:, along] @ self.bend[m, : len(along)]
         return x
 
+    def charts(self, state: State, which: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Those of the components `which` that have their bent coordinates in common, and these (n, D): what is learnt of a
+        component, or differs by the size of a torque, has its chart."""
+        parts = (*(getattr(self.centre, name) for name in ("omega", "sun", "u")), self.basis, self.bend)
+        chart = np.concatenate([part[which].reshape(len(which), -1) for part in parts], axis=1)
+        number = np.unique(chart, axis=0, return_inverse=True)[1].ravel()
+        for i in np.unique(number):
+            alike = which[number == i]
+            yield alike, self.coordinates(state, int(alike[0]))
+
     def states(self, x: np.ndarray, which: np.ndarray) -> State:
         """The states (n) with bent coordinates x (n, D) about the components `which` (n)."""
         centre = self.centre.take(which)
@@ -131,13 +141,14 @@ class Mixture:
         out = np.empty((len(state), len(self.weight)))
         d = self.covariance.shape[1]
         constant = gammaln((FREEDOM + d) / 2) - gammaln(FREEDOM / 2) - 0.5 * d * np.log(FREEDOM * np.pi)
-        for m in range(len(self.weight)):
-            root = np.linalg.cholesky(self.covariance[m])
-            square = np.sum(((self.coordinates(state, m) - self.mean[m]) @ np.linalg.inv(root).T) ** 2, axis=1)
-            angle = np.arccos(np.clip(state.sun @ self.centre.sun[m], -1.0, 1.0))
+        for alike, x in self.charts(state, np.arange(len(self.weight))):
+            angle = np.arccos(np.clip(state.sun @ self.centre.sun[alike[0]], -1.0, 1.0))
             sphere = -np.log(np.maximum(np.sinc(angle / np.pi), 1e-12))
-            volume = np.linalg.slogdet(self.basis[m])[1] - np.log(np.diag(root)).sum()
-            out[:, m] = constant + volume - 0.5 * (FREEDOM + d) * np.log1p(square / FREEDOM) + sphere
+            for m in alike:
+                root = np.linalg.cholesky(self.covariance[m])
+                square = np.sum(((x - self.mean[m]) @ np.linalg.inv(root).T) ** 2, axis=1)
+                volume = np.linalg.slogdet(self.basis[m])[1] - np.log(np.diag(root)).sum()
+                out[:, m] = constant + volume - 0.5 * (FREEDOM + d) * np.log1p(square / FREEDOM) + sphere
         with np.errstate(divide="ignore"):
             return out + np.log(self.weight)
 
