@@ -16,6 +16,7 @@ from sunspin.estimate.rates.motion import Body, step
 from sunspin.estimate.rates.noise import HIGHER_NOISES
 from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
+from validation import passes
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
 TRUE = np.diag([0.0020, 0.0024, 0.0017])
@@ -104,3 +105,14 @@ def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_search
     assert unknown.spherical and not_met(Motion(unknown, strong, 0.1), None)
     assert not not_met(Motion(unknown, quiet, 0.1), None) and not not_met(Motion(unknown, strong, 0.1), strong)
     assert not not_met(Motion(known, strong, 0.1), None)
+
+
+def test_a_body_that_nutates_a_little_is_not_held_for_one_that_turns_evenly():
+    """From a sphere that turns about one axis, moments and rates across that axis change nothing unless both do."""
+    made = passes.make("right model", 0, 1)
+    found = ss.rates(replace(made.vehicle, inertia_kg_m2=None), made.telemetry, max_rate_rad_s=made.max_rate_rad_s)
+    t = made.telemetry["time"].values
+    truth = made.omega[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
+    omega, sigma = (np.array([found[f"{name}_{axis}"].values[0, 0] for axis in "xyz"]) for name in ("omega", "sigma"))
+    assert abs(truth[2]) > 5 * sigma[2]  # control: it nutates
+    assert found["decided"].values[0] and (np.abs(omega - truth) < 3 * sigma).all()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +47,10 @@ class Clock(NamedTuple):
 
     late_s: float = 0.0
     sigma_s: float = 0.0
+
+
+OTHER_BODIES = np.array(list(permutations((1.0, 0.0, -1.0))))
+"""Sigmas by which the three moments differ from those of a sphere: each axis the longest, the middle and the shortest."""
 
 
 class Common(NamedTuple):
@@ -123,6 +128,23 @@ def with_common(
 def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = None, steps: int = 8) -> Common:
     """A fit brought to a stiffer motion."""
     return _fitted(o, fit.track, fit.error, motion, clock, steps)
+
+
+def from_other_bodies(o: Observations, fit: Common, motion: Motion, clock: Clock | None) -> Common:
+    """A fit, and, if the inertia is not known at all, its best mode fitted from six bodies with other moments too.
+
+    A body that turns about a principal axis answers to no small change of its moments, nor of the rates across that axis while
+    the moments are alike: a fit that begins at a sphere may stay there although the body nutates.
+    """
+    if not (motion.body.spherical and len(motion.body.errors)):
+        return fit
+    place = places_of(o, motion, clock).inertia
+    best = fit.take(np.full(len(OTHER_BODIES), np.argmin(fit.track.cost)))
+    error = best.error.copy()
+    error[:, place] += OTHER_BODIES @ np.einsum("rii->ir", motion.body.errors) / np.linalg.norm(motion.body.errors, axis=(1, 2))
+    parts = zip((fit.track.attitude, fit.track.omega, fit.error), (best.track.attitude, best.track.omega, error), strict=True)
+    attitude, omega, error = (np.concatenate(part) for part in parts)
+    return _fitted(o, Track(attitude, omega), error, motion, clock, 20)
 
 
 def again(

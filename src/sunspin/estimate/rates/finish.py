@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.dynamics.torques.acting import needed_around
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
-from sunspin.estimate.rates.common_errors import LOOSER, Clock, Common, with_common
+from sunspin.estimate.rates.common_errors import LOOSER, Clock, Common, from_other_bodies, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Hypothesis
@@ -116,6 +116,7 @@ def finished(
     if len(motion.body.errors) and fit.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
         fit = other if other.track.cost.min() < fit.track.cost.min() else fit
+    fit = from_other_bodies(o, fit, motion, clock)
     fit = fit.take(distinct_index(fit.track, o.t_s))  # with their common errors two hypotheses may have become one
     stated = weighed(Hypothesis(AS_READ, every.take(index), np.searchsorted(index, kept), motion, clock), fit)
     trials = [stated] if others is None else alternatives(stated, others)
