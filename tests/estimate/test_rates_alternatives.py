@@ -87,6 +87,13 @@ def test_which_alias_is_the_likelier_does_not_hang_on_the_prior_of_the_rate(slow
     assert weight.sum() == pytest.approx(1.0) and low < weight[0] < high
 
 
+@pytest.mark.parametrize("wrong", [-1.0, np.nan])
+def test_a_motion_whose_fit_ended_on_a_slope_gains_nothing_by_being_slow(wrong):
+    alike = motions([0.0, 0.0], [1.4, 12.0])
+    alike.fit.track.covariance[0] *= wrong
+    assert alike.any_size[0] == 0.0 and alike.any_size[1] == motions([0.0], [12.0]).any_size[0]
+
+
 def test_noise_of_the_rate_makes_the_attitude_wander_and_holds_at_both_ends():
     white = whitening(np.array([8.0]), 1e-9, 0.02)[0]
     assert np.linalg.inv(white.T @ white)[0, 0] == pytest.approx(0.02**2 * 8.0, rel=1e-6)

@@ -97,9 +97,12 @@ class Trial(NamedTuple):
 
     @property
     def any_size(self) -> np.ndarray:
-        """What each mode (K) gains in log evidence if nobody knows to a power of ten how fast the body turns."""
+        """What each mode (K) gains in log evidence if nobody knows to a power of ten how fast the body turns; nothing where the fit
+        ended on a slope, with a covariance that is none."""
         track, prior = self.fit.track, self.hypothesis.motion.rate_prior
-        gains = _sized(track.omega[:, 0] / prior, track.covariance[:, 0, 3:, 3:] / prior**2, SLOWER)
+        covariance = track.covariance[:, 0, 3:, 3:] / prior**2
+        fine = np.linalg.eigvalsh(np.nan_to_num(covariance))[:, 0] > 0
+        gains = _sized(track.omega[:, 0] / prior, np.where(fine[:, None, None], covariance, np.eye(3)), SLOWER) * fine
         return np.logaddexp.reduce(gains, axis=0) - np.log(len(SLOWER))
 
     def take(self, index: np.ndarray) -> Trial:
