@@ -20,8 +20,8 @@ def vehicle(stated):
 
 @pytest.mark.long
 def test_offsets_that_are_stated_mend_rates_that_would_be_wrong():
-    """At 4 deg/s some panels are read 20 degrees late: unstated, the rate is off three times as far, and nothing shows it (of twelve
-    seeds five were decided beyond three sigma then)."""
+    """At 4 deg/s some panels are read 20 degrees late: unstated, the rate is off three times as far, and nothing shows it (of
+    twelve seeds five were decided beyond three sigma then)."""
     rng = np.random.default_rng(1)
     axis, sun = rng.normal(size=(2, 3))
     t = np.concatenate([[0.0], np.cumsum(8 * rng.uniform(0.8, 1.2, 24))])
