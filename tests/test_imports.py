@@ -37,3 +37,11 @@ def test_a_first_scan_waits_for_no_module_that_it_does_not_use():
     loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
     assert "sunspin.dynamics.ensemble.run" in loaded
     assert not loaded & {"sympy", "heyoka", "scipy.stats", "scipy.optimize", "scipy.spatial", "matplotlib", "zarr", "plotly"}
+
+
+def test_rates_wait_for_no_module_that_they_do_not_use():
+    """These take longer to import than a short pass to estimate."""
+    code = "import sys, sunspin as ss; ss.rates; import sunspin.cli.rates; print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    assert "sunspin.estimate.rates.estimate" in loaded
+    assert not loaded & {"sympy", "scipy.stats", "matplotlib"}

@@ -7,7 +7,7 @@ would be lit. No turn of a few degrees hides that, whichever lit patterns geomet
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc  # scipy.stats takes longer to import than a short pass to estimate
 
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power, turned_sigma
@@ -81,6 +81,6 @@ def _gain(read: np.ndarray, light: np.ndarray, sigma: np.ndarray, found: np.ndar
         square = (seen**2).sum(axis=1)[:, None] - 2 * seen @ model.T + (model**2).sum(axis=1)
         without[part] = square.min(axis=1)
         gain[part] = (square + extra).min(axis=1) - without[part]
-    odd = chi2.sf(without, others.sum()) < UNEXPLAINED
+    odd = chdtrc(others.sum(), without) < UNEXPLAINED
     missing = gain[~odd & (gain > CLEARLY)]
     return float(missing.max(initial=0.0)) if odd.sum() <= ODD_SHARE * len(missing) else 0.0

@@ -287,7 +287,7 @@ def _listed(drawn: Mixed) -> int:
     """How many regions are listed: by falling weight, up to the first that has too little of it, or of draws."""
     for region, share in enumerate(drawn.share):
         own = drawn.log_weight[drawn.region == region]
-        if share <= LEAST_WEIGHT or (share < COUNTS and 2 * logsumexp(own) - logsumexp(2 * own) < np.log(LEAST_DRAWS)):
+        if share <= LEAST_WEIGHT or (share < COUNTS and 1 / np.sum(np.exp(own - logsumexp(own)) ** 2) < LEAST_DRAWS):
             return max(1, region)
     return len(drawn.share)
 

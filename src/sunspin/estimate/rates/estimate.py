@@ -210,7 +210,7 @@ def rates(
     )
     result = result.assign(without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
-        cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(body.spherical and noise >= HIGHER_NOISES[0]),
+        cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(_far_from_sphere(body, noise)),
     )  # fmt: skip
     if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
@@ -227,7 +227,12 @@ def rates(
 def not_met(motion: Motion, given: float | None) -> bool:
     """Whether the search, which took a body of unknown inertia for a sphere, may not have met its motion: with moments as they may
     be, too, the data want torques as strong as hardly any satellite has."""
-    return motion.body.spherical and given is None and motion.noise >= HIGHER_NOISES[0]
+    return given is None and _far_from_sphere(motion.body, motion.noise)
+
+
+def _far_from_sphere(body: Body, noise: float) -> bool:
+    """Whether a body is taken for a sphere and needs torques so strong (rad/s^1.5)."""
+    return body.spherical and noise >= HIGHER_NOISES[0]
 
 
 def _useful(workers: int, parts: list[np.ndarray], torques: Sequence[Torque]) -> int:
