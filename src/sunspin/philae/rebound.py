@@ -63,7 +63,8 @@ def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
 
 
 def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
-    """What free motion and panels depend on: body, wheels, panels; not the mass, nor what can touch the ground."""
+    """What free motion and panels depend on: body, wheels, panels and how far these may stand off; not the mass, nor what can touch
+    the ground."""
     wheels = [(wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction) for wheel in vehicle.wheels]
     return plain([vehicle.inertia_kg_m2, wheels, vehicle.panels, vehicle.panel_response, vehicle.sun_rules, vehicle.channels])
 

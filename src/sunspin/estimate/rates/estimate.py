@@ -18,6 +18,7 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
+from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import DOUBTFUL
 from sunspin.estimate.rates.alternatives import Others
@@ -70,6 +71,9 @@ FEW_MODES = 3
 
 MOST_LATE = 0.1
 """A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
+
+NOT_LATE = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
+"""What is said where sensors neither are nor seem late."""
 
 
 def rates(
@@ -221,7 +225,17 @@ def rates(
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
+    result = _gyro_not_clock(result, vehicle, telemetry)
     return result.assign_attrs(verdict=verdict(result))
+
+
+def _gyro_not_clock(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
+    """A gyro along other axes than stated looks like a late one: where sensors seem late and its axes are wrong, these are named."""
+    if result.attrs["sensors_late_from"] != SUSPECTED:
+        return result
+    if "wiring_doubt" not in result.attrs and (axes := wrong_gyro_axes(vehicle, telemetry)):
+        result = result.assign_attrs(wiring_doubt=axes)
+    return result.assign_attrs(NOT_LATE) if "wiring_doubt" in result.attrs else result
 
 
 def not_met(motion: Motion, given: float | None) -> bool:
@@ -390,12 +404,11 @@ def _clock(
     told: Lateness | None, tracks: list[tuple[Observations, Track]], motion: Motion
 ) -> tuple[Clock | None, dict[str, float | str]]:
     """The clock with which the passes are finished, narrowed by all of them, and what is said of it."""
-    nothing = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
     if told is None:
         late = suspected(tracks, motion)
         longest = max(float(np.ptp(o.t_s)) for o, _ in tracks)
         if late is None or abs(late.late_s) > MOST_LATE * longest:  # it stands for a motion that does not fit
-            return None, nothing
+            return None, NOT_LATE
         return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
     clock = Clock(told.late_s, told.sigma_s)
     late = lateness(tracks, motion, clock) if told.sigma_s > 0 else None

@@ -6,7 +6,7 @@ Frozen plain data, so that they can be sent to other processes; compiled kernels
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -227,7 +227,7 @@ def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     return {
         **code(),
         **k.device_identity(rows.device),
-        "vehicle": plain(rows.vehicle),
+        "vehicle": plain(replace(rows.vehicle, mass_kg=None, legs=(), hull=(), antenna=None)),  # the rest is for landings
         **plain(rows.start),
         "wheel_mode": list(k.check_commands(rows.vehicle, rows.wheel_mode)),
     }
