@@ -211,7 +211,7 @@ def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
 
 def test_a_grid_without_its_step_is_told_its_form(sunspin):
     told = sunspin("scan", "philae", "philae", "--omega-x=0:1")
-    refused(told, "--omega-x must be low:high:step (found 0:1)", "--omega-x=-0.1:0.1:0.02")
+    refused(told, "--omega-x must be low:high:step in rad/s (found 0:1)", "--omega-x=-0.1:0.1:0.02")
 
 
 def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):

@@ -155,7 +155,7 @@ def believed(found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring
 
 
 def sigmas(modes: Any) -> np.ndarray:
-    """Sigmas (mode, 3) of the regions' rates in rad/s; NaN where a region has too few draws to tell: of one draw it would be zero."""
+    """Sigmas (mode, 3) of the regions' rates in rad/s; NaN where a region has too few draws: of one it would be zero."""
     sigma = np.sqrt(np.einsum("kii->ki", modes["omega_cov_B"].values))
     few = modes["effective_draws"].values < TOO_FEW if "effective_draws" in modes else np.zeros(len(sigma), dtype=bool)
     return np.where(few[:, None], np.nan, sigma)
@@ -170,8 +170,8 @@ def summary(tree: Any) -> dict[str, Any]:
         "verdict": tree.attrs["verdict"], "verdict_word": tree.attrs["verdict_word"],
         "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
         "modes": [
-            {"weight": float(w), "omega_B": o.tolist(), "sigma": s.tolist() if np.isfinite(s).all() else None, "chi_square": float(x),
-             "starts": int(h)}
+            {"weight": float(w), "omega_B": o.tolist(), "sigma": s.tolist() if np.isfinite(s).all() else None,
+             "chi_square": float(x), "starts": int(h)}
             for w, o, s, x, h in zip(modes["weight"].values, modes["omega_B"].values, sigmas(modes),
                                      modes["chi_square"].values, modes["starts"].values, strict=True)
         ],

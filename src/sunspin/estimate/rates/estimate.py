@@ -18,13 +18,13 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
-from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import DOUBTFUL
 from sunspin.estimate.rates.alternatives import Others
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading, link
+from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
 from sunspin.estimate.rates.motion import Body, require_followed
@@ -225,17 +225,17 @@ def rates(
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
-    result = _gyro_not_clock(result, vehicle, telemetry)
+    return _judged(result, vehicle, telemetry)
+
+
+def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
+    """The result with its verdict. A gyro along other axes than stated looks like a late one: then these are named."""
+    if result.attrs["sensors_late_from"] == SUSPECTED:
+        if "wiring_doubt" not in result.attrs and (axes := wrong_gyro_axes(vehicle, telemetry)):
+            result = result.assign_attrs(wiring_doubt=axes)
+        if "wiring_doubt" in result.attrs:
+            result = result.assign_attrs(NOT_LATE)
     return result.assign_attrs(verdict=verdict(result))
-
-
-def _gyro_not_clock(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
-    """A gyro along other axes than stated looks like a late one: where sensors seem late and its axes are wrong, these are named."""
-    if result.attrs["sensors_late_from"] != SUSPECTED:
-        return result
-    if "wiring_doubt" not in result.attrs and (axes := wrong_gyro_axes(vehicle, telemetry)):
-        result = result.assign_attrs(wiring_doubt=axes)
-    return result.assign_attrs(NOT_LATE) if "wiring_doubt" in result.attrs else result
 
 
 def not_met(motion: Motion, given: float | None) -> bool:
