@@ -78,7 +78,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         what = "this is a vehicle's file and not telemetry"
         raise TelemetryError(sentence(what, do="give the vehicle first and then a table of samples", where=str(path)))
     table = read_table(path)
-    if table.data is not None and table.data.attrs.get("kind") == KIND:
+    if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
         return stored_telemetry(table.data, vehicle, path)
     if "frame" in table.header and form.time_column not in table.header and set(table.header) & {"timestamp", "observer"}:
         what, do = "the file holds raw frames and no readings", "turn them into a table first, as `sunspin decode` does for skCUBE"
