@@ -55,6 +55,14 @@ def test_what_an_option_takes_is_said_in_its_own_form(read, text):
         read()
 
 
+def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
+    refused(sunspin("sun", "philae", "philae", "--noise=x"), "'x' is not a number")
+    refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
+    refused(sunspin("sun", "philae", "philae", "--noise=nan"), "--noise must be a finite number between")
+    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "no wheel strategy of this name (found nothing)")
+    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
+
+
 def test_no_arguments_show_the_help(sunspin):
     code, out, err = sunspin()
     assert (code, err) == (0, "")

@@ -163,7 +163,8 @@ def test_an_attribute_of_another_kind_is_one_sentence(tmp_path, folder):
     path, wrong = tmp_path / "file.nc", (np.array([1.0, 2.0]), "text")
     xr.Dataset(attrs=whole).to_netcdf(path, engine="h5netcdf")
     assert read_netcdf(path, "file.nc", InputError).attrs["synthetic"] == 1  # negative control
-    for name, value in [(name, wrong[name in NUMBERS]) for name in sorted(TEXTS | NUMBERS)] + [("synthetic", 7), ("seed", wrong[0])]:
+    cases = [(name, wrong[name in NUMBERS]) for name in sorted(TEXTS | NUMBERS)]
+    for name, value in [*cases, ("synthetic", 7), ("seed", wrong[0])]:
         xr.Dataset(attrs=whole | {name: value}).to_netcdf(path, engine="h5netcdf")
         with pytest.raises(InputError, match=f"^file.nc: this file was changed .* attribute {name} must be .*; make it again"):
             read_groups(path, "file.nc", InputError, probe=False)

@@ -26,16 +26,17 @@ def effort(_: click.Context, parameter: click.Parameter, given: float) -> float:
 
 def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
     """Refuse numbers that are infinite, none, or beyond all measure."""
-    name = parameter.opts[0]
+    name, kind = parameter.opts[0], parameter.type
+    sizes = SIZES.removeprefix("0 or ") if isinstance(kind, click.FloatRange) and kind.min == 0 and kind.min_open else SIZES
     for value in given if isinstance(given, tuple) else (given,):
         if isinstance(value, float):
-            _check_number(name, value)
+            _check_number(name, value, sizes)
     return given
 
 
-def _check_number(name: str, value: float) -> None:
+def _check_number(name: str, value: float, sizes: str = SIZES) -> None:
     if not is_sensible(value):
-        raise InputError(sentence(f"{name} must be {SIZES}", got=str(value)))
+        raise InputError(sentence(f"{name} must be {sizes}", got=str(value)))
 
 
 EXAMPLE = ("0.1", "0", "-0.2", "1", "0.5", "0.02")
