@@ -25,6 +25,7 @@ from sunspin.estimate.scan.volume import near_minimum, scan
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import stated_sigma
 from sunspin.vehicle.timeline import utc_seconds
 
 LINE_RANGE = (-0.2, 0.3)
@@ -62,9 +63,13 @@ def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
     return moving_and_seeing(vehicle) == moving_and_seeing(other)
 
 
+def draws_alike(vehicle: Vehicle, other: Vehicle) -> bool:
+    """Whether synthetic telemetry of one vehicle may stand for that of the other: its panels stand off by the same sigmas, too."""
+    return moves_and_sees_alike(vehicle, other) and plain(stated_sigma(vehicle)) == plain(stated_sigma(other))
+
+
 def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
-    """What free motion and panels depend on: body, wheels, panels and how far these may stand off; not the mass, nor what can touch
-    the ground."""
+    """What free motion and panels depend on: body, wheels, panels; not the mass, nor what can touch the ground."""
     wheels = [(wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction) for wheel in vehicle.wheels]
     return plain([vehicle.inertia_kg_m2, wheels, vehicle.panels, vehicle.panel_response, vehicle.sun_rules, vehicle.channels])
 

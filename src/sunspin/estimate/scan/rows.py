@@ -224,10 +224,11 @@ class TrackRows:
 
 def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     """What both kinds of rows depend on."""
+    used = replace(rows.vehicle, mass_kg=None, legs=(), hull=(), antenna=None, facts={})  # those are for landings, and sources
     return {
         **code(),
         **k.device_identity(rows.device),
-        "vehicle": plain(replace(rows.vehicle, mass_kg=None, legs=(), hull=(), antenna=None)),  # the rest is for landings
+        "vehicle": plain(used),
         **plain(rows.start),
         "wheel_mode": list(k.check_commands(rows.vehicle, rows.wheel_mode)),
     }
