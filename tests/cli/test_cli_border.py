@@ -63,6 +63,16 @@ def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
 
 
+@pytest.mark.parametrize(("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)])
+def test_output_that_is_closed_or_full(tmp_path, closed, said):
+    shell = f'"{sys.executable}" -m sunspin.cli'
+    for words, code in ((f"init {tmp_path / 'mine'} {closed}", 2 if "full" in closed else 0), (f"check nowhere.toml {closed}", 2)):
+        done = subprocess.run(["/bin/sh", "-c", f"{shell} {words}"], capture_output=True, text=True, timeout=60)
+        assert done.returncode == code and bool(done.stdout) is (code == 0 and closed == "2>&-")
+        assert "Traceback" not in done.stderr and "defect" not in done.stderr
+        assert (done.stderr.count("\n") == 1) is (said and code == 2)
+
+
 def test_no_arguments_show_the_help(sunspin):
     code, out, err = sunspin()
     assert (code, err) == (0, "")

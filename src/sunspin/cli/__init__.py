@@ -35,6 +35,9 @@ def cli(ctx: click.Context) -> None:
 
 def main() -> None:
     """Entry point: errors become one sentence on stderr and an exit code (2 bad input, 130 interrupted)."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
@@ -51,7 +54,8 @@ def main() -> None:
     except MemoryError:
         code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
     except OSError as error:  # what files and folders answer where no better sentence was found
-        code = _say(f"error: {error.filename or 'a file'} cannot be used ({error.strerror or error}); check the path", 2)
+        what = error.filename or "a file or the output"
+        code = _say(f"error: {what} cannot be used ({error.strerror or error}); check the path", 2)
     except Exception as error:
         if os.environ.get("SUNSPIN_TRACEBACK"):
             raise
