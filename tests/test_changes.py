@@ -1,6 +1,7 @@
 """Changing an assumption: by its key, within the file's ranges, said in the results, and followed by what depends on it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,6 +141,8 @@ def test_what_was_found_for_another_body_is_not_kept():
     case = ss.load_case("philae", ["wheel.speed_rad_s=833"])
     assert not rb.moves_and_sees_alike(case.vehicle, OWN)
     assert rb.moves_and_sees_alike(with_changes("leg[2].tip_B_m[0]+=0.1"), OWN)
+    surer = replace(OWN, facts={key: fact for key, fact in OWN.facts.items() if not key.startswith("panel")})
+    assert rb.moves_and_sees_alike(surer, OWN) and rb.draws_alike(OWN, OWN) and not rb.draws_alike(surer, OWN)
     with pytest.raises(InputError, match="another body"):
         study._worth(study.Inputs(case, None))
     assert study._worth(study.Inputs(ss.load_case("philae", ["collision.restitution=0.2"]), None))[1].sizes == study._worth(

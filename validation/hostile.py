@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 
 import numpy as np
@@ -173,6 +173,28 @@ def table(content: bytes, rng: np.random.Generator) -> bytes:
     return content
 
 
+TIMES = (
+    b"2016-12-31T23:59:60Z", b"1961-04-12T06:07:00Z", b"0001-01-01T00:00:00+23:59", b"9999-12-31T23:59:59Z", b"2026-001T00:00:00Z",
+    b"2026-W01-4T00:00:00Z", b"20260101T000000Z", b"2026-01-01T24:00:00Z", b"2026-01-01T00:00:00+25:00", b"2026-01-01 00:00:00 CET",
+    b"01.01.2026 00:00:00", b"01/02/2026 12:00:00 AM", b"1767225600", b"1767225600000", b"46023.5", b"NaT",
+    b"-2026-01-01T00:00:00Z",
+)  # fmt: skip
+"""Forms that the first column of a row may have, right and wrong ones."""
+
+
+def _columns(content: bytes, cell: Callable[[int, bytes], bytes], other: bytes | None = None) -> bytes:
+    """The table with `cell` of its number and itself in the first column of each sample, and `other` in the rest of its cells."""
+    lines = content.splitlines()
+    head = next((i for i, line in enumerate(lines) if not line.startswith(b"#")), 0) + 1
+    rows = [line.split(b",") for line in lines[head:]]
+    made = [b",".join([cell(k, row[0]), *(row[1:] if other is None else [other] * (len(row) - 1))]) for k, row in enumerate(rows)]
+    return b"\n".join([*lines[:head], *made]) + b"\n"
+
+
+def _form(time: bytes) -> Callable[[bytes], bytes]:
+    return lambda content: _columns(content, lambda k, cell: time if k == 0 else cell)
+
+
 def _rows(content: bytes, count: int) -> bytes:
     lines = content.splitlines(keepends=True)
     return b"".join(lines[:2]) + lines[2] * count
@@ -199,6 +221,11 @@ TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
     lambda content: b"CDF\x01" + content,
     lambda content: content.replace(b"0", "\u0660".encode()),
     lambda content: content.replace(b"time_utc", b"\x1b[2Jtime_utc"),
+    lambda content: content.decode("utf-8", "replace").encode("utf-16"),
+    lambda content: content.decode("utf-8", "replace").encode("cp500", "replace"),
+    lambda content: b"".join(content.splitlines(keepends=True)[2:]),
+    *(_form(time) for time in TIMES),
+    *(partial(_columns, cell=lambda _, cell: cell, other=value) for value in (b"0", b"1e-300", b"1e-20", b"1e29", b"1_0", b"")),
 )
 
 

@@ -55,6 +55,24 @@ def test_what_an_option_takes_is_said_in_its_own_form(read, text):
         read()
 
 
+def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
+    refused(sunspin("sun", "philae", "philae", "--noise=x"), "'x' is not a number")
+    refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
+    refused(sunspin("sun", "philae", "philae", "--noise=nan"), "--noise must be a finite number between")
+    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "no wheel strategy of this name (found nothing)")
+    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
+
+
+@pytest.mark.parametrize(("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)])
+def test_output_that_is_closed_or_full(tmp_path, closed, said):
+    shell = f'"{sys.executable}" -m sunspin.cli'
+    for words, code in ((f"init {tmp_path / 'mine'} {closed}", 2 if "full" in closed else 0), (f"check nowhere.toml {closed}", 2)):
+        done = subprocess.run(["/bin/sh", "-c", f"{shell} {words}"], capture_output=True, text=True, timeout=60)
+        assert done.returncode == code and bool(done.stdout) is (code == 0 and closed == "2>&-")
+        assert "Traceback" not in done.stderr and "defect" not in done.stderr
+        assert (done.stderr.count("\n") == 1) is (said and code == 2)
+
+
 def test_no_arguments_show_the_help(sunspin):
     code, out, err = sunspin()
     assert (code, err) == (0, "")
@@ -211,7 +229,7 @@ def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
 
 def test_a_grid_without_its_step_is_told_its_form(sunspin):
     told = sunspin("scan", "philae", "philae", "--omega-x=0:1")
-    refused(told, "--omega-x must be low:high:step (found 0:1)", "--omega-x=-0.1:0.1:0.02")
+    refused(told, "--omega-x must be low:high:step in rad/s (found 0:1)", "--omega-x=-0.1:0.1:0.02")
 
 
 def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimate.gyro_axes import wrong_gyro_axes
+from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Gyro, Sensors
 

@@ -16,7 +16,8 @@ from sunspin.estimate.posterior.importance import _shape, pareto_tail
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
-from sunspin.estimate.posterior.verdict import Found, verdict
+from sunspin.estimate.posterior.verdict import Found, sigmas, verdict
+from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -61,6 +62,16 @@ def test_the_truth_is_in_a_unique_region(tree, reached):
 def test_the_scale_that_nobody_stated_is_found(tree):
     scale = np.exp(tree["posterior"]["log_scale"].values)
     assert abs(scale.mean() - 0.37) < 4 * scale.std()
+
+
+def test_a_region_of_too_few_draws_has_no_sigma(tree):
+    """One draw alone would have a sigma of zero."""
+    few = tree.copy(deep=True)
+    few["modes"]["effective_draws"][:] = 3.0
+    said = posterior_summary(few)
+    assert said["modes"][0]["sigma"] is None and "too few draws for a sigma" in str(said)
+    assert np.isnan(sigmas(few["modes"])).all() and np.all(sigmas(tree["modes"])[0] > 0)
+    assert "+- (" in str(posterior_summary(tree))
 
 
 def test_groups_and_names(tree, telemetry):

@@ -66,3 +66,12 @@ def test_the_clock_of_a_vehicle_file_is_read():
     assert parse_vehicle(text, "a").sensors.clock == Clock(1.5, 2.0)
     with pytest.raises(ss.SunspinError, match="sigma of clock.sensors_late_s"):
         parse_vehicle(text.replace("2.0", "-2.0"), "a")
+
+
+@pytest.mark.long
+@pytest.mark.evidence("rates", "modelled", "a gyro read backwards looks late by half a turn: its axes are named, and no clock")
+def test_a_gyro_that_is_read_backwards_is_not_called_late():
+    telemetry, _ = twin("gyro", 0.0, np.random.default_rng(0))
+    result = ss.rates(craft("gyro", None), telemetry.assign(gyro_B=-telemetry["gyro_B"]))
+    assert "LATE" not in result.attrs["verdict"] and np.isnan(result.attrs["sensors_late_s"])
+    assert "the gyro read as (-x, -y, -z)" in result.attrs["verdict"]

@@ -141,3 +141,15 @@ def test_a_tighter_error_changes_the_distance_by_less_than_the_wider_one_allows(
     loose = ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 2700.0)
     tight = ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 2700.0, direction_error=1e-6)
     assert 0 < np.abs(loose - tight).max() < 1e-3
+
+
+def test_a_store_is_resumed_with_another_mass_and_refused_with_another_wheel(tmp_path):
+    """What only a landing asks for does not belong to a scan."""
+    def run(*changes):
+        craft = ss.load_vehicle("philae", changes)
+        return ss.scan(craft, [0.2, 0.8], FIRST_SUN, [0.1], [0.2], [0.0, 0.1], 865.0, 60.0, store=tmp_path / "rows")
+
+    first = run()
+    assert run("body.mass_kg=90", "leg[2].tip_B_m[0]+=0.1").values.tolist() == first.values.tolist()
+    with pytest.raises(ss.InputError, match="made with other inputs, which differ in vehicle"):
+        run("wheel.inertia_kg_m2*=1.1")

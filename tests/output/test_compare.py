@@ -1,6 +1,7 @@
 """What moved between two results: each change against its error, the largest first."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -136,3 +137,19 @@ def test_a_folder_that_is_not_there_is_said_to_be_missing(studies, tmp_path):
     for more in ([], ["--out", str(tmp_path / "moved")]):
         done = CliRunner().invoke(Group("sunspin"), ["compare", str(studies[0]), str(tmp_path / "nowhere"), *more])
         assert "there is no such file or folder" in str(done.exception) and not (tmp_path / "moved").exists()
+
+
+ODD = (None, 3, -1.5, "x", [], [3], {}, {"off": 3}, {"off": {"touch_leg": 3}}, {"off": {"touch_leg": {"value": "x"}}}, [{"id": 1}],
+       [{"modes": [3]}], [{"modes": [{"weight": "x"}]}], True)  # fmt: skip
+"""Values that an entry of a summary may have when somebody has changed it."""
+
+
+@pytest.mark.parametrize("command", ["reproduce", "rates", "outcomes"])
+@pytest.mark.parametrize("key", ["strategies", "figures", "passes", "inputs", "changes"])
+def test_summaries_of_any_content_end_in_a_sentence(tmp_path, command, key):
+    for i, value in enumerate(ODD):
+        pair = [folder(tmp_path / f"{i}{side}", command, **{key: value}) for side in "ab"]
+        try:
+            assert not ss.compare(*pair)["beyond"].values.any()  # two of the same
+        except InputError as error:
+            assert re.search("nothing in common|something else than", str(error)) and str(error).isprintable()

@@ -88,7 +88,7 @@ def test_no_label_ends_the_script_it_stands_in(text):
 
 def test_regions_of_a_posterior_have_their_weights(tmp_path, framed):
     rng = np.random.default_rng(3)
-    region = np.repeat([0, 4], [2 * 20, 2 * 5]).reshape(2, 25)
+    region = np.repeat([0, 4, 7], [38, 10, 2]).reshape(2, 25)
     each = ("chain", "draw")
     draws = xr.Dataset(
         {
@@ -102,7 +102,8 @@ def test_regions_of_a_posterior_have_their_weights(tmp_path, framed):
     (tmp_path / MARKER).write_text("posterior\n", "utf-8")
     read = Page(write_report(tmp_path))
     assert "posterior" in read.ids("section") and "Two regions <b> fit." in read.text and "could not be" not in read.text
-    assert re.search(r"1 0\.8 5\.73 ± \S+ 5\.73 ± \S+ 5\.73 ± \S+ 5 0\.2 -11\.46 ±", read.text)
+    assert re.search(r"1 0\.76 5\.73 ± \S+ 5\.73 ± \S+ 5\.73 ± \S+ 5 0\.2 -11\.46 ±", read.text)
+    assert "8 0.04 -11.46 -11.46 -11.46, no sigma: too few draws" in read.text and "± 0 " not in read.text
 
 
 def test_only_our_folders_are_taken(tmp_path):

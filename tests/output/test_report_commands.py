@@ -46,6 +46,16 @@ def test_every_command_gets_its_parts(user_runs, name, expected):
     assert figures and any(tag == "svg" for tag, _ in read.tags)
 
 
+def test_outcomes_have_units_and_names_and_only_philae_was_flown(user_runs, tmp_path):
+    text = Page(user_runs["outcomes"] / "report.html").text
+    assert "wheel off at touchdown" in text and "is what was flown" in text and "the lines that the paper prints" in text
+    assert "Fastest leg tip at contact, m/s" in text and "Angular speed after the collision, deg/s" in text
+    shutil.copytree(user_runs["outcomes"], folder := tmp_path / "own")
+    table = xr.load_dataset(folder / "strategies.nc", engine="h5netcdf").assign_attrs(vehicle="my lander")
+    table.to_netcdf(folder / "strategies.nc", engine="h5netcdf")
+    assert "flown" not in Page(write_report(folder)).text
+
+
 def test_what_it_does_not_know_it_lists_and_what_is_broken_it_names(user_runs, tmp_path, framed):
     folder = tmp_path / "odd"
     shutil.copytree(user_runs["simulate"], folder)

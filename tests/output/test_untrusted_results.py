@@ -14,6 +14,8 @@ import pytest
 import xarray as xr
 
 from sunspin.base.errors import InputError, printable
+from sunspin.base.netcdf import read_groups, read_netcdf
+from sunspin.base.provenance import NUMBERS, TEXTS
 from sunspin.output.export import read_results as exported
 from sunspin.output.folder import MARKER, write_netcdf
 from sunspin.output.report import write_report
@@ -153,3 +155,21 @@ def test_sizes_are_looked_at_before_reading(name, folder):
 def test_toml_that_is_a_bomb_is_named(name, text, folder):
     (folder / name).write_text(text, "utf-8")
     assert read_results(folder).problems[0].startswith(f"{name} could not be read")
+
+
+def test_an_attribute_of_another_kind_is_one_sentence(tmp_path, folder):
+    """Every attribute that is read back; a file of others may have attributes of the same names, of any kind."""
+    whole = {name: "2026-01-01T00:00:00Z" for name in TEXTS} | dict.fromkeys(NUMBERS, 1.0)
+    path, wrong = tmp_path / "file.nc", (np.array([1.0, 2.0]), "text")
+    xr.Dataset(attrs=whole).to_netcdf(path, engine="h5netcdf")
+    assert read_netcdf(path, "file.nc", InputError).attrs["synthetic"] == 1  # negative control
+    cases = [(name, wrong[name in NUMBERS]) for name in sorted(TEXTS | NUMBERS)]
+    for name, value in [*cases, ("synthetic", 7), ("seed", wrong[0])]:
+        xr.Dataset(attrs=whole | {name: value}).to_netcdf(path, engine="h5netcdf")
+        with pytest.raises(InputError, match=f"^file.nc: this file was changed .* attribute {name} must be .*; make it again"):
+            read_groups(path, "file.nc", InputError, probe=False)
+    foreign = {name: value for name, value in whole.items() if name not in ("kind", "sunspin_version")} | {"synthetic": "no"}
+    xr.Dataset(attrs=foreign).to_netcdf(path, engine="h5netcdf")
+    assert read_groups(path, "file.nc", InputError, probe=False)["/"].attrs["synthetic"] == "no"
+    xr.Dataset(attrs={"kind": "rates", "synthetic": "no"}).to_netcdf(folder / "rates.nc", engine="h5netcdf")
+    assert "rates.nc: this file was changed" in told(folder)

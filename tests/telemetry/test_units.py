@@ -10,7 +10,7 @@ import pytest
 
 import satellites
 import sunspin as ss
-from sunspin.estimate.gyro_axes import wrong_gyro_axes
+from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.wiring import signed_axes
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.quality import panel_quality

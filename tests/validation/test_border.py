@@ -17,6 +17,7 @@ from validation import pool
 from validation.border import Told, judge, sunspin
 from validation.corrupt import Corrupt
 from validation.fuzz import Fuzz
+from validation.hostile import TABLE_BOMBS
 
 START = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
 
@@ -47,6 +48,16 @@ def test_hostile_input_is_a_result_or_a_sentence(suite, n, monkeypatch):
     assert [v for v in verdicts if v.bad] == []
     assert sum(v.what == "refused" for v in verdicts) > 0.38 * n  # the campaign does attack
     assert sum(v.what == "fine" for v in verdicts) > 0.08 * n  # and does not only send nonsense
+
+
+@pytest.mark.long
+def test_every_whole_table_that_is_odd_is_a_result_or_a_sentence(home):
+    """Also those with a leap second, years from 1 to 9999, other forms of time, other encodings, readings of any size."""
+    good, told = (home / "telemetry.csv").read_bytes(), []
+    for bomb in TABLE_BOMBS:
+        (home / "bad.csv").write_bytes(bomb(good))
+        told.append(judge(sunspin("check", "vehicle.toml", "bad.csv")))
+    assert [each for each in told if each.bad] == [] and sum(each.what == "refused" for each in told) > len(told) / 2
 
 
 @pytest.mark.slow

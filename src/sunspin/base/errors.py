@@ -6,6 +6,8 @@ sentence and exits with code 2 (130 after an interruption). Anything else that e
 
 from __future__ import annotations
 
+from datetime import date, time
+
 
 class SunspinError(ValueError):
     """Base of all errors raised on purpose; ``str(error)`` is one sentence for the user."""
@@ -49,7 +51,7 @@ def sentence(what: str, *, got: object = None, do: str | None = None, where: str
     """Build the one-sentence text of an error: ``where: what, got ...; do``."""
     text = f"{where}: {what}" if where else what
     if got is not None:
-        shown = got if isinstance(got, str) else _repr(got)
+        shown = (got if isinstance(got, str) else _repr(got)) or "nothing"
         if len(shown) > 120:
             shown = shown[:117] + "..."
         text += f" (found {shown})"
@@ -60,6 +62,6 @@ def sentence(what: str, *, got: object = None, do: str | None = None, where: str
 
 def _repr(value: object) -> str:
     try:
-        return repr(value)
+        return value.isoformat() if isinstance(value, date | time) else repr(value)  # a date as the file has it
     except ValueError:  # a whole number of thousands of digits
         return "a number too long to print"

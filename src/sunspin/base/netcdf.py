@@ -12,6 +12,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError, sentence
+from sunspin.base.provenance import changed_attribute
 from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 
 MAX_BYTES = 2_000_000_000
@@ -54,8 +55,8 @@ def read_groups(path: Path, where: str, error_type: type[SunspinError], probe: b
     return _guarded(path, where, error_type, lambda: _tree(path), probe)
 
 
-class _TooLarge(Exception):
-    pass
+class _Refused(Exception):
+    """What is wrong with a file that can be read, and what to do."""
 
 
 def _one(source: Any) -> xr.Dataset:
@@ -72,7 +73,9 @@ def _tree(path: Path) -> dict[str, xr.Dataset]:
 
 def _loaded(data: xr.Dataset, size: int) -> xr.Dataset:
     if size > MAX_BYTES:
-        raise _TooLarge(f"the file would take {size / 1e9:.3g} GB of memory")
+        raise _Refused(f"the file would take {size / 1e9:.3g} GB of memory", "cut it into parts")
+    if changed := changed_attribute(data.attrs):
+        raise _Refused(f"this file was changed after sunspin wrote it: {changed}", "make it again, or mend the attribute")
     return data.load()
 
 
@@ -82,8 +85,8 @@ def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any,
     hook = sys.unraisablehook
     try:
         return read()
-    except _TooLarge as error:
-        what = sentence(str(error), do="cut it into parts", where=where)
+    except _Refused as error:
+        what = sentence(error.args[0], do=error.args[1], where=where)
     except Exception as error:
         sys.unraisablehook = lambda _: None
         what = sentence(f"this NetCDF file cannot be read ({type(error).__name__}: {str(error)[:200]})", do=MEND, where=where)

@@ -2,18 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from importlib import metadata
 from typing import Any
 
+import numpy as np
+
 CARRIED = ("epoch_utc", "synthetic", "file", "sha256")
 """Attributes of telemetry that results made from it take over."""
+
+
+TEXTS = frozenset(
+    "kind epoch_utc file sha256 vehicle changes comments sunspin_version quantity unused_columns missing_sensors frame_N "
+    "celestial_frame source verdict verdict_word acceleration_noise_from sensors_late_from wiring_doubt odd_sensor alike wheels "
+    "strategy scenario schedule not_told vertical metric about collision command title noise_from torques priors hypotheses "
+    "prior_widths".split()
+)
+NUMBERS = frozenset(
+    "synthetic seed runs candidates collisions rows_sorted rows_merged coarse_passes cut_passes effort acceleration_noise "
+    "max_rate_rad_s sensors_late_s sensors_late_sigma_s walk_between_passes noise lit_threshold p_value pareto_k effective_draws "
+    "log_evidence samples t_first_s t_last_s reference_sample region best_s weight no_sphere gyro_used field_used".split()
+)
+"""Attributes that are read back from files of results: those that are texts, and those that are one number each."""
 
 
 @cache
 def version() -> str:
     """The version of sunspin that runs."""
     return metadata.version("sunspin")
+
+
+def changed_attribute(attrs: Mapping[str, Any]) -> str:
+    """What somebody has made of an attribute of our own that it cannot be, in words; nothing of files that are not ours."""
+    if not (isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs):
+        return ""
+    for name in sorted({*attrs} & TEXTS):
+        if not isinstance(attrs[name], str):
+            return f"its attribute {name} must be a text"
+    for name in sorted({*attrs} & NUMBERS):
+        value = np.asarray(attrs[name])
+        if value.dtype.kind not in "biuf" or value.size != 1:
+            return f"its attribute {name} must be one number"
+    if "synthetic" in attrs and np.asarray(attrs["synthetic"]).ravel()[0] not in (0, 1):
+        return "its attribute synthetic must be 0 or 1"
+    return ""
 
 
 def provenance(kind: str, telemetry: Any = None, **said: Any) -> dict[str, Any]:

@@ -129,6 +129,9 @@ def _split(text: str, where: str, sha256: str) -> Table:
     if not rows:
         raise TelemetryError(sentence("the file has a header but no samples", where=where))
     repeated = sorted(name for name, count in Counter(header).items() if count > 1)
+    if repeated and re.fullmatch(r"[-+.\deE]*", repeated[0]):
+        what, do = "the first row holds numbers and no names of columns", "write a header above it"
+        raise TelemetryError(sentence(what, got=repeated[0] or "an empty cell", do=do, where=where))
     if repeated:
         raise TelemetryError(sentence("two columns share a name", got=repeated[0], do="rename one", where=where))
     return Table(header, rows, numbers, [c for c in comments if c], sha256)

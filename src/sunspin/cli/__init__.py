@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 
 import click
@@ -12,6 +13,10 @@ from sunspin.cli.common import Group, ReaderGone
 
 LONGEST = 1200
 """Characters of one sentence: names from outside may have any number."""
+
+
+NUMBERS = {"float": "is not a number", "integer": "is not a whole number"}
+"""What is wrong with the value of an option, by click's name of its type."""
 
 
 @click.group(
@@ -30,6 +35,9 @@ def cli(ctx: click.Context) -> None:
 
 def main() -> None:
     """Entry point: errors become one sentence on stderr and an exit code (2 bad input, 130 interrupted)."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
@@ -38,7 +46,7 @@ def main() -> None:
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
     except click.ClickException as error:
-        code = _say(f"error: {' '.join(error.format_message().split()).rstrip('.')}{_hint(error)}", 2)
+        code = _say(f"error: {_in_words(' '.join(error.format_message().split()).rstrip('.'))}{_hint(error)}", 2)
     except (ReaderGone, BrokenPipeError):
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -46,7 +54,8 @@ def main() -> None:
     except MemoryError:
         code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
     except OSError as error:  # what files and folders answer where no better sentence was found
-        code = _say(f"error: {error.filename or 'a file'} cannot be used ({error.strerror or error}); check the path", 2)
+        what = error.filename or "a file or the output"
+        code = _say(f"error: {what} cannot be used ({error.strerror or error}); check the path", 2)
     except Exception as error:
         if os.environ.get("SUNSPIN_TRACEBACK"):
             raise
@@ -58,6 +67,11 @@ def _say(text: str, code: int) -> int:
     said = printable(text)
     print("sunspin: " + (said if len(said) <= LONGEST else f"{said[: LONGEST // 2]} ... {said[-LONGEST // 2 :]}"), file=sys.stderr)
     return code
+
+
+def _in_words(text: str) -> str:
+    """click's names of types in words."""
+    return re.sub(r"is not a valid (float|integer)( range)?", lambda found: NUMBERS[found[1]], text)
 
 
 def _defect(error: Exception) -> str:

@@ -21,7 +21,8 @@ from sunspin.cli.values import vertical as read_vertical
 @click.option("--runs", type=click.IntRange(1, 100_000_000), default=100_000, show_default=True, help="Runs per strategy.")
 @click.option("--scan", type=click.Path(path_type=Path), help="scan.nc of `sunspin scan`: candidates are its near-minimum set.")
 @factor_option
-@click.option("--omega", multiple=True, help="A candidate body rate, rad/s: x,y,z; may be given several times.")
+@click.option("--omega", multiple=True, help="A candidate body rate, rad/s (0.1 rad/s: 5.73 deg/s): x,y,z; may be "
+              "given several times.")
 @click.option("--sun", "sun_B", help="Unit vector to the Sun at the candidates' instant, body axes: x,y,z.")
 @click.option("--wheel-speed", help="Wheel speeds then, rad/s, separated by commas; default: the vehicle's.")
 @click.option("--lead", type=float, help="From touchdown to the candidates' instant, s.")

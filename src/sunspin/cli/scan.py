@@ -26,11 +26,11 @@ from sunspin.cli.values import grid, numbers
 @click.argument("vehicle")
 @click.argument("telemetry")
 @click.option("--from", "begin", type=float, default=None, help="First time to use, s of the file's clock.")
-@click.option("--to", "end", type=float, default=None, help="Last time to use.")
-@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s: low:high:step, or "
-              "values with commas.")
-@click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y.")
-@click.option("--omega-z", default="-0.3:0.3:0.015", show_default=True, help="Grid of omega_z.")
+@click.option("--to", "end", type=float, default=None, help="Last time to use, s of the file's clock.")
+@click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s (0.1 rad/s: 5.73 "
+              "deg/s): low:high:step, or values with commas.")
+@click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y, rad/s.")
+@click.option("--omega-z", default="-0.3:0.3:0.015", show_default=True, help="Grid of omega_z, rad/s.")
 @click.option("--wheel-speed", help="Wheel speeds at the first sample used, rad/s; default: the vehicle's.")
 @wheel_mode_option()
 @click.option("--metric", type=click.Choice(["emd", "E"]), default="emd", show_default=True, help="emd compares the distributions "

@@ -11,7 +11,7 @@ from sunspin.cli.values import numbers
 
 @click.command(cls=Changeable)
 @click.argument("vehicle")
-@click.option("--omega", required=True, help="Body rate at the start, rad/s: x,y,z.")
+@click.option("--omega", required=True, help="Body rate at the start, rad/s (0.1 rad/s: 5.73 deg/s): x,y,z.")
 @click.option("--sun", "sun_B", required=True, help="Unit vector to the Sun at the start, body axes: x,y,z.")
 @click.option("--wheel-speed", help="Wheel speeds, rad/s, separated by commas; default: the vehicle's.")
 @click.option("--duration", type=float, required=True, help="Length in s; negative runs backward.")

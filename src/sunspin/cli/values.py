@@ -26,16 +26,17 @@ def effort(_: click.Context, parameter: click.Parameter, given: float) -> float:
 
 def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
     """Refuse numbers that are infinite, none, or beyond all measure."""
-    name = parameter.opts[0]
+    name, kind = parameter.opts[0], parameter.type
+    sizes = SIZES.removeprefix("0 or ") if isinstance(kind, click.FloatRange) and kind.min == 0 and kind.min_open else SIZES
     for value in given if isinstance(given, tuple) else (given,):
         if isinstance(value, float):
-            _check_number(name, value)
+            _check_number(name, value, sizes)
     return given
 
 
-def _check_number(name: str, value: float) -> None:
+def _check_number(name: str, value: float, sizes: str = SIZES) -> None:
     if not is_sensible(value):
-        raise InputError(sentence(f"{name} must be {SIZES}", got=str(value)))
+        raise InputError(sentence(f"{name} must be {sizes}", got=str(value)))
 
 
 EXAMPLE = ("0.1", "0", "-0.2", "1", "0.5", "0.02")
@@ -67,13 +68,14 @@ def grid(text: str, name: str) -> np.ndarray:
 
     if ":" not in text:
         return np.array(numbers(text, name))
-    parts = text.split(":")
+    parts, do = text.split(":"), f"for example {name}=-0.1:0.1:0.02, which is 5.73 deg/s to each side"
     if len(parts) != 3:
-        raise InputError(sentence(f"{name} must be low:high:step", got=text, do=f"for example {name}=-0.1:0.1:0.02"))
+        raise InputError(sentence(f"{name} must be low:high:step in rad/s", got=text, do=do))
     low, high, step = numbers(",".join(parts), name, 3)
     count = (high - low) / step + 1 if step > 0 and high >= low else math.nan
     if not math.isfinite(count):
-        raise InputError(sentence(f"{name} must be low:high:step, finite and with a positive step", got=text))
+        what = f"{name} must be low:high:step in rad/s, low to high and with a positive step"
+        raise InputError(sentence(what, got=text, do=do))
     if count > MAX_GRID:
         check_size(count, 1, 1)
         raise InputError(sentence(f"{name} has {count:.3g} values, more than {MAX_GRID}", got=text, do="use a larger step"))

@@ -44,7 +44,8 @@ def check_work(vehicle: Vehicle, omega: list[float], speeds: list[float], durati
         raise InputError(
             sentence(
                 f"the body turns by up to {angle:.3g} rad in this time, more than {MAX_ANGLE_RAD:g}, which would take some "
-                f"{angle * SECONDS_PER_RAD:.2g} s", got=f"{duration:g} s at {angle / abs(duration):.3g} rad/s",
-                do="check the units, or run it in parts from Python (sunspin.propagate)",
+                f"{angle * SECONDS_PER_RAD:.2g} s", got=f"{duration:g} s at {angle / abs(duration):.3g} rad/s "
+                f"({np.degrees(angle / abs(duration)):.3g} deg/s)",
+                do="check that rates are in rad/s, or run it in parts from Python (sunspin.propagate)",
             )
         )  # fmt: skip

@@ -210,7 +210,7 @@ def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at
     speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
     fastest = max(np.abs(omega).max(), np.abs(speeds).max(initial=0.0))
     if fastest > MAX_RATE:
-        raise MotionError(sentence(f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="check the rates' unit"))
+        raise MotionError(sentence(f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"))
     plan = m.schedules(vehicle, wheel_mode)
     stopped = stopped_at_s if isinstance(stopped_at_s, Sequence) else (stopped_at_s,) * len(vehicle.wheels)
     if len(stopped) != len(vehicle.wheels):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError, SunspinError, sentence
 from sunspin.base.netcdf import read_groups
 from sunspin.base.provenance import provenance
 from sunspin.base.untrusted import is_own, read_bytes
@@ -86,7 +86,13 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         raise InputError(sentence("results of this command cannot be compared", got=f"sunspin {commands[0]}", do=f"known: {known}"))
     said = [_summary(folder) for folder in folders]
     find = {"reproduce": _rows, "rates": _passes, "posterior": _posterior, "outcomes": _outcomes}[commands[0]]
-    found = sorted(find(said[0], said[1], *folders), key=lambda one: (not np.isfinite(one.error), -one.size))
+    try:
+        found = sorted(find(said[0], said[1], *folders), key=lambda one: (not np.isfinite(one.error), -one.size))
+    except SunspinError:
+        raise
+    except (TypeError, KeyError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        what = f"a summary holds something else than `sunspin {commands[0]}` writes ({type(error).__name__}: {error})"
+        raise InputError(sentence(what, got=f"{a} and {b}", do="run the commands again")) from None
     if not found:
         got = f"{a} and {b}"
         raise InputError(sentence("the two results have nothing in common", got=got, do="compare results of the same data"))

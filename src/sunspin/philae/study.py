@@ -146,7 +146,7 @@ def _worth(i: Inputs) -> tuple[Case, xr.Dataset]:
     found = coverage.shipped(i.case)
     if found is None:
         raise InputError(sentence("the case comes without a study of twins", do="sunspin coverage"))
-    alike = rb.moves_and_sees_alike(i.case.vehicle, load_vehicle(i.case.name))
+    alike = rb.draws_alike(i.case.vehicle, load_vehicle(i.case.name))
     if not alike or any(one.key.startswith(("study.", *OF_READINGS)) for one in i.case.changes):
         do = "make one with `sunspin coverage` and the same --set"
         raise InputError(sentence("the study of twins that comes with the case is of another body or other assumptions", do=do))

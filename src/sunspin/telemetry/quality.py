@@ -296,7 +296,7 @@ def _left(albedo: float, spread: float | None, stated: bool) -> float:
 def _earth_light(albedo: float, seen: int, noise: float) -> float:
     """What a panel gets that looks straight at the Earth, a share of full Sun, if `albedo` is the quantile of what faces away
     from the Sun get, noise included; 0 where the file does not tell."""
-    return float(np.sqrt(max(albedo**2 - noise**2, 0.0)) / COSINE_QUANTILE) if seen >= TOLD_READINGS else 0.0
+    return float(np.sqrt(max((albedo - noise) * (albedo + noise), 0.0)) / COSINE_QUANTILE) if seen >= TOLD_READINGS else 0.0
 
 
 def reasons(quality: Any) -> dict[str, int]:

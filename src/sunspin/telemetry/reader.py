@@ -78,7 +78,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         what = "this is a vehicle's file and not telemetry"
         raise TelemetryError(sentence(what, do="give the vehicle first and then a table of samples", where=str(path)))
     table = read_table(path)
-    if table.data is not None and table.data.attrs.get("kind") == KIND:
+    if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
         return stored_telemetry(table.data, vehicle, path)
     if "frame" in table.header and form.time_column not in table.header and set(table.header) & {"timestamp", "observer"}:
         what, do = "the file holds raw frames and no readings", "turn them into a table first, as `sunspin decode` does for skCUBE"
@@ -256,7 +256,7 @@ def _times(
             sentence(
                 f"{kind} is expected",
                 got=cells[i] or "an empty cell",
-                do="correct it, or set time_format under [telemetry] in the vehicle file",
+                do=_how_to_write(cells[i]) if form.time_format == "utc" else OTHER_FORM,
                 where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
             )
         )
@@ -280,6 +280,21 @@ def _times(
         return numbers, fixed
     epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
+
+
+OTHER_FORM = "correct it, or set time_format under [telemetry] in the vehicle file"
+
+
+def _how_to_write(cell: str) -> str:
+    """What to do with a cell that is no time in UTC."""
+    number = abs(_number(cell))
+    if number > LATEST_UNIX_S:
+        return 'if it is Unix time in milliseconds, set time_format = "unix" and time_scale_s = 0.001 under [telemetry]'
+    if np.isfinite(number):
+        return 'if it is in seconds, set time_format = "unix" (since 1970) or "elapsed" under [telemetry] in the vehicle file'
+    if re.search(r":\d\d:60(?!\d)", cell):
+        return "leap seconds are not known: write the second before or after, or remove the row"
+    return "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
 
 
 def _one_clock(cells: list[str], table: Table, path: Path, form: TelemetryForm) -> None:

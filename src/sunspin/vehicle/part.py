@@ -253,6 +253,10 @@ def no_entries() -> Mapping[str, Any]:
 # -------------------------------------------------------------------------------------------------------------------- sentences
 
 
+IN_WORDS = {"string_type": "should be a text in quotes", "string_too_short": "should not be empty"}
+"""Kinds of pydantic's problems that it names for programmers."""
+
+
 def problem(error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None) -> str:
     """The first thing that is wrong with a part of this kind, in one sentence; `table` is the file's, if it is from one.
 
@@ -275,6 +279,7 @@ def problem(error: ValidationError, kind: type, where: str, table: Mapping[str, 
         return sentence("this key is missing", do="add it", where=where)
     message = found["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("valid tuple", "valid list")
     message = message.replace("Tuple should", "List should").replace(" after validation", "")
+    message = IN_WORDS.get(found["type"], message)
     if found["type"] == "dataclass_type":
         message = "should be a table" if table is not None else message.replace("a dictionary or ", "")
     return sentence(message, got=None if isinstance(found["input"], dict) else found["input"], where=where)

@@ -253,8 +253,9 @@ def on_ladder(wanted: np.ndarray, rate: np.ndarray, duration_s: float) -> np.nda
     if steps.max(initial=0) > MAX_STEPS:
         raise MotionError(
             sentence(
-                f"a run of {duration_s:g} s at {rate.max():.3g} rad/s needs {steps.max():.3g} steps",
-                do="shorten the window, or check the unit of the rates",
+                f"a run of {duration_s:g} s at {rate.max():.3g} rad/s ({np.degrees(rate.max()):.3g} deg/s) needs "
+                f"{steps.max():.3g} steps",
+                do="shorten the window, or check the unit of the rates: rad/s, not deg/s",
             )
         )
     return steps.astype(np.int64)

@@ -41,7 +41,7 @@ from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
-from sunspin.estimate.posterior.verdict import COUNTS, Found, believed, refused, spoilt_panels, verdict, word_of
+from sunspin.estimate.posterior.verdict import COUNTS, TOO_FEW, Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.vehicle import Vehicle
@@ -69,10 +69,6 @@ OF_REGION = 4000
 
 LEAST_WEIGHT = 1e-4
 """Regions with less weight are not listed."""
-
-LEAST_DRAWS = 10.0
-"""Effective draws below which a region is not listed either, where its weight does not count: one draw would be told with a sigma
-of zero."""
 
 
 def posterior(
@@ -286,10 +282,15 @@ def _tree(model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray) -> xr.D
 def _listed(drawn: Mixed) -> int:
     """How many regions are listed: by falling weight, up to the first that has too little of it, or of draws."""
     for region, share in enumerate(drawn.share):
-        own = drawn.log_weight[drawn.region == region]
-        if share <= LEAST_WEIGHT or (share < COUNTS and 1 / np.sum(np.exp(own - logsumexp(own)) ** 2) < LEAST_DRAWS):
+        if share <= LEAST_WEIGHT or (share < COUNTS and _effective(drawn, region) < TOO_FEW):
             return max(1, region)
     return len(drawn.share)
+
+
+def _effective(drawn: Mixed, region: int) -> float:
+    """How many draws of equal weight those of a region are worth."""
+    own = drawn.log_weight[drawn.region == region]
+    return float(1 / np.sum(np.exp(own - logsumexp(own)) ** 2))
 
 
 def _modes(drawn: Mixed) -> xr.Dataset:
@@ -307,13 +308,14 @@ def _modes(drawn: Mixed) -> xr.Dataset:
         rows.append((
             mean, np.einsum("n,ni,nj->ij", share, omega - mean, omega - mean), middle / np.linalg.norm(middle),
             drawn.share[region], drawn.evidence + np.log(drawn.share[region]), omega[best],
-            *_chi_square(drawn, int(inside[best])), int(drawn.starts[region]),
+            *_chi_square(drawn, int(inside[best])), int(drawn.starts[region]), _effective(drawn, region),
         ))  # fmt: skip
     names = (
         ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
         ("sun_B", ("mode", "axis"), "1"), ("weight", ("mode",), "1"), ("log_evidence", ("mode",), "1"),
         ("best_omega_B", ("mode", "axis"), "rad s-1"),
         ("chi_square", ("mode",), "1"), ("lit_readings", ("mode",), "1"), ("starts", ("mode",), "1"),
+        ("effective_draws", ("mode",), "1"),
     )  # fmt: skip
     columns = zip(names, zip(*rows, strict=True), strict=True)
     return xr.Dataset(

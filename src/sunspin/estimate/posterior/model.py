@@ -299,7 +299,8 @@ def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) ->
     if (vehicle.channels or vehicle.throttled) and (own.any() or common):
         what = "the posterior does not know turns of panels that share an input or are throttled"
         got = f"channel {vehicle.channels[0].name!r}" if vehicle.channels else "throttled = true"
-        raise InputError(sentence(what, got=got, do="leave them out: tilt and tilt_common 0"))
+        do = "take panels as drawn with --prior tilt=0 --prior tilt_common=0; sigmas of the rates then leave the turns out"
+        raise InputError(sentence(what, got=got, do=do))
     return tilt.unknowns(vehicle, own, common)
 
 

@@ -21,6 +21,9 @@ TAIL_LIMIT, EFFECTIVE_LIMIT = 0.55, 700.0
 COUNTS = 0.01
 """A region with less weight is not counted."""
 
+TOO_FEW = 10.0
+"""Effective draws below which a region has no sigma, that of one draw would be zero; and is not listed where it does not count."""
+
 UNIQUE = 0.99
 
 LINE_TURN, LINE_REGIONS = 0.15, 25
@@ -146,9 +149,16 @@ def believed(found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring
     first = about["t_first_s"]
     return PassMotions(
         about["samples"], first, about["t_last_s"], first, modes["weight"].values, modes["omega_B"].values,
-        np.sqrt(np.einsum("kii->ki", covariance)), speed,
+        sigmas(modes), speed,
         answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete), wiring,
     )  # fmt: skip
+
+
+def sigmas(modes: Any) -> np.ndarray:
+    """Sigmas (mode, 3) of the regions' rates in rad/s; NaN where a region has too few draws: of one it would be zero."""
+    sigma = np.sqrt(np.einsum("kii->ki", modes["omega_cov_B"].values))
+    few = modes["effective_draws"].values < TOO_FEW if "effective_draws" in modes else np.zeros(len(sigma), dtype=bool)
+    return np.where(few[:, None], np.nan, sigma)
 
 
 def summary(tree: Any) -> dict[str, Any]:
@@ -160,9 +170,9 @@ def summary(tree: Any) -> dict[str, Any]:
         "verdict": tree.attrs["verdict"], "verdict_word": tree.attrs["verdict_word"],
         "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
         "modes": [
-            {"weight": float(w), "omega_B": o.tolist(), "sigma": np.sqrt(np.diag(c)).tolist(), "chi_square": float(x),
-             "starts": int(h)}
-            for w, o, c, x, h in zip(modes["weight"].values, modes["omega_B"].values, modes["omega_cov_B"].values,
+            {"weight": float(w), "omega_B": o.tolist(), "sigma": s.tolist() if np.isfinite(s).all() else None,
+             "chi_square": float(x), "starts": int(h)}
+            for w, o, s, x, h in zip(modes["weight"].values, modes["omega_B"].values, sigmas(modes),
                                      modes["chi_square"].values, modes["starts"].values, strict=True)
         ],
         "p_value": float(tree.attrs["p_value"]), "effective_draws": float(tree.attrs["effective_draws"]),

@@ -24,6 +24,7 @@ from sunspin.estimate.rates.alternatives import Others
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading, link
+from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
 from sunspin.estimate.rates.motion import Body, require_followed
@@ -70,6 +71,9 @@ FEW_MODES = 3
 
 MOST_LATE = 0.1
 """A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
+
+NOT_LATE = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
+"""What is said where sensors neither are nor seem late."""
 
 
 def rates(
@@ -221,6 +225,16 @@ def rates(
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
+    return _judged(result, vehicle, telemetry)
+
+
+def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
+    """The result with its verdict. A gyro along other axes than stated looks like a late one: then these are named."""
+    if result.attrs["sensors_late_from"] == SUSPECTED:
+        if "wiring_doubt" not in result.attrs and (axes := wrong_gyro_axes(vehicle, telemetry)):
+            result = result.assign_attrs(wiring_doubt=axes)
+        if "wiring_doubt" in result.attrs:
+            result = result.assign_attrs(NOT_LATE)
     return result.assign_attrs(verdict=verdict(result))
 
 
@@ -390,12 +404,11 @@ def _clock(
     told: Lateness | None, tracks: list[tuple[Observations, Track]], motion: Motion
 ) -> tuple[Clock | None, dict[str, float | str]]:
     """The clock with which the passes are finished, narrowed by all of them, and what is said of it."""
-    nothing = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
     if told is None:
         late = suspected(tracks, motion)
         longest = max(float(np.ptp(o.t_s)) for o, _ in tracks)
         if late is None or abs(late.late_s) > MOST_LATE * longest:  # it stands for a motion that does not fit
-            return None, nothing
+            return None, NOT_LATE
         return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
     clock = Clock(told.late_s, told.sigma_s)
     late = lateness(tracks, motion, clock) if told.sigma_s > 0 else None

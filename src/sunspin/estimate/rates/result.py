@@ -187,7 +187,7 @@ def verdict(result: xr.Dataset) -> str:
     if missed := result.attrs["coarse_passes"]:
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
-    if result.attrs["sensors_late_from"] == SUSPECTED and "wiring_doubt" not in result.attrs:
+    if result.attrs["sensors_late_from"] == SUSPECTED:
         text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
     elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"

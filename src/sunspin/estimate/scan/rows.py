@@ -6,7 +6,7 @@ Frozen plain data, so that they can be sent to other processes; compiled kernels
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -224,10 +224,11 @@ class TrackRows:
 
 def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     """What both kinds of rows depend on."""
+    used = replace(rows.vehicle, mass_kg=None, legs=(), hull=(), antenna=None, facts={})  # those are for landings, and sources
     return {
         **code(),
         **k.device_identity(rows.device),
-        "vehicle": plain(rows.vehicle),
+        "vehicle": plain(used),
         **plain(rows.start),
         "wheel_mode": list(k.check_commands(rows.vehicle, rows.wheel_mode)),
     }

@@ -236,7 +236,7 @@ def check_size(*points: float) -> None:
 def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
     axis = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if axis.ndim != 1 or axis.size == 0 or not np.all(np.isfinite(axis)):
-        raise InputError(sentence(f"{name} must be a list of finite rates in rad/s", got=f"shape {axis.shape}"))
+        raise InputError(sentence(f"{name} must be a list of finite rates in rad/s, not deg/s", got=f"shape {axis.shape}"))
     if len(np.unique(axis)) < len(axis):
         raise InputError(sentence(f"{name} has a rate twice", got=axis[:10].tolist(), do="give each once"))
     return axis

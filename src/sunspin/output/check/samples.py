@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.gyro_axes import wrong_gyro_axes
+from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.telemetry.quality import panel_quality, reasons
 from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import wrong_units

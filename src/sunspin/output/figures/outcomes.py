@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sunspin.landing.tally import Estimate, density, tally
-from sunspin.output.figures import COLOURS, named
+from sunspin.output.figures import ABOVE, COLOURS, named
 
 DOTS = (
     (
@@ -186,8 +186,8 @@ def delay_figure(search: xr.Dataset) -> Figure:
     low_s, high_s = search.attrs["spread_s"]
     top.axvspan(low_s / 60, high_s / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings")
     top.set_ylabel({"touch_leg": "probability that a leg touches first"}.get(metric, metric.replace("_", " ")))
-    top.legend(fontsize=8, frameon=False)
-    top.set_title("When to switch the wheel off")
+    top.legend(ncols=3, fontsize=8, **ABOVE)
+    figure.suptitle("When to switch the wheel off")
     quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"), ("rest_leg", "rests on its legs"),
                   ("leg_tip_speed", "fastest leg tip at contact (m/s)"))  # fmt: skip
     for k, (name, text) in enumerate(quantities):
@@ -200,7 +200,7 @@ def delay_figure(search: xr.Dataset) -> Figure:
     low.set_ylim(bottom=0)
     low.set_ylabel("probability, or speed (m/s)")
     low.set_xlabel("switch-off after the touchdown (min)")
-    low.legend(fontsize=8, frameon=False)
+    low.legend(ncols=3, fontsize=8, **ABOVE)
     return figure
 
 

@@ -13,6 +13,7 @@ import pandas as pd
 from sunspin.estimate.posterior.period import period_sentences
 from sunspin.estimate.posterior.predict import intervals
 from sunspin.estimate.posterior.prior_widths import prior_sentences
+from sunspin.estimate.posterior.verdict import sigmas
 from sunspin.estimate.posterior.verdict import summary as main_numbers
 from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
@@ -36,9 +37,11 @@ def posterior_summary(tree: Any) -> Summary:
     speed, low, high = _degrees(rate)
     lines.append(f"  angular speed at the first sample {speed} deg/s, 90 % in {low} to {high}")
     for mode in numbers["modes"][:MOST_MODES]:
-        digits = digits_of(np.degrees(mode["sigma"]))
-        omega, sigma = (", ".join(f"{x:.{digits}f}" for x in np.degrees(mode[key])) for key in ("omega_B", "sigma"))
-        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) +- ({sigma}) deg/s  chi-square {mode['chi_square']:.0f}")
+        known = mode["sigma"] is not None
+        digits = digits_of(np.degrees(mode["sigma"])) if known else 2
+        omega, sigma = (", ".join(f"{x:.{digits}f}" for x in np.degrees(mode[key] or ())) for key in ("omega_B", "sigma"))
+        error = f"+- ({sigma}) deg/s" if known else "deg/s, too few draws for a sigma"
+        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) {error}  chi-square {mode['chi_square']:.0f}")
     worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
     priors = json.loads(tree.attrs["priors"])
@@ -123,11 +126,11 @@ def predictions_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
 
 
 def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
-    modes = tree["modes"]
+    modes, sigma = tree["modes"], sigmas(tree["modes"])
     columns: dict[str, Any] = {"weight": modes["weight"].values, "log_evidence": modes["log_evidence"].values}
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
-        columns[f"sigma_{axis}_rad_s"] = modes["omega_cov_B"].values[:, k, k] ** 0.5
+        columns[f"sigma_{axis}_rad_s"] = sigma[:, k]
     columns |= {name.replace("_rad_s", "_deg_s"): np.degrees(columns[name]) for name in [*columns] if name.endswith("_rad_s")}
     columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
     _table(folder / "modes.csv", tree, columns)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.output.kinds.rate_words import rate_at
+from sunspin.output.report.landing import strategy_name
 from sunspin.output.report.read import Results
 from sunspin.output.report.rows import between
 from sunspin.output.text import capital, counted, number_text, rate_text
@@ -136,17 +137,21 @@ def _scan(results: Results) -> list[str]:
 
 
 def _outcomes(results: Results) -> list[str]:
+    origin = results.summary.get("candidates_from")
     told = [
         f"{counted(int(results.summary['runs']), 'simulated run')} per strategy, from {results.summary['candidates']} candidate "
-        "motions."
+        f"motions{f': {origin}' if origin else ''}."
     ]
     parts = []
     for name, found in results.summary.get("strategies", {}).items():
         if "touch_leg" in found:
             leg = found["touch_leg"]
-            parts.append(f"{name} {leg['value']:.1%} ± {leg['error']:.1%}")
+            parts.append(f"{strategy_name(name)} {leg['value']:.1%} ± {leg['error']:.1%}")
     if parts:
         told.append("A leg touches the ground first with a probability of: wheel " + ", ".join(parts) + " (one standard error).")
+    if isinstance(best := results.summary.get("best_delay"), dict):
+        good = ", ".join(f"{t / 60:g}" for t in best["as_good_s"])
+        told.append(f"Of the delays that were searched {best['delay_s'] / 60:g} min is best; not worse by two errors: {good} min.")
     missing = results.summary.get("not_told")
     return [*told, str(missing)] if missing else told
 

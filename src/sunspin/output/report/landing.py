@@ -11,22 +11,22 @@ from sunspin.landing.tally import tally
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table
+from sunspin.telemetry.case import case_names
 
 STRATEGY_NAMES = {
-    "off": "off at touchdown (as flown)", "held": "held at speed", "brake": "braked at touchdown",
-    "after_rest": "held, off after rest",
+    "off": "off at touchdown", "held": "held at speed", "brake": "braked at touchdown", "after_rest": "held, off after rest",
 }  # fmt: skip
 
 QUANTITIES = (
     ("touch_leg", "A leg touches first"),
     ("touch_panel", "A panel touches first"),
     ("rest_leg", "Comes to rest on its legs"),
-    ("leg_tip_speed", "Fastest leg tip at contact"),
+    ("leg_tip_speed", "Fastest leg tip at contact, m/s"),
     ("antenna_at_rest", "Antenna holds the orbiter at rest"),
     ("rz_time_below_-0.5", "Upside down to the Sun (r_z < -0.5)"),
-    ("rate_after", "Angular speed after the collision"),
+    ("rate_after", "Angular speed after the collision, deg/s"),
 )
-"""What is listed of a comparison: name, heading."""
+"""What is listed of a comparison: name, heading; rates stand in files in rad/s."""
 
 
 def strategy_name(name: str) -> str:
@@ -80,11 +80,10 @@ def strategies(results: Results) -> Section | None:
     if not known or len(names) < 2:
         return None
     runs = int(table.attrs.get("runs", 0))
-    lead = [
-        f"The same {runs} draws for every command, so that differences are known better than the values. "
-        "Switching the wheel off at the touchdown is what was flown."
-    ]
-    rows = [[text, *(_value(table, name, q) for name in names)] for q, text in known]
+    lead = [f"The same {runs} draws for every command, so that differences are known better than the values."]
+    if table.attrs.get("vehicle") in case_names():  # of another lander nobody told
+        lead[0] += " Switching the wheel off at the touchdown is what was flown."
+    rows = [[text, *(_value(table, name, q, text) for name in names)] for q, text in known]
     numbers = Table(["quantity", *map(strategy_name, names)], rows, "In numbers (one standard error)")
     return Section("strategies", "What the wheel could have been told instead", lead, [*drawn(results, "strategies"), numbers])
 
@@ -94,6 +93,7 @@ def _pair(value: float, error: float, decimals: int) -> str:
     return f"{value:.{decimals}f}\u00a0±\u00a0{error:.{decimals}f}"
 
 
-def _value(table: xr.Dataset, name: str, quantity: str) -> str:
-    value, error = (float(table[part].sel(strategy=name, quantity=quantity)) for part in ("value", "error"))
+def _value(table: xr.Dataset, name: str, quantity: str, text: str) -> str:
+    unit = float(np.degrees(1.0)) if text.endswith("deg/s") else 1.0
+    value, error = (unit * float(table[part].sel(strategy=name, quantity=quantity)) for part in ("value", "error"))
     return _pair(value, error, 3) if np.isfinite(value) else "not told"

@@ -42,6 +42,7 @@ SEEN_OF = {
     },
     "simulate": {"t_s", "omega_B", "sun_B", "wheel_speed_rad_s", "events"},
     "sun": {"samples", "reconstructed", "status", "median_sigma_deg", "noise_from"},
+    "outcomes": {"runs", "candidates", "candidates_from", "strategies", "not_told", "best_delay"},
     "scan": {"metric", "rows", "minimum", "best_omega_B", "near_minimum_points", "lines"},
     "posterior": {
         "verdict", "verdict_word", "rate_rad_s", "modes", "passes", "p_value", "effective_draws", "pareto_k", "predicted",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.estimate.posterior.predict import intervals
+from sunspin.estimate.posterior.verdict import TOO_FEW
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, camera, packed, thin, utc_text
@@ -73,13 +74,22 @@ def _regions(draws: Draws, results: Results) -> Table:
         part, weight = np.degrees(draws.omega[inside]), draws.weight[inside]
         mean = np.average(part, axis=0, weights=weight if share > 0 else None)
         sigma = np.sqrt(np.average((part - mean) ** 2, axis=0, weights=weight if share > 0 else None))
-        row = [str(k + 1), f"{share:.3g}", *(f"{m:.4g} ± {s:.2g}" for m, s in zip(mean, sigma, strict=True))]
+        few = _effective(part, weight) < TOO_FEW
+        rates = [f"{m:.4g}" if few else f"{m:.4g} ± {s:.2g}" for m, s in zip(mean, sigma, strict=True)]
+        row = [str(k + 1), f"{share:.3g}", *rates[:2], rates[2] + ", no sigma: too few draws" * few]
         more = ["", "", ""]
         if modes is not None and k < modes.sizes["mode"]:
             more = [f"{float(modes[name].values[k]):.4g}" for name in ("chi_square", "lit_readings", "starts")]
         rows.append(row + more)
     head = ["region", "weight", *(f"ω{axis} (deg/s)" for axis in "xyz"), "chi-square", "lit readings", "starts that led to it"]
     return Table(head, rows, "Regions of motions, heaviest first: rates at the first sample, body axes, and one sigma")
+
+
+def _effective(omega: np.ndarray, weight: np.ndarray) -> float:
+    """How many different draws (n, 3) of equal weight these are worth: some stand there several times."""
+    _, which = np.unique(omega, axis=0, return_inverse=True)
+    each = np.bincount(which.ravel(), weight)
+    return round(float(each.sum() ** 2 / (each**2).sum()), 6) if each.any() else 0.0
 
 
 ASKED = {
