@@ -6,6 +6,7 @@ could be left out, keeps the best so far, and notes that it was cut short.
 
 from __future__ import annotations
 
+import sys
 from contextvars import ContextVar, Token
 from typing import Any, Self
 
@@ -32,6 +33,7 @@ class Effort:
     def __init__(self, most: float, label: str | None = None, alone: bool = False) -> None:
         self.most, self.outer, self.alone, self.spent, self.cut = most, _now.get(), alone, 0.0, False
         self._entered: list[Token[Effort | None]] = []
+        self._said: set[str] = set()
         total = most if np.isfinite(most) else None
         bar: Any = tqdm(total=total, desc=label, unit="motion", unit_scale=True, leave=False, disable=label is None)
         self.bar = bar
@@ -60,6 +62,12 @@ class Effort:
     def doing(self, what: str) -> None:
         """Say in the progress line what is being done."""
         self.bar.set_postfix_str(what)
+
+    def say(self, line: str) -> None:
+        """Print a line above the progress line, once, where one is shown."""
+        if line and not self.bar.disable and line not in self._said:
+            self._said.add(line)
+            self.bar.write(line, file=sys.stderr)
 
     def spend(self, count: float) -> None:
         """Count so many motions."""
