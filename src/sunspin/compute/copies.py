@@ -5,6 +5,7 @@ Only where that is safe. A copy has one thread: a lock that another thread held 
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import threading
@@ -24,10 +25,15 @@ def may_copy() -> bool:
 
 @contextmanager
 def copying() -> Generator[None]:
-    """While copies are made: Python warns of the linear algebra's threads, which stand still and are made anew in a copy."""
+    """While copies are made: Python warns of the linear algebra's threads, which stand still and are made anew in a copy.
+
+    What there is by now is no garbage: a copy that looked for some would have to copy all memory.
+    """
+    gc.freeze()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
         yield
+    gc.unfreeze()
 
 
 def deaf() -> None:

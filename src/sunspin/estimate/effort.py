@@ -23,6 +23,12 @@ BATCH = 250
 the template, skCUBE and four faces: of smoothing and shooting, of few and of many hypotheses, within a factor of two."""
 
 
+class _Bar(tqdm):
+    """Without a thread that watches it: beside another thread no process is copied (:mod:`sunspin.compute.copies`)."""
+
+    monitor_interval = 0
+
+
 class Effort:
     """What was spent while this was entered (`with effort: ...`, as often as one likes), of `most`; `cut`: something was left out.
 
@@ -35,7 +41,7 @@ class Effort:
         self._entered: list[Token[Effort | None]] = []
         self._said: set[str] = set()
         total = most if np.isfinite(most) else None
-        bar: Any = tqdm(total=total, desc=label, unit="motion", unit_scale=True, leave=False, disable=label is None)
+        bar: Any = _Bar(total=total, desc=label, unit="motion", unit_scale=True, miniters=1, leave=False, disable=label is None)
         self.bar = bar
 
     def __enter__(self) -> Self:

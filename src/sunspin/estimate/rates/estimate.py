@@ -27,7 +27,7 @@ from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading, link
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
-from sunspin.estimate.rates.motion import Body, require_followed
+from sunspin.estimate.rates.motion import Body, load, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, Task, choose, evidence_of_noises, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
@@ -184,9 +184,9 @@ def rates(
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
+    load(body)
     with processes(_useful(workers, parts, momenta, forces.torques)) as pool:
         spent = Effort(allowed(effort), "rates" if progress else None)
-        spent.doing("how strong torques are")
         with spent.part(NOISE_SHARE * spent.most) as judged:
             noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_judged, spent, judged, pool))
         motion = Motion(body, noise, rate_max / 2)
@@ -246,6 +246,7 @@ def _useful(workers: int, parts: list[np.ndarray], momenta: dict[str, np.ndarray
 
 def _judged(spent: Effort, part: Effort, pool: Executor | None, tasks: Sequence[Task]) -> list[np.ndarray]:
     """The evidence of noises of each task, each having an equal share of what is left of a part of the effort."""
+    spent.doing("how strong torques are")
     found: list[np.ndarray] = []
     for (evidence, rough), cut in each(evidence_of_noises, tasks, max(part.left, 0.0) / len(tasks), part, pool):
         spent.say(rough)
