@@ -48,13 +48,14 @@ def test_one_process_is_this_one():
 
 
 @pytest.mark.long
-def test_the_result_does_not_depend_on_the_workers():
+@pytest.mark.parametrize("noise", [1e-5, None])
+def test_the_result_does_not_depend_on_the_workers(noise):
     """Eight passes of four samples of a cube."""
     t = np.concatenate([np.arange(0.0, 80.0, 20.0) + start for start in 3000.0 * np.arange(8)])
     each_pass = [spin(np.radians([1.0, -0.5, 0.8]), part) for part in np.split(t, 8)]
     omega, attitude = (np.concatenate(parts) for parts in zip(*each_pass, strict=True))
     made = seen(FACES, omega, attitude, t, 0.01, np.random.default_rng(3))
-    setting = {"max_rate_rad_s": 0.03, "acceleration_noise": 1e-5}
+    setting = {"max_rate_rad_s": 0.03, "acceleration_noise": noise}
     one, two = (ss.rates(made.vehicle, made.telemetry, workers=workers, **setting) for workers in (1, 2))
     assert one.sizes["pass_id"] == 8
     xr.testing.assert_identical(one.drop_attrs(), two.drop_attrs())

@@ -38,8 +38,8 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
               "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
               "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
               "says so and is never decided.")
-@click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side, four passes each at "
-              "least; default one per core. The result does not depend on it.")
+@click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side; default one "
+              "per core. The result does not depend on it.")
 @period_option("The motions of its pass are weighted by it, and what it decides is said.")
 @click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
 def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,

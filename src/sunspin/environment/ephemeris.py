@@ -10,16 +10,21 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.lazy import lazy
 from sunspin.base.tables import TelemetryError, read_table
 from sunspin.base.untrusted import Elsewhere, decoded, elsewhere, read_bytes, xml_root
 from sunspin.environment.earth import DAY_S, EQUATOR_M, MU_M3_S2, Instants, J2000_from_TEME, earth_from_J2000
 from sunspin.environment.elements import Elements, read_elements
+
+if TYPE_CHECKING:
+    from scipy import interpolate
+else:
+    interpolate = lazy("scipy.interpolate")
 
 MAX_FILE_BYTES = 50_000_000
 """Positions of a month, one a minute, are 5 MB."""
@@ -60,14 +65,14 @@ class Stretch:
     place: np.ndarray
 
     @cached_property
-    def spline(self) -> BSpline:
-        return make_interp_spline(self.t_s, self.place, k=DEGREE)
+    def spline(self) -> interpolate.BSpline:
+        return interpolate.make_interp_spline(self.t_s, self.place, k=DEGREE)
 
     def error_m(self) -> float:
         """What the spline is off between the positions, by that through every other one."""
         if len(self.t_s) < 2 * FEWEST:
             return 0.0
-        coarse = make_interp_spline(self.t_s[::2], self.place[::2], k=DEGREE)
+        coarse = interpolate.make_interp_spline(self.t_s[::2], self.place[::2], k=DEGREE)
         inside = slice(1, len(self.t_s) - 1 - (len(self.t_s) % 2 == 0), 2)
         off = np.linalg.norm(coarse(self.t_s[inside]) - self.place[inside], axis=1)
         return float(off.max()) / 2 ** (DEGREE + 1)

@@ -6,6 +6,7 @@ could be left out, keeps the best so far, and notes that it was cut short.
 
 from __future__ import annotations
 
+import sys
 from contextvars import ContextVar, Token
 from typing import Any, Self
 
@@ -22,6 +23,12 @@ BATCH = 250
 the template, skCUBE and four faces: of smoothing and shooting, of few and of many hypotheses, within a factor of two."""
 
 
+class _Bar(tqdm):
+    """Without a thread that watches it: beside another thread no process is copied (:mod:`sunspin.compute.copies`)."""
+
+    monitor_interval = 0
+
+
 class Effort:
     """What was spent while this was entered (`with effort: ...`, as often as one likes), of `most`; `cut`: something was left out.
 
@@ -32,8 +39,9 @@ class Effort:
     def __init__(self, most: float, label: str | None = None, alone: bool = False) -> None:
         self.most, self.outer, self.alone, self.spent, self.cut = most, _now.get(), alone, 0.0, False
         self._entered: list[Token[Effort | None]] = []
+        self._said: set[str] = set()
         total = most if np.isfinite(most) else None
-        bar: Any = tqdm(total=total, desc=label, unit="motion", unit_scale=True, leave=False, disable=label is None)
+        bar: Any = _Bar(total=total, desc=label, unit="motion", unit_scale=True, miniters=1, leave=False, disable=label is None)
         self.bar = bar
 
     def __enter__(self) -> Self:
@@ -60,6 +68,12 @@ class Effort:
     def doing(self, what: str) -> None:
         """Say in the progress line what is being done."""
         self.bar.set_postfix_str(what)
+
+    def say(self, line: str) -> None:
+        """Print a line above the progress line, once, where one is shown."""
+        if line and not self.bar.disable and line not in self._said:
+            self._said.add(line)
+            self.bar.write(line, file=sys.stderr)
 
     def spend(self, count: float) -> None:
         """Count so many motions."""

@@ -100,17 +100,19 @@ class Result:
         drawings : Drawings, optional
             More figures.
         """
+        from sunspin.compute.copies import at_once
         from sunspin.output.figures import save
         from sunspin.output.folder import Picture, results_folder, write_run
         from sunspin.output.kinds.kind import Beside
 
         kind, beside = self._kind, Beside(telemetry, vehicle)
         path = results_folder(folder, kind.command)
-        kind.write(self._data, path, beside)
-        pictures = [
-            Picture(save(drawing.make(), path, drawing.name)[0], drawing.alt, drawing.caption)
-            for drawing in [*kind.drawings(self._data, beside), *drawings]
-        ]
+        drawn = [*kind.drawings(self._data, beside), *drawings]
+        at_once([
+            lambda: kind.write(self._data, path, beside),
+            *(lambda one=one: save(one.make(), path, one.name) for one in drawn),
+        ])  # fmt: skip
+        pictures = [Picture(path / f"{one.name}.png", one.alt, one.caption) for one in drawn]
         said = {} if telemetry is None else telemetry.attrs
         inputs = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}] if "sha256" in said else []
         summary = {**self.summary(), **(also or {}), "command": command, "inputs": inputs}

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.compute.copies import may_copy
 from sunspin.compute.rows import worker_count
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
@@ -27,11 +28,12 @@ from sunspin.estimate.rates.finish import Pass, finished, leading, link
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
-from sunspin.estimate.rates.motion import Body, require_followed
-from sunspin.estimate.rates.noise import HIGHER_NOISES, choose, quick_evidence, refined
+from sunspin.estimate.rates.motion import Body, load, require_followed
+from sunspin.estimate.rates.noise import HIGHER_NOISES, Task, choose, evidence_of_noises, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
 from sunspin.estimate.rates.result import SUSPECTED, believed, dataset_of, in_space, in_the_field, verdict
+from sunspin.estimate.rates.rough import roughly
 from sunspin.estimate.rates.side_by_side import each, processes
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
@@ -61,7 +63,7 @@ MUCH_MORE = 1.5
 """A search that was cut short begins anew where it may take so many times more."""
 
 PASSES_EACH = 4
-"""Of a process, at least: it takes as long to begin as a pass or two."""
+"""Of a process that is no copy of this one, at least: it takes as long to begin as a pass or two."""
 
 ROUND = 8
 """Passes after which it is asked whether the effort is spent: a number of its own, so that workers change nothing."""
@@ -140,10 +142,11 @@ def rates(
         seconds: :mod:`sunspin.estimate.effort`); infinite: whatever is needed. Where it does not suffice the best so far is kept,
         `search_complete` is false and the verdict says that the search was cut short.
     workers : int
-        Processes that estimate passes side by side, four passes each at least; the result does not depend on it. A script that asks
-        for more than one needs `if __name__ == "__main__":`.
+        Processes that estimate passes side by side, copies of this one where that is safe, else four passes each at least; the
+        result does not depend on it. A script that asks for more than one needs `if __name__ == "__main__":`.
     progress : bool
-        Show what is being done, and how long it will take at most.
+        Show what is being done, how long it will take at most, and of each pass a rough speed as soon as its first motions are
+        found (:mod:`sunspin.estimate.rates.rough`).
 
     Returns
     -------
@@ -185,13 +188,13 @@ def rates(
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
-    spent = Effort(allowed(effort), "rates" if progress else None)
-    with spent.part(NOISE_SHARE * spent.most) as judged:
-        spent.doing("how strong torques are")
-        noise, o, wheels = choose(o, parts, body, rate_max, given, momenta)
-    motion = Motion(body, noise, rate_max / 2)
-    wholes = [np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts]
-    with processes(_useful(workers, parts, forces.torques)) as pool:
+    load(body)
+    with processes(_useful(workers, parts, momenta, forces.torques)) as pool:
+        spent = Effort(allowed(effort), "rates" if progress else None)
+        with spent.part(NOISE_SHARE * spent.most) as judged:
+            noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_judged, spent, judged, pool))
+        motion = Motion(body, noise, rate_max / 2)
+        wholes = [np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts]
         tracks, cut = _searched(o, parts, motion, rate_max, spent, pool)
         more = () if _torque_told(vehicle, o) else (MagneticTorque.beside(noise, o.freed().field_N),)
         o = replace(o, terms=(*o.terms, *more))
@@ -249,9 +252,21 @@ def _far_from_sphere(body: Body, noise: float) -> bool:
     return body.spherical and noise >= HIGHER_NOISES[0]
 
 
-def _useful(workers: int, parts: list[np.ndarray], torques: Sequence[Torque]) -> int:
+def _useful(workers: int, parts: list[np.ndarray], momenta: dict[str, np.ndarray], torques: Sequence[Torque]) -> int:
     """Processes of use, and none where torques bring an environment, which stays in this one."""
-    return 1 if torques else min(worker_count(workers), len(parts) // PASSES_EACH)
+    tasks = max(len(parts), len(momenta)) if may_copy() else len(parts) // PASSES_EACH
+    return 1 if torques else min(worker_count(workers), tasks)
+
+
+def _judged(spent: Effort, part: Effort, pool: Executor | None, tasks: Sequence[Task]) -> list[np.ndarray]:
+    """The evidence of noises of each task, each having an equal share of what is left of a part of the effort."""
+    spent.doing("how strong torques are")
+    found: list[np.ndarray] = []
+    for (evidence, rough), cut in each(evidence_of_noises, tasks, max(part.left, 0.0) / len(tasks), part, pool):
+        spent.say(rough)
+        part.cut |= cut
+        found.append(evidence)
+    return found
 
 
 def _searched(
@@ -269,6 +284,7 @@ def _searched(
         share, to_do = more, [k for k, again in enumerate(cut) if again]
         for k, made in zip(to_do, each(leading, [tasks[k] for k in to_do], share, spent, pool), strict=True):
             tracks[k], cut[k] = made
+            spent.say(roughly(tasks[k][0], tracks[k]))
             spent.doing(f"pass {k + 1} of {len(parts)}")
     return [(part, tracks[k]) for k, (part, *_) in enumerate(tasks)], cut
 

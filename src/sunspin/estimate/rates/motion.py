@@ -195,6 +195,12 @@ def _runge_kutta(
     return matrix_of(q).reshape(*omega.shape, 3), rate.reshape(omega.shape)
 
 
+def load(body: Body) -> None:
+    """Load what is compiled for a body, a quarter of a second, so that copies of this process have it."""
+    if not body.spherical and not body.acting.torques:
+        _runge_kutta(body, np.zeros((1, 3)), np.ones(1), FREE, np.ones(1, dtype=np.int64))
+
+
 def nutation(body: Body, momentum: np.ndarray) -> np.ndarray:
     """rad/s (...) at which momenta (..., 3) of wheels turn a rate of the body round.
 

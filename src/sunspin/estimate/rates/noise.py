@@ -6,14 +6,15 @@ found, with inertia, a magnetic torque and the light of the Earth as unknowns, w
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.common_errors import Clock, Common, cooler, with_common
 from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.rough import roughly
 from sunspin.estimate.rates.search import SEED_NOISE, cooled, guesses, seeds
 from sunspin.estimate.rates.state import Motion, Observations, Track
 
@@ -37,10 +38,11 @@ SPHERE_NOISES = (1e-2,)
 
 
 def choose(
-    o: Observations, parts: list[np.ndarray], body: Body, rate_max: float, noise: float | None, wheels: dict[str, np.ndarray]
-) -> tuple[float, Observations, str]:
+    o: Observations, parts: list[np.ndarray], body: Body, rate_max: float, noise: float | None, wheels: dict[str, np.ndarray],
+    run: Callable[[Sequence[Task]], list[np.ndarray]],
+) -> tuple[float, Observations, str]:  # fmt: skip
     """The acceleration noise (of `NOISE_LADDER`, unless given) and what the wheels do, by their evidence over the passes with
-    the most samples; with these wheels in the observations, and in words."""
+    the most samples; with these wheels in the observations, and in words. `run`: what :func:`evidence_of_noises` makes of each."""
     noises = NOISE_LADDER if noise is None else (noise,)
     if len(noises) * len(wheels) == 1:
         name = next(iter(wheels))
@@ -48,31 +50,35 @@ def choose(
     longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
     evidence: dict[tuple[float, str], float] = {}
     ladder = (noises, HIGHER_NOISES) if len(noises) == 1 or not body.spherical else (noises + HIGHER_NOISES + SPHERE_NOISES,)
-    for what, momentum in wheels.items():
-        for rungs in ladder:
-            each: list[np.ndarray] = []
-            for part in longest:
-                each.append(_evidence(replace(o, momentum=momentum).take(part), body, rungs, rate_max))
-                if not evidence and not may_go_on():  # all are judged by the same passes
-                    longest = longest[: len(each)]
-                    break
-            evidence |= {(rung, what): float(total) for rung, total in zip(rungs, np.sum(each, axis=0), strict=True)}
-            own = {rung: value for (rung, other), value in evidence.items() if other == what}
-            if noise is not None or max(own, key=lambda rung: own[rung]) != NOISE_LADDER[-1]:
-                break
+    open_still = list(wheels)
+    for rungs in ladder:
+        tasks = [(replace(o, momentum=wheels[what]).take(part), body, rungs, rate_max) for what in open_still for part in longest]
+        totals = np.reshape(run(tasks), (len(open_still), len(longest), len(rungs))).sum(axis=1)
+        for what, total in zip(open_still, totals, strict=True):
+            evidence |= {(rung, what): float(value) for rung, value in zip(rungs, total, strict=True)}
+        best = {what: max(rungs, key=lambda rung, what=what: evidence[rung, what]) for what in open_still}
+        open_still = [what for what, rung in best.items() if noise is None and rung == NOISE_LADDER[-1]]
+        if not open_still:
+            break
     level, name = max(evidence, key=lambda one: evidence[one])
     others = [value for (_, other), value in evidence.items() if other != name]
     told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name
     return level, replace(o, momentum=wheels[name]), told
 
 
-def _evidence(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
-    """Log of the probability of a pass under each noise, up to a constant; minus infinity where nothing fits at all.
+Task = tuple[Observations, Body, tuple[float, ...], float]
+"""A pass, its body, noises (rad/s^1.5) and the largest rate (rad/s)."""
+
+
+def evidence_of_noises(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> tuple[np.ndarray, str]:
+    """Log of the probability of a pass under each noise, up to a constant, minus infinity where nothing fits at all; and a rough
+    answer, empty there.
 
     From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
     vehicle file's, what they do to the Sun's direction would pass for strong torques. The inertia is the file's.
     """
-    return np.logaddexp.reduce([_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)], axis=0)
+    each, words = zip(*(_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)), strict=True)
+    return np.logaddexp.reduce(each, axis=0), words[0]
 
 
 QUICK_NOISES = (1e-4, 5e-6)
@@ -87,25 +93,28 @@ def quick_evidence(o: Observations, part: np.ndarray, body: Body, rate_max: floa
     """
     o = o.take(part)
     size = sum(term.log_size() for term in o.of_sun)
-    return float(_evidence(o, body, QUICK_NOISES, rate_max).max() - size)
+    return float(evidence_of_noises(o, body, QUICK_NOISES, rate_max)[0].max() - size)
 
 
-def _evidence_of(o: Observations, guess: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> np.ndarray:
+def _evidence_of(
+    o: Observations, guess: Observations, body: Body, noises: tuple[float, ...], rate_max: float
+) -> tuple[np.ndarray, str]:
     """The same with the motions that are found as `guess` has the measurements."""
-    found = np.full(len(noises), -np.inf)
+    found, rough = np.full(len(noises), -np.inf), ""
     motion = Motion(body, max(*noises, SEED_NOISE), rate_max / 2)
     try:
         track, last = seeds(guess, motion, rate_max, pairs=1), motion.noise
     except InputError:
-        return found
+        return found, rough
     for k in np.argsort(noises)[::-1]:
         motion = replace(motion, noise=noises[k])
         track, last = cooled(guess, track, last, motion), noises[k]
+        rough = rough or roughly(o, track)
         known = replace(motion, body=replace(body, errors=body.errors[:0]))
         free = any(term.unknowns() for term in o.of_sun)
         fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if free else track
         found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
-    return found
+    return found, rough
 
 
 def falling(begin: float, end: float = 0.0) -> list[float]:

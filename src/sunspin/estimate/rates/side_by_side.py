@@ -5,7 +5,6 @@ Each may spend so much, counted by itself; what was spent is added up in the ord
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from multiprocessing import active_children, get_context
 from typing import Any
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.compute.copies import copying, deaf, may_copy
 from sunspin.estimate.effort import Effort
 
 
@@ -23,8 +23,10 @@ def processes(workers: int) -> Generator[Executor | None]:
         yield None
         return
     others = set(active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_deaf)
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("fork" if may_copy() else "spawn"), initializer=deaf)
     try:
+        with copying():  # before this process has threads of its own
+            pool.submit(int)
         yield pool
     except BaseException:
         for child in set(active_children()) - others:
@@ -34,16 +36,11 @@ def processes(workers: int) -> Generator[Executor | None]:
         pool.shutdown(cancel_futures=True)
 
 
-def _deaf() -> None:
-    """Ctrl-C reaches the process that waits for this one, which then ends it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 def each(
     work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort, pool: Executor | None
 ) -> Iterator[tuple[Any, bool]]:
     """What `work` makes of each task, in order, and whether it was cut short, each having a `share` of the effort to spend."""
-    if pool is None:
+    if pool is None or len(tasks) == 1:
         for task in tasks:
             with spent.part(share, alone=True) as own:
                 made = work(*task)

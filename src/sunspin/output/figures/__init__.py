@@ -26,11 +26,15 @@ matplotlib.rcParams["svg.hashsalt"] = "sunspin"  # the same figure gives the sam
 
 
 def lay_out(figure: Figure) -> Figure:
-    """Find the places of axes and labels once and for all: matplotlib does it anew, twice, for each format that is written."""
+    """Find the places of axes and labels once and for all: matplotlib does it anew, twice, for each format that is written.
+
+    No engine may be left: even one that does nothing makes matplotlib draw everything once more before it draws.
+    """
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        with matplotlib.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
+            figure.set_layout_engine(None)
     return figure
 
 

@@ -1,0 +1,72 @@
+"""Copies of this process (`fork`): they begin at once, with all that it has imported and read.
+
+Only where that is safe. A copy has one thread: a lock that another thread held would be locked in it for good.
+"""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any
+
+from sunspin.compute.rows import worker_count
+
+
+def may_copy() -> bool:
+    """Whether this process may be copied: on Linux, while it has no other thread."""
+    return sys.platform == "linux" and threading.active_count() == 1
+
+
+@contextmanager
+def copying() -> Generator[None]:
+    """While copies are made: Python warns of the linear algebra's threads, which stand still and are made anew in a copy.
+
+    What there is by now is no garbage: a copy that looked for some would have to copy all memory.
+    """
+    gc.freeze()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
+        yield
+    gc.unfreeze()
+
+
+def deaf() -> None:
+    """In a copy: Ctrl-C reaches the process that waits for it, which then ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def at_once(works: Sequence[Callable[[], Any]]) -> None:
+    """Do each of these for what it leaves in files, on as many cores as there are; the first in this process.
+
+    What fails in a copy is done again here, where its error is seen.
+    """
+    count = min(worker_count(None), len(works)) if may_copy() else 1
+    shares = [works[k::count] for k in range(count)]
+    copies = [get_context("fork").Process(target=_in_copy, args=(share,), daemon=True) for share in shares[1:]]
+    with copying():
+        for copy in copies:
+            copy.start()
+    _all(shares[0])
+    for copy, share in zip(copies, shares[1:], strict=True):
+        copy.join()
+        if copy.exitcode != 0:
+            _all(share)
+
+
+def _all(works: Sequence[Callable[[], Any]]) -> None:
+    for work in works:
+        work()
+
+
+def _in_copy(works: Sequence[Callable[[], Any]]) -> None:
+    deaf()
+    try:
+        _all(works)
+    except Exception:
+        sys.exit(1)  # without a word: it is done again where that can be handled
