@@ -215,7 +215,7 @@ def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, fi
 
 
 def _unsampled(asked: list[Hypothesis], tried: list[Sampled]) -> list[str]:
-    """Doubts about hypotheses that promise to count, by Laplace's method, and are left out since no draw under them was possible."""
+    """Doubts about hypotheses that promise to count, by Laplace's method, and are left out since no draw of them was possible."""
     made, mass = {one.hypothesis.what for one in tried}, np.array([log_mass(one) for one in asked])
     counts = mass > logsumexp(mass) + np.log(COUNTS)
     lost = [one.what for one, some in zip(asked, counts, strict=True) if some and one.what not in made]
