@@ -41,7 +41,8 @@ def main(arguments: list[str] | None = None) -> None:
     rows = dict(campaign("tests/sparse_twins.py", "sparse", judge, arguments))
     for name in SENSORS:
         for what, odd in (("slow", 0), ("fast", 1)):
-            print(name, what, table([one for i, row in rows.items() if i % 2 == odd for one in row[name]]))
+            if some := [one for i, row in rows.items() if i % 2 == odd for one in row[name]]:
+                print(name, what, table(some))
 
 
 if __name__ == "__main__":
