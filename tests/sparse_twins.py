@@ -1,6 +1,6 @@
 """Twins for `rates` whose samples are far apart: between two of them the body may turn any number of times.
 
-    python tests/sparse_twins.py OUT --seed 11 --twins 40
+    PYTHONPATH=. python tests/sparse_twins.py OUT --seed 11 --twins 40
 
 Those of `tests/orbit_rates_twins.py`, a sample every 20 to 60 s, without an orbit and without a largest rate: with panels and a
 magnetometer, and with panels alone. Twins with odd numbers turn at 2.5 to 16 deg/s, the others at 0.3 to 4. All of it is synthetic.
@@ -41,7 +41,8 @@ def main(arguments: list[str] | None = None) -> None:
     rows = dict(campaign("tests/sparse_twins.py", "sparse", judge, arguments))
     for name in SENSORS:
         for what, odd in (("slow", 0), ("fast", 1)):
-            print(name, what, table([one for i, row in rows.items() if i % 2 == odd for one in row[name]]))
+            if some := [one for i, row in rows.items() if i % 2 == odd for one in row[name]]:
+                print(name, what, table(some))
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from scipy.stats import genpareto
 
 import sunspin as ss
 from sunspin.base.errors import InputError
+from sunspin.estimate.posterior import estimate, hypotheses
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.importance import _shape, pareto_tail
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
@@ -82,6 +83,18 @@ def test_groups_and_names(tree, telemetry):
     assert {"mode_id", "inertia_xx", "log_noise"} <= set(posterior.data_vars)
     assert tree["modes"]["weight"].values.sum() == pytest.approx(1.0, abs=1e-3)
     assert tree.attrs["synthetic"] == 1 and json.loads(tree.attrs["priors"])["inertia"] == "0.01 (assumed)"
+
+
+@pytest.mark.parametrize(("chance", "decided"), [(0.05, True), (1.0, False)])
+def test_a_hypothesis_that_may_count_and_allows_no_draw_is_said(chance, decided, cube, telemetry, monkeypatch):
+    """Looser moments hold 1 % at their usual chance, which does not count; as likely as the model as stated, they do."""
+    drawn = estimate.sample
+    monkeypatch.setattr(estimate, "sample", lambda *given: drawn(*given) if given[6] is None else None)  # of the first alone
+    monkeypatch.setattr(hypotheses, "LOOSER_CHANCE", chance)
+    found = ss.posterior(cube, telemetry.isel(time=slice(0, 9)), PRIORS, seed=0, draws=300, workers=1)
+    assert ("moments of inertia off by more than stated may explain" in found.attrs["verdict"]) is not decided
+    assert (found.attrs["verdict_word"] == "unique") is decided
+    assert found["passes"]["decided"].values[0] == found["passes"]["search_complete"].values[0] == decided
 
 
 @pytest.mark.evidence("posterior", "verified", "one and two threads, and a stored run, bit by bit")

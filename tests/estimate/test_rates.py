@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate.rates.motion import Body, Ends, step, step_with_answer
 from sunspin.estimate.rates.observe import thinned
-from sunspin.estimate.rates.start import facing, rates_between
+from sunspin.estimate.rates.start import aliases, facing, rates_between
+from sunspin.estimate.rates.state import Observations, Track
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.rotations import turn, turn_between
 from sunspin.vehicle import Panel, Vehicle
@@ -160,6 +162,20 @@ def test_thinned_samples_leave_from_the_file_s_own_interval():
     steps = np.diff(index)
     assert index[0] == 0 and index[-1] == 2999 and len(index) <= 40
     assert steps[0] == 1 and np.all(steps[1:] <= 2 * steps[:-1])
+
+
+def test_aliases_pass_the_same_attitudes_and_uneven_times_have_none():
+    """A body at 3 deg/s seen every 30 s, once after 60: with 15 deg/s allowed, a turn less and one more."""
+    t, rate = np.array([0.0, 30.0, 60.0, 120.0]), np.radians([2.0, -1.0, 2.0])
+    seen = Rotation.from_rotvec(-t[:, None] * rate)
+    track = Track(seen.as_matrix()[None], np.tile(rate, (1, 4, 1)))
+    found = aliases(Observations(t, np.zeros((4, 3)), ()), track, np.radians(15.1))
+    assert np.degrees(np.linalg.norm(found.omega[:, 0], axis=1)) == pytest.approx([9.0, 15.0])
+    for omega in found.omega[:, 0]:
+        np.testing.assert_allclose((Rotation.from_rotvec(-t[:, None] * omega) * seen.inv()).magnitude(), 0.0, atol=1e-6)
+    uneven = Observations(np.array([0.0, 30.0, 65.0, 120.0]), np.zeros((4, 3)), ())
+    assert len(aliases(uneven, track, np.radians(15.1)).omega) == 0
+    assert len(aliases(Observations(t, np.zeros((4, 3)), ()), track, np.radians(5.9)).omega) == 0  # no turn hides
 
 
 @pytest.mark.parametrize(

@@ -101,10 +101,11 @@ def test_a_noise_that_is_given_stands_for_what_is_no_sphere():
 def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_searched():
     """Only where nobody gave the noise, and the inertia is not told."""
     unknown, known = (Body.of(replace(CUBE, inertia_kg_m2=one)) for one in (None, CUBE.inertia_kg_m2))
-    quiet, strong = 0.5 * HIGHER_NOISES[0], HIGHER_NOISES[0]
-    assert unknown.spherical and not_met(Motion(unknown, strong, 0.1), None)
-    assert not not_met(Motion(unknown, quiet, 0.1), None) and not not_met(Motion(unknown, strong, 0.1), strong)
-    assert not not_met(Motion(known, strong, 0.1), None)
+    quiet, strong = 0.3 * HIGHER_NOISES[0], HIGHER_NOISES[0]
+    assert unknown.spherical and not_met(Motion(unknown, strong, 0.1), None, 10.0)
+    assert not not_met(Motion(unknown, quiet, 0.1), None, 40.0) and not not_met(Motion(unknown, strong, 0.1), strong, 60.0)
+    assert not_met(Motion(unknown, quiet, 0.1), None, 60.0), "a nutation between samples"
+    assert not any(not_met(Motion(known, noise, 0.1), None, 60.0) for noise in (quiet, strong))
 
 
 def test_a_body_that_nutates_a_little_is_not_held_for_one_that_turns_evenly():

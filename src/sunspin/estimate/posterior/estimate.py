@@ -31,6 +31,7 @@ from sunspin.estimate.posterior.hypotheses import (
     Mixed,
     Sampled,
     likely,
+    log_mass,
     mixed,
     others,
     searched,
@@ -158,7 +159,7 @@ def posterior(
     search = Search(workers, None if store is None else Path(store), progress)
     modes = within(search.modes(there, here, chosen, scale), there.max_rate)
     stated = Hypothesis(STATED, 0.0, Likelihood(there, here, DIRECTION_ERROR), modes)
-    tried = _tried(stated, seed, search, chosen, scale, float((priors or {}).get("steady_torque", MOST_TURNED)))
+    tried, lost = _tried(stated, seed, search, chosen, scale, float((priors or {}).get("steady_torque", MOST_TURNED)))
     drawn, picked, checked = _together(tried, seed, draws)
     noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
     off = checked.tag_s if noticed else 0.0
@@ -167,9 +168,11 @@ def posterior(
         again = [one.hypothesis.tagged(off) for one in tried]
         tried = _sampled(again[:1], seed, search, 1.0)
         tried += _sampled(again[1:], seed, search, OTHERS_DRAWS, tried[0])
+        lost += _unsampled(again, tried)
         drawn, picked, checked = _together(tried, seed, draws)
         told["time_s"] = f"{off:.2g} s (from the residuals)"
     modes = _notes(modes, drawn)
+    modes = replace(modes, notes=(*modes.notes, *dict.fromkeys(lost)))
     if off:
         modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
     tree = _tree(there, modes, drawn, picked)
@@ -207,17 +210,29 @@ def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, fi
     return made
 
 
-def _tried(stated: Hypothesis, seed: int, search: Search, chosen: Plan, scale: float, most_deg: float) -> list[Sampled]:
-    """The model as stated and the others, sampled; those with a torque from a search of their own where there is cause."""
+def _unsampled(asked: list[Hypothesis], tried: list[Sampled]) -> list[str]:
+    """Doubts about hypotheses that promise to count, by Laplace's method, and are left out since no draw of them was possible."""
+    made, mass = {one.hypothesis.what for one in tried}, np.array([log_mass(one) for one in asked])
+    counts = mass > logsumexp(mass) + np.log(COUNTS)
+    lost = [one.what for one, some in zip(asked, counts, strict=True) if some and one.what not in made]
+    return [f"{what} may explain the readings too, but no motion that it allows could be drawn" for what in lost]
+
+
+def _tried(
+    stated: Hypothesis, seed: int, search: Search, chosen: Plan, scale: float, most_deg: float
+) -> tuple[list[Sampled], list[str]]:
+    """The model as stated and the others, sampled; those with a torque from a search of their own where there is cause. And doubts
+    about those that could not be sampled."""
     (first,) = _sampled([stated], seed, search, 1.0)
     every = list(others(first, search, most_deg))
-    tried = [first, *_sampled(likely(stated, every), seed, search, OTHERS_DRAWS, first)]
+    asked = likely(stated, every)
+    tried = [first, *_sampled(asked, seed, search, OTHERS_DRAWS, first)]
     checked = _together(tried[:1], seed, CHECKED)[2]
     fits = checked.p > ASKED_P and abs(checked.noise_sigmas) < ASKED_NOISE and mixed(tried).weight[0] > ASKED_WEIGHT
-    if fits or not most_deg:
-        return tried
-    every = [searched(one, search, chosen, scale) if one.likelihood.model.frame else one for one in every]
-    return [first, *_sampled(likely(stated, every), seed, search, 1.0)]
+    if not fits and most_deg:
+        asked = likely(stated, [searched(one, search, chosen, scale) if one.likelihood.model.frame else one for one in every])
+        tried = [first, *_sampled(asked, seed, search, 1.0)]
+    return tried, _unsampled([stated, *asked], tried)
 
 
 def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.ndarray, Check]:

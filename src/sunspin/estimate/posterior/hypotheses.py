@@ -102,13 +102,13 @@ def others(first: Sampled, search: Search, most_deg: float) -> Iterator[Hypothes
 
 def likely(stated: Hypothesis, every: list[Hypothesis]) -> list[Hypothesis]:
     """The other hypotheses that are worth sampling."""
-    mass = [_log_mass(one) for one in every]
-    best = max([_log_mass(stated), *mass])
+    mass = [log_mass(one) for one in every]
+    best = max([log_mass(stated), *mass])
     limits = [NO_CHANCE[one.likelihood.model.frame != ""] for one in every]
     return [one for one, own, limit in zip(every, mass, limits, strict=True) if own > best - limit]
 
 
-def _log_mass(one: Hypothesis) -> float:
+def log_mass(one: Hypothesis) -> float:
     """The log evidence but for a constant, by Laplace's method at the best mode."""
     least = 1e-9 * np.eye(one.modes.hessian.shape[-1])
     return float(np.max(-one.modes.objective - 0.5 * np.linalg.slogdet(one.modes.hessian + least)[1])) + one.log_prior

@@ -142,8 +142,13 @@ def from_other_bodies(o: Observations, fit: Common, motion: Motion, clock: Clock
     best = fit.take(np.full(len(OTHER_BODIES), np.argmin(fit.track.cost)))
     error = best.error.copy()
     error[:, place] += OTHER_BODIES @ np.einsum("rii->ir", motion.body.errors) / np.linalg.norm(motion.body.errors, axis=(1, 2))
-    parts = zip((fit.track.attitude, fit.track.omega, fit.error), (best.track.attitude, best.track.omega, error), strict=True)
-    attitude, omega, error = (np.concatenate(part) for part in parts)
+    return both(o, fit, best._replace(error=error), motion, clock)
+
+
+def both(o: Observations, fit: Common, other: Common, motion: Motion, clock: Clock | None) -> Common:
+    """The hypotheses of two fits, fitted from where these stand."""
+    parts = ((x.track.attitude, x.track.omega, x.error) for x in (fit, other))
+    attitude, omega, error = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _fitted(o, Track(attitude, omega), error, motion, clock, 20)
 
 

@@ -68,6 +68,9 @@ PASSES_EACH = 4
 ROUND = 8
 """Passes after which it is asked whether the effort is spent: a number of its own, so that workers change nothing."""
 
+UNSEEN_RAD = 0.05
+"""Torques that turn a body by more between the closest two samples may stand for a nutation, its moments being unknown."""
+
 FEW_MODES = 3
 """Modes that are fitted with all unknowns where the effort is spent."""
 
@@ -208,16 +211,17 @@ def rates(
             modes, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others, pool)
     found, walk, period_attrs = _linked(o, modes, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
-    missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
+    missed, unmet = _doubted(o, parts, motion, rate_max, given)
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(
-        believed(o, found, motion, missed | cut | not_met(motion, given), telemetry.attrs.get("epoch_utc"))
+        believed(o, found, motion, missed | cut | unmet, telemetry.attrs.get("epoch_utc"))
     )
     result = result.assign(without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
-        cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(_far_from_sphere(body, noise)),
+        cut_passes=int(cut.sum()), effort=spent.spent / USUAL,
+        no_sphere=int(unmet.any() or _far_from_sphere(body, noise)),
     )  # fmt: skip
     if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
@@ -241,10 +245,20 @@ def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.D
     return result.assign_attrs(verdict=verdict(result))
 
 
-def not_met(motion: Motion, given: float | None) -> bool:
+def _doubted(
+    o: Observations, parts: list[np.ndarray], motion: Motion, rate_max: float, given: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of which passes the search was coarse, and which may not have met their motion."""
+    missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
+    return missed, np.array([not_met(motion, given, float(np.diff(o.t_s[part]).min())) for part in parts])
+
+
+def not_met(motion: Motion, given: float | None, apart_s: float) -> bool:
     """Whether the search, which took a body of unknown inertia for a sphere, may not have met its motion: with moments as they may
-    be, too, the data want torques as strong as hardly any satellite has."""
-    return given is None and _far_from_sphere(motion.body, motion.noise)
+    be, too, the data want torques as strong as hardly any satellite has, or that turn the body far between samples `apart_s` s
+    apart, as a nutation does that was not seen."""
+    far = motion.noise * np.sqrt(apart_s**3 / 3) > UNSEEN_RAD
+    return given is None and bool(motion.body.spherical and (far or _far_from_sphere(motion.body, motion.noise)))
 
 
 def _far_from_sphere(body: Body, noise: float) -> bool:

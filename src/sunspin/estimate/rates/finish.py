@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.dynamics.torques.acting import needed_around
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
-from sunspin.estimate.rates.common_errors import LOOSER, Clock, Common, from_other_bodies, with_common
+from sunspin.estimate.rates.common_errors import LOOSER, Clock, Common, both, from_other_bodies, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Hypothesis
@@ -22,6 +22,7 @@ from sunspin.estimate.rates.residuals import Fitted, residuals
 from sunspin.estimate.rates.search import distinct, distinct_index, field_leads, guesses, out_of_field, search
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
+from sunspin.estimate.rates.start import aliases
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.rotations import turn_between
@@ -103,6 +104,15 @@ def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max:
     return with_common(plain.freed(), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
 
 
+def with_aliases(o: Observations, fit: Common, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
+    """A fit, and its aliases, which a search that held the inertia fast may have lost: fitted as if strong torques acted, then rung
+    by rung, since the fit of a stiff motion ends where it begins."""
+    more = aliases(o, fit.take(np.argsort(-fit.track.log_weight, kind="stable")).track, rate_max)
+    if not len(more.omega):
+        return fit
+    return both(o, fit, settled(o, more, motion, clock, max(motion.noise, LOOSER[0]), True), motion, clock)
+
+
 def finished(
     every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
     rate_max: float, begin: float, others: Others | None = None,
@@ -116,6 +126,7 @@ def finished(
     if len(motion.body.errors) and fit.track.cost.min() > cost_limit(o):
         other = loosened(plain, motion, clock, rate_max)
         fit = other if other.track.cost.min() < fit.track.cost.min() else fit
+    fit = with_aliases(o, fit, motion, clock, rate_max)
     fit = from_other_bodies(o, fit, motion, clock)
     fit = fit.take(distinct_index(fit.track, o.t_s))  # with their common errors two hypotheses may have become one
     stated = weighed(Hypothesis(AS_READ, every.take(index), np.searchsorted(index, kept), motion, clock), fit)

@@ -15,7 +15,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.rates.common_errors import Clock, Common, cooler, with_common
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.rough import roughly
-from sunspin.estimate.rates.search import SEED_NOISE, cooled, guesses, seeds
+from sunspin.estimate.rates.search import SEED_NOISE, cooled, distinct_index, guesses, seeds
 from sunspin.estimate.rates.state import Motion, Observations, Track
 
 NOISE_LADDER = (5e-7, 5e-6, 2e-5, 1e-4, 3e-4)
@@ -137,10 +137,14 @@ def refined(passes: list[tuple[Observations, Track]], motion: Motion) -> float:
     return rungs[int(np.argmax(total > total.max() - CLEARLY))]
 
 
-def settled(o: Observations, track: Track, motion: Motion, clock: Clock | None, begin: float) -> Common:
-    """Hypotheses that were found under an acceleration noise `begin`, fitted with all unknowns, there first, then rung by rung."""
+def settled(
+    o: Observations, track: Track, motion: Motion, clock: Clock | None, begin: float, thinned: bool = False
+) -> Common:
+    """Hypotheses that were found under an acceleration noise `begin`, fitted with all unknowns, there first, then rung by rung;
+    `thinned`: without copies and the improbable at each."""
     first, *others = falling(begin, motion.noise)
     fit = with_common(o, track, replace(motion, noise=first), clock)
     for noise in others:
+        fit = fit.take(distinct_index(fit.track, o.t_s)) if thinned else fit
         fit = cooler(o, fit, replace(motion, noise=noise), clock, 20 if noise == motion.noise else 8)
     return fit

@@ -34,6 +34,12 @@ COARSE_RAD = 0.6
 GYRO_RAD = 0.5
 """A gyro that errs by less than this between two samples is a start good enough to be the only one."""
 
+ALIASED = 3
+"""Motions, the likeliest, of which aliases are tried."""
+
+EVEN_RAD = 0.5
+"""Samples are even where whole turns between the closest two are whole turns between all others, to this."""
+
 GRID_RAD, GRID_MOST = 0.35, 200_000
 """Step of the grid of rates, as a turn between the first pair of samples, and how many starts it may make."""
 
@@ -92,6 +98,21 @@ def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: fl
         found.append(sphere(80)[:, None] * (2 * np.pi * turns[1:])[:, None] / dt)
     rates = np.concatenate([np.reshape(rate, (-1, 3)) for rate in found])
     return rates[np.linalg.norm(rates, axis=1) <= rate_max]
+
+
+def aliases(o: Observations, track: Track, rate_max: float) -> Track:
+    """Motions that are seen in the same attitudes as some (K), the likeliest first, and turn whole turns more or less between
+    samples, no faster than `rate_max`: none where uneven times or a gyro tell them apart, or no turn hides between samples."""
+    steps = np.diff(o.t_s)
+    index = int(np.argmin(steps))
+    turn, uneven = 2 * np.pi / steps[index], steps / steps[index] - np.round(steps / steps[index])
+    told = gyro_decides(o, index) or 2 * np.pi * np.abs(uneven).max() > EVEN_RAD
+    speed = np.linalg.norm(track.omega, axis=2, keepdims=True)
+    most = 0 if told else int(2 * rate_max / turn)
+    more = turn * np.array([k for k in range(-most, most + 1) if k])[:, None, None, None]
+    near = track.omega[:ALIASED] * (1 + more / np.maximum(speed[:ALIASED], 1e-12))  # (turns, K, n, 3)
+    which, motion = np.nonzero(np.linalg.norm(near, axis=3).mean(axis=2) < rate_max)
+    return Track(track.attitude[motion], near[which, motion])
 
 
 def unsteadiness(body: Body, momentum: np.ndarray, rate_max: float) -> float:
