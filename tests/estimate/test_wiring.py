@@ -114,6 +114,27 @@ def test_a_gyro_whose_zero_is_off_is_the_culprit_and_where_it_is_not_panels_are_
     assert better(CUBE, data, lambda *_: 0.0, run(False), TURN_RATE) is None
 
 
+def test_exchanged_panels_that_look_like_turned_axes_of_a_sensor_are_named_beside_them():
+    """Two opposite panels' columns exchanged show the mirrored motion, in which a sound gyro seems to have two signs wrong."""
+    data = seen("gyro_B", lambda read: read * [1, -1, -1])
+    told = better(CUBE, data, never, lambda *_: motion(), TURN_RATE)
+    assert 'set columns = ["x", "-y", "-z"]' in told.words and "the columns of panels +x and -x are exchanged" in told.words
+    told = better(CUBE, seen("field_B", lambda read: read * [1, -1, 1]), never, lambda *_: motion(), TURN_RATE)
+    assert "the columns of panels +y and -y are exchanged" in told.words
+    agreed = data.assign(field_B=seen("field_B", lambda read: read)["field_B"])  # two sensors that agree are both right
+    assert "exchanged" not in better(CUBE, agreed, never, lambda *_: motion(), TURN_RATE).words
+    told = better(CUBE, seen("gyro_B", lambda read: read[:, [1, 0, 2]]), never, lambda *_: motion(), TURN_RATE)
+    assert "exchanged" not in told.words
+
+
+def test_panels_and_not_the_quaternion_are_named_where_it_agrees_with_them_mirrored():
+    data = seen("attitude_B_from_N", lambda read: read * [1, -1, -1, 1])  # the motion of the panels is that mirrored along x
+    found = better(CUBE, data, never, lambda *_: motion(), TURN_RATE)
+    assert "the columns of panels +x and -x exchanged" in found.words and found.gain > 10
+    power = found.wiring.telemetry["power_W"].values
+    np.testing.assert_array_equal(power[:, [3, 0]], data["power_W"].values[:, [0, 3]])
+
+
 def test_another_wiring_of_panels_must_be_clearly_better_and_fit():
     data = seen("gyro_B", lambda read: read).drop_vars("gyro_B")
     right = next(one for one in of_panels(CUBE, data) if one.what == "the columns of panels +y and -z exchanged")

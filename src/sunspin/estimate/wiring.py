@@ -30,6 +30,12 @@ MOST = 60
 MOST_SQUARE = 30.0
 """No reading of a second sensor speaks more against a motion than this squared distance: some are spikes."""
 
+ALIKE = 0.01
+"""Normals that differ by no more than this are of panels that look the same way."""
+
+READINGS = ("power_W", "current_A")
+"""What telemetry calls the readings of panels."""
+
 TABLES = {variable: table for table, variable in VARIABLES.items()}
 """Variable of the telemetry -> the sensor's table in the vehicle file."""
 
@@ -79,16 +85,10 @@ Run = Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
 
 def of_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> Iterator[Wiring]:
     """Each pair of inputs exchanged, each panel that has one of its own reversed."""
-    name = next((name for name in ("power_W", "current_A") if name in telemetry), None)
-    if name is None:
+    if not any(name in telemetry for name in READINGS):
         return
-    value = telemetry[name].values
-    panels = vehicle.input_names
-    for a, b in combinations(range(len(panels)), 2):
-        other = value.copy()
-        other[:, [a, b]] = value[:, [b, a]]
-        data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
-        yield Wiring(f"the columns of panels {panels[a]} and {panels[b]} exchanged", vehicle, data)
+    for a, b in combinations(range(len(vehicle.inputs)), 2):
+        yield exchanged(vehicle, telemetry, a, b)
     alone = {one.panels[0] for one in vehicle.inputs if len(one.panels) == 1}
     for k, one in enumerate(vehicle.panels):
         if k not in alone:
@@ -97,17 +97,38 @@ def of_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> Iterator[Wiring]:
         yield Wiring(f"panel {one.name} looking the other way", replace(vehicle, panels=turned), telemetry)
 
 
+def exchanged(vehicle: Vehicle, telemetry: xr.Dataset, a: int, b: int) -> Wiring:
+    """Two inputs with each other's column."""
+    name = next(name for name in READINGS if name in telemetry)
+    other, panels = telemetry[name].values.copy(), vehicle.input_names
+    other[:, [a, b]] = other[:, [b, a]]
+    data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
+    return Wiring(f"the columns of panels {panels[a]} and {panels[b]} exchanged", vehicle, data)
+
+
+def mirrors(vehicle: Vehicle) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Two panels whose exchange mirrors what all of them see, and the mirror (3, 3): no data of panels alone can tell."""
+    if any(len(one.panels) > 1 for one in vehicle.inputs):
+        return
+    normals = np.array([one.normal_B for one in vehicle.panels]).reshape(-1, 3)
+    for a, b in combinations(range(len(normals)), 2):
+        apart = normals[a] - normals[b]
+        if np.linalg.norm(apart) > ALIKE and np.all(np.abs(np.delete(normals, [a, b], axis=0) @ apart) < ALIKE):
+            yield a, b, np.eye(3) - 2 * np.outer(apart, apart) / (apart @ apart)
+
+
 def of_sensor(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> Iterator[Wiring]:
     """The 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
     value, table = telemetry[name].values, TABLES[name]
     sensor = vehicle.sensors.with_columns[table]
-    for what, other, keys in (_readings if table == "attitude" else _axes)(value, sensor):
+    for what, other, turned, keys in (_readings if table == "attitude" else _axes)(value, sensor):
         data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
-        yield Wiring(f"the {SENSORS[name]} {what}", vehicle, data, to_write(table, keys))
+        do = to_write(table, keys) + panels_instead(vehicle, telemetry, turned)
+        yield Wiring(f"the {SENSORS[name]} {what}", vehicle, data, do)
 
 
-Read = Iterator[tuple[str, np.ndarray, dict[str, Any]]]
-"""In words, the values read so, and the keys of the vehicle file that say it."""
+Read = Iterator[tuple[str, np.ndarray, np.ndarray | None, dict[str, Any]]]
+"""In words, the values read so, of axes the matrix that reads them so, and the keys of the vehicle file that say it."""
 
 
 def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
@@ -123,19 +144,37 @@ def to_write(table: str, keys: Mapping[str, Any]) -> str:
     return f"set {' and '.join(toml_text(keys).splitlines())} under [{table}] of the vehicle file"
 
 
+def axes_matrix(order: list[int], sign: tuple[float, ...]) -> np.ndarray:
+    """The matrix (3, 3) that reads columns so."""
+    return np.eye(3)[order] * np.array(sign)[:, None]
+
+
+def panels_instead(vehicle: Vehicle, telemetry: xr.Dataset, turned: np.ndarray | None) -> str:
+    """Which two panels' columns, exchanged, would look the same as axes of the only second sensor that are read by a matrix
+    (3, 3), in words: mirrored panels show a mirrored motion, in which rates and field have other signs. Else nothing."""
+    others = [name for name in (*VARIABLES.values(), "sun_sensor_B") if name in telemetry and telemetry[name].notnull().any()]
+    if turned is None or len(others) > 1:
+        return ""
+    for a, b, mirror in mirrors(vehicle):
+        if min(np.abs(turned - mirror).max(), np.abs(turned + mirror).max()) < ALIKE:
+            pair = f"{vehicle.panels[a].name} and {vehicle.panels[b].name}"
+            return f", or, which looks the same, the columns of panels {pair} are exchanged: find out which before you set it"
+    return ""
+
+
 def _axes(value: np.ndarray, sensor: ThreeAxes) -> Read:
     for what, order, sign in signed_axes():
-        yield what, value[:, order] * sign, sensor.read_as(order, sign)
+        yield what, value[:, order] * sign, axes_matrix(order, sign), sensor.read_as(order, sign)
 
 
 def _readings(value: np.ndarray, sensor: Attitude) -> Read:
     """`value`: scalar last, B_from_N, as the vehicle file states it."""
     other_scalar = value[:, [3, 0, 1, 2]]  # what stands last is the first of its columns
     away = np.array([-1.0, -1.0, -1.0, 1.0])
-    yield "read as stated", value, sensor.read_as(False, False)
-    yield "read the other way round (B_to_N for N_to_B)", value * away, sensor.read_as(False, True)
-    yield "with its scalar at the other end", other_scalar, sensor.read_as(True, False)
-    yield "with its scalar at the other end and read the other way round", other_scalar * away, sensor.read_as(True, True)
+    yield "read as stated", value, None, sensor.read_as(False, False)
+    yield "read the other way round (B_to_N for N_to_B)", value * away, None, sensor.read_as(False, True)
+    yield "with its scalar at the other end", other_scalar, None, sensor.read_as(True, False)
+    yield "with its scalar at the other end and read the other way round", other_scalar * away, None, sensor.read_as(True, True)
 
 
 def better(
@@ -146,7 +185,7 @@ def better(
     `evidence`: log evidence of a wiring of panels, by a quick search; `run`: the whole estimate, None where there is none;
     `field_turn_rate`: rad/s at which a magnetometer's field turns in space.
     """
-    culprit = None
+    culprit: Better | Culprit | None = None
     for name in SENSORS:
         if name in telemetry and np.isfinite(telemetry[name].values).any() and may_go_on():
             motion = run(vehicle, telemetry.drop_vars(name))
@@ -155,7 +194,8 @@ def better(
             found = _of_second(vehicle, telemetry, name, motion, run, field_turn_rate)
             if found is not None:
                 return found
-            culprit = culprit or Culprit(SENSORS[name])
+            if culprit is None:
+                culprit = _of_mirrors(vehicle, telemetry, name, motion, run, field_turn_rate) or Culprit(SENSORS[name])
     if culprit is not None:
         return culprit
     others = list(islice(of_panels(vehicle, telemetry), MOST))
@@ -187,6 +227,34 @@ def _of_second(
     if not gain > CLEARLY or not _fits(run(vehicle, others[best].telemetry)):
         return None
     return Better(others[best], gain)
+
+
+def _of_mirrors(
+    vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
+) -> Better | None:
+    """Two panels exchanged, judged by a sensor that the motion without it contradicts: mirrored, that motion fits the panels."""
+    made = [] if not any(one in telemetry for one in READINGS) else list(mirrors(vehicle))
+    value = telemetry[name].sel(time=motion["time"].values).values
+    costs = [
+        _squares(one, value, name, vehicle, field_turn_rate).clip(max=MOST_SQUARE).sum() / 2
+        for one in (motion, *(_mirrored(motion, mirror) for _, _, mirror in made))
+    ]
+    best = int(np.argmin(costs))
+    gain = float(costs[0] - costs[best])
+    if not gain > CLEARLY:
+        return None
+    a, b, _ = made[best - 1]
+    other = exchanged(vehicle, telemetry, a, b)
+    return Better(other, gain) if _fits(run(vehicle, other.telemetry)) else None
+
+
+def _mirrored(motion: xr.Dataset, mirror: np.ndarray) -> xr.Dataset:
+    """The motion that mirrored panels show."""
+    attitude = mirror @ Rotation.from_quat(motion["B_from_N"].values).as_matrix() @ mirror
+    return motion.assign(
+        omega_B=(motion["omega_B"].dims, -motion["omega_B"].values @ mirror.T),
+        B_from_N=(motion["B_from_N"].dims, Rotation.from_matrix(attitude).as_quat()),
+    )
 
 
 def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle, field_turn_rate: float) -> np.ndarray:

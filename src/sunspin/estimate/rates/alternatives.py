@@ -1,11 +1,12 @@
 """What may be wrong with the model of a pass of :mod:`sunspin.estimate.rates`: tried, weighed by evidence, and counted in.
 
 Beside the model as stated each pass is fitted with a constant torque in body axes or in axes fixed in space, with steps of the
-rate, with stronger unknown torques, with a swinging too quick for the samples, with sensors worse than stated, and where samples
-are few without one reading or two. Each is the list of terms with one entry changed
-(:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found. All are as likely before the data, and so is each
-size of a swinging, since satellites under control do swing. How strong a torque is nobody knows even to a power of ten, nor when a
-step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs evidence; so does a reading left out.
+rate, with stronger unknown torques, with a swinging too quick for the samples, with sensors worse than stated, with a gyro's zero
+that is off though the file takes it for known, and where samples are few without one reading or two. Each is the list of terms with
+one entry changed (:mod:`sunspin.estimate.rates.hypotheses`) and begins at the best modes found. All are as likely before the data,
+and so is each size of a swinging, since satellites under control do swing. How strong a torque is nobody knows even to a power of
+ten, nor when a step comes: sizes are log-uniform over wide ranges and a step may be anywhere, which costs evidence; so does a
+reading left out.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ STRONGER = (3.0, 10.0, 30.0)
 
 COARSER = (1.5, 2.5, 5.0)
 """How much worse a sensor may be than stated."""
+
+ZEROS = np.radians(np.geomspace(0.03, 3.0, 5))
+"""rad/s by which a gyro's zero may be off where the file states no sigma: each as likely as any other."""
 
 FEW, MOST_BAD = 6, 2
 """Samples of a pass up to which readings are left out, since a bad one is not outvoted; and how many are, at most."""
@@ -132,7 +136,7 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     loosest = max([start, *noises[1:]], key=lambda trial: trial.best)  # where torques and steps that the noise holds down can grow
     rungs = falling(loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise)[1:]
     shared = [one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises]
-    found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start)]
+    found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start), *_off_zero(start)]
     found += _without_readings(stated, how.clock_time)
     found += [*_swinging(stated), *_wandering(stated)] if how.free else []  # else the vehicle's file says what torques there are
     return [one for one in found if np.isfinite(one.best)]
@@ -172,7 +176,8 @@ def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
     tried = sizes(float(np.ptp(stated.o.t_s)))
     for frame in ("B", "N"):
         term = SteadyTorque(tried[-1], frame, stated.motion.body.inertia)
-        trials = [(trial, *_over_sizes(trial, tried)) for trial in _quieter(_tried(stated.beside("", term), start), rungs)]
+        quieter = _quieter(_tried(stated.beside("", term), start), rungs)
+        trials = [(trial, *_over_sizes(trial, _place(trial), tried)) for trial in quieter]
         trial, gains, evidence = max(trials, key=lambda one: float(one[2].max()))
         k = int(np.argmax(evidence))
         size = int(np.argmax(gains[:, k]))
@@ -198,9 +203,8 @@ def _place(trial: Trial) -> slice:
     return next(place for term, place in places_of(one.fitted(), one.motion, one.clock).motion if isinstance(term, SteadyTorque))
 
 
-def _over_sizes(trial: Trial, tried: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of a torque fitted under the widest of the prior sigmas `tried` (m): gains of each (m, K), and the evidence over all (K)."""
-    place = _place(trial)
+def _over_sizes(trial: Trial, place: slice, tried: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of unknowns fitted under the widest of the prior sigmas `tried` (m): gains of each (m, K), and the evidence over all (K)."""
     gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], tried / tried[-1])
     return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(tried))
 
@@ -318,6 +322,25 @@ def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
     numbers = kept.freedom().sum()
     costs = [normal(kept.coarser(f), seen, fit.error[:, place])[2].sum() + numbers * np.log(f) for f in (1.0, *COARSER)]
     return (1.0, *COARSER)[int(np.argmin(costs))]
+
+
+def _off_zero(start: Trial) -> Iterator[Trial]:
+    """A gyro that reads a rate at rest though the file takes its zero for known; one hardly off is no other hypothesis."""
+    one = start.hypothesis
+    for term in one.o.of_state:
+        off = term.off_zero(float(ZEROS[-1]))
+        if off is None:
+            continue
+        trial = _tried(one.swapped(term, off), start)
+        places = places_of(trial.hypothesis.fitted(), one.motion, one.clock).state
+        first = next(place.start for mine, place in places if mine.called == term.called)
+        place = slice(first, first + 3)
+        gains, evidence = _over_sizes(trial, place, ZEROS)
+        k = int(np.argmax(evidence))
+        if np.argmax(gains[:, k]):
+            x, y, z = np.degrees(ZEROS[-1] * trial.fit.error[k, place]).round(2) + 0.0
+            what = f"a zero of the {term.called} of ({x:.2f}, {y:.2f}, {z:.2f}) deg/s in body axes beside that of the file"
+            yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
 
 
 def _without_readings(stated: Trial, clock_time: Callable[[float], str]) -> Iterator[Trial]:

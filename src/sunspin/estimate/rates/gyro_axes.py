@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.rates.motion import MOST_NUTATION, Body, Ends, nutation, step
 from sunspin.estimate.rates.wheels import wheel_momenta
-from sunspin.estimate.wiring import signed_axes, to_write
+from sunspin.estimate.wiring import axes_matrix, panels_instead, signed_axes, to_write
 from sunspin.telemetry.units import BETTER, LAGS, TURNS_RIGHT, TURNS_WRONG, carried_by, directions_seen, even_turns
 from sunspin.vehicle import Vehicle
 
@@ -40,15 +40,12 @@ def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
         least = float(angles.min())
         if angles[0] > TURNS_WRONG and least < min(TURNS_RIGHT, BETTER * angles[0], BETTER * still):
             alike = np.flatnonzero(angles < AS_GOOD * least)
-            chosen = max(alike, key=lambda k: (np.trace(_map(*ways[k])), -angles[k]))
+            chosen = max(alike, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
             what, order, sign = ways[chosen]
             found = f"the gyro {what} turns the Sun as it is seen, and as stated it does not"
-            return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}"
+            instead = panels_instead(vehicle, telemetry, axes_matrix(order, sign))
+            return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}{instead}"
     return None
-
-
-def _map(_: str, order: list[int], sign: tuple[float, ...]) -> np.ndarray:
-    return np.eye(3)[order] * np.array(sign)[:, None]
 
 
 def _nutating(vehicle: Vehicle, telemetry: xr.Dataset, read: list[np.ndarray]) -> list[np.ndarray]:

@@ -53,6 +53,13 @@ class Gyro(StateTerm):
     def coarser(self, factor: float) -> Self:
         return replace(self, sigma=factor * self.sigma)
 
+    def off_zero(self, sigma: float) -> Self | None:
+        if np.any(self.common):
+            return None
+        common = np.zeros_like(self.common)
+        common[:, :3] = sigma * np.eye(3)
+        return replace(self, common=common)
+
     def forgiving(self) -> Self:
         return replace(self, sigma=float(np.hypot(self.sigma, np.sqrt((self.common**2).sum(axis=1).mean()))))
 

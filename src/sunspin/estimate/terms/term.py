@@ -207,6 +207,11 @@ class StateTerm(Term):
         """Attitudes (K, n, 3, 3) from which a fit begins, where it says the turn about the Sun; else None."""
         return None
 
+    def off_zero(self, sigma: float) -> Self | None:
+        """The same with a zero off by `sigma` (rad/s), where it reads rates and its zero is taken for known; its first three
+        unknowns are that."""
+        return None
+
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
         """As those of a `SunTerm`."""
         raise NotImplementedError("every term of states has residuals")
