@@ -128,6 +128,14 @@ def test_a_prior_that_excludes_the_truth_is_an_answer_and_no_defect(cube, teleme
     assert not found["passes"]["decided"].values.any()
 
 
+def test_where_no_motion_fits_by_far_two_rounds_of_draws_say_so(cube, telemetry):
+    """Rates far below the true one; how good draws about such a motion are is nothing to learn for."""
+    began = SMALL | {"max_rate_rad_s": 0.03}
+    found = ss.posterior(cube, telemetry, began, seed=0, draws=500, workers=2)
+    assert found.attrs["verdict_word"] == "not explained", found.attrs["verdict"]
+    assert len(found["sampling"]["pareto_k"]) == 2
+
+
 def test_modes_beyond_the_largest_rate_are_drawn_back_only_where_all_are():
     state = State(np.array([[0.3, 0.0, 0.0], [0.0, 0.2, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0)))
     modes = Modes(state, np.zeros(2), np.zeros((2, 6, 6)), np.ones(2, dtype=int), (), ())

@@ -13,6 +13,7 @@ from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, apart, coor
 from sunspin.estimate.posterior.fit import Begun, Fit, Slopes
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
+from sunspin.estimate.posterior.modes import MORE, Search, _at_most
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import NEAR_SIGMAS
@@ -142,6 +143,29 @@ def test_a_fit_may_begin_with_the_derivatives_of_a_state_near_by():
     assert np.einsum("ni,nij,nj->n", off, plain["normal"], off).max() < 1
     none = Fit(likelihood, start, levels, normal=True, begun=begun, promising=-1e9)(np.arange(3))
     assert np.isfinite(none["cost"]).all() and none["normal"].shape == plain["normal"].shape
+
+
+def test_hypotheses_of_one_motion_are_fitted_to_their_end_before_they_are_joined():
+    """Begun off their sheet and under twice the noise, as a longer window leaves them, nine are one."""
+    vehicle = craft(6)
+    data, _, _ = readings(vehicle, samples(vehicle, 8))
+    unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3, "steady_torque": 0.0}, 0.5)
+    n, rng = 9, np.random.default_rng(4)
+    u = np.zeros((n, len(unknown.unknowns)))
+    u[:, unknown.where("noise")] = np.log(2) / 0.3
+    state = State(RATE + 2e-3 * rng.standard_normal((n, 3)), moved(np.tile(SUN, (n, 1)), 0.1 * rng.standard_normal((n, 2))), u)
+    likelihood, ones = Likelihood(unknown, data), np.ones(n)
+    begun = Fit(likelihood, state, ((1.0, 0),), normal=True)(np.arange(n))
+    assert len(joined(state, begun["normal"], ones)[0]) == n
+    one, normal, hits, *_, note = Search(1, None, False)._one_each(likelihood, state, begun["normal"], ones, ones, "8 samples")
+    assert len(one) == len(normal) == 1 and hits.sum() == n and not note
+    assert np.linalg.norm(one.omega[0] - RATE) < 2e-3
+
+
+@pytest.mark.parametrize(("most", "count", "told"), [(5, 5, False), (5, 11, True)])
+def test_more_hypotheses_than_are_followed_are_thinned_evenly_and_told(most, count, told):
+    some, note = _at_most(most, count)
+    assert len(some) == most and (some[0], some[-1]) == (0, count - 1) and (note == MORE) == told
 
 
 def test_brightness_is_guessed_where_no_sample_gives_a_direction():

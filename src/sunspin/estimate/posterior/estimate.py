@@ -39,7 +39,7 @@ from sunspin.estimate.posterior.hypotheses import (
 from sunspin.estimate.posterior.importance import Known, resampled, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
-from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, plan, require_few, within
+from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, beyond_all, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import COUNTS, TOO_FEW, Found, believed, refused, spoilt_panels, verdict, word_of
@@ -58,6 +58,9 @@ TAG_CHANCE = 0.05
 
 OTHERS_DRAWS = 0.5
 """Part of the draws under the model as stated that each other hypothesis gets, as long as the former holds its own."""
+
+BEYOND_DRAWS = 0.1
+"""Part of the draws where no motion fits by far: two rounds of them say by how much."""
 
 LOST = 1e-3
 """A hypothesis with this part of the evidence of the model as stated needs no good draws."""
@@ -201,7 +204,9 @@ def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, fi
             pairs = zip(first.hypothesis.likelihood.model.unknowns, one.likelihood.model.unknowns, strict=False)
             known = Known(first.drawn, np.array([wider.sigma / own.sigma for own, wider in pairs]))
             least = first.drawn.evidence - one.log_prior + np.log(LOST)
-        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), part, known, least)
+        hopeless = beyond_all(one.likelihood, one.modes)
+        least, share = (np.inf, BEYOND_DRAWS * part) if hopeless else (least, part)
+        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), share, known, least)
         if draws is not None:
             made.append(Sampled(one, draws))
         elif one.what == STATED:

@@ -70,20 +70,32 @@ def _square(d: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.sum((d[:, None, :] @ metric)[:, 0] * d, axis=1)
 
 
+def _reach(normal: np.ndarray) -> np.ndarray:
+    """How far (n, 3) rates may be from a hypothesis and still be joined with it, by its curvature (n, D, D) alone: of thousands,
+    few are so near that their distances are asked."""
+    size = np.sqrt(np.einsum("nii->ni", normal.astype(np.float64))).clip(1e-12)
+    values, vectors = np.linalg.eigh(normal / (size[:, :, None] * size[:, None, :]))
+    across = np.sum(vectors[:, :3] ** 2 / values[:, None].clip(1e-300), axis=2)
+    return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * JOINED * across) / size[:, :3], np.inf)
+
+
 def joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Hypotheses (best first) without those that lie on the sheet of a better one, and the starts that each stands for.
 
     Unknown moments, friction and wheel speed make a sheet of each motion: boxes of rate and direction cut it into many.
     """
-    kept, count, left = [], [], np.arange(len(state))
+    reach, kept, count, left = _reach(normal), [], [], np.arange(len(state))
     while len(left):
-        d = offset(state, int(left[0]), left)
-        distance = np.minimum(_square(d, normal[left[:1]]), _square(d, normal[left]))
-        one = distance < JOINED
+        first = left[:1]
+        near = np.all(np.abs(state.omega[left] - state.omega[first]) <= np.maximum(reach[left], reach[first]), axis=1)
+        near[0] = True
+        d = offset(state, int(first[0]), left[near])
+        one = np.minimum(_square(d, normal[first]), _square(d, normal[left[near]])) < JOINED
         one[0] = True
-        kept.append(int(left[0]))
-        count.append(int(hits[left[one]].sum()))
-        left = left[~one]
+        near[near] = one
+        kept.append(int(first[0]))
+        count.append(int(hits[left[near]].sum()))
+        left = left[~near]
     return np.array(kept), np.array(count)
 
 
