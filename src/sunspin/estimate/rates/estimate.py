@@ -206,8 +206,9 @@ def rates(
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(
-        believed(o, found, motion, missed | cut | not_met(motion, given), telemetry.attrs.get("epoch_utc"))
-    )
+        believed(o, found, motion, missed | cut | not_met(motion, given) | (result.attrs["wheels_untold"] != ""),
+                 telemetry.attrs.get("epoch_utc"))
+    )  # fmt: skip
     result = result.assign(without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL, no_sphere=int(_far_from_sphere(body, noise)),
