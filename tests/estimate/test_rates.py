@@ -77,6 +77,18 @@ def test_a_wheel_is_part_of_the_motion():
     assert "NO motion fits" in without.attrs["verdict"] and "NO motion" not in result.attrs["verdict"]
 
 
+def test_a_wheel_of_untold_speed_leaves_nothing_decided():
+    data, _ = twin(CUBE, [0.01, 0.012, -0.01], irregular(np.random.default_rng(5), 12, 10.0), np.random.default_rng(5))
+    wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4)
+    stands = ss.rates(CUBE, data, max_rate_rad_s=0.05)  # the control: without a wheel these samples decide
+    untold = ss.rates(replace(CUBE, wheels=(wheel,)), data, max_rate_rad_s=0.05)
+    read = data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((data.sizes["time"], 1))))
+    measured = ss.rates(replace(CUBE, wheels=(wheel,)), read, max_rate_rad_s=0.05)
+    assert [bool(one["decided"].values[0]) for one in (stands, untold, measured)] == [True, False, True]
+    assert "NOTHING TELLS THE SPEED OF WHEEL reaction-y" in untold.attrs["verdict"]
+    assert all("THE SPEED OF" not in one.attrs["verdict"] for one in (stands, measured))
+
+
 @pytest.fixture(scope="module")
 def evenly_spaced():
     """Rates of a body of unknown inertia from samples 40 s apart, the body, telemetry and true motion."""

@@ -57,13 +57,18 @@ def test_a_panel_that_was_never_in_the_sun_is_not_accused():
     assert not quality["missed"].any()
 
 
-def test_in_few_samples_only_light_that_is_missed_is_ground_to_call_a_panel_dead():
-    value, sun = clean(10)
+def test_in_few_samples_only_light_that_is_missed_on_a_path_is_ground_to_call_a_panel_dead():
+    angle = np.linspace(-1.2, 1.2, 10)
+    sun = np.stack([np.cos(angle), 0.3 * np.ones(10), np.sin(angle)], axis=1) / np.sqrt(1.09)
+    value = ss.panel_power(CUBE, sun)
     value[:, 2] = 0.0
     found = panel_quality(CUBE, telemetry(value))
     assert found["missed"].values.tolist() == found["dead"].values.tolist() == [False, False, True, False, False, False]
     whole = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
     assert not panel_quality(CUBE, telemetry(whole))["dead"].any()
+    anywhere = clean(10)[0]  # one sample of ten that a battery may have dimmed, and no path that says otherwise
+    anywhere[:, 2] = 0.0
+    assert not panel_quality(CUBE, telemetry(anywhere))["missed"].any()
 
 
 @pytest.mark.evidence("panel_quality", "modelled", "currents scaled down")

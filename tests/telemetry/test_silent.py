@@ -60,6 +60,22 @@ def test_a_dead_panel_is_named_although_panels_are_turned_and_a_whole_one_never(
     assert not any(blamed(craft, data) for craft, data, _ in (drawn(0, i, False) for i in range(count)))
 
 
+@pytest.mark.parametrize(("count", "apart"), [(8, 1.0), pytest.param(60, 1.0, marks=pytest.mark.long), (12, 10.0)])
+@pytest.mark.evidence("panel_quality", "modelled", "whole files in which the battery dims samples, here and there or in a stretch")
+def test_a_whole_panel_is_not_missed_where_the_battery_dims_samples(count, apart):
+    accused = 0
+    for i in range(count):
+        craft, data, _ = drawn(9, i, False)
+        rng = np.random.default_rng([9, i])
+        power, n = data["power_W"].values, data.sizes["time"]
+        dim = rng.uniform(size=n) < 0.15 if i % 2 else np.abs(np.arange(n) - rng.integers(n)) < n // 8
+        power[dim] *= rng.uniform(0.1, 0.75)
+        shuffled = np.argsort(np.random.default_rng(i).random(n)) if apart > 1 else np.arange(n)  # a path that cannot be followed
+        data = data.assign(power_W=(("time", "panel"), power[shuffled]))
+        accused += bool(panel_quality(craft, data)["missed"].any())
+    assert accused <= count // 60
+
+
 def test_samples_that_the_battery_limits_accuse_no_panel_that_was_never_lit():
     craft = Vehicle("cube", gain_unit="W", panels=[Panel(f"p{k}", FACES[k], 1.0) for k in range(6)],
                     telemetry=TelemetryForm(noise=0.01))  # fmt: skip

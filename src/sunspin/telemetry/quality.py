@@ -120,7 +120,8 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     full, source = _full_sun(vehicle, relative[good])
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
     noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
-    missed = lost(vehicle, relative[good & ~spike.any(axis=1)] / full, float(noise / full))
+    sound = good & ~spike.any(axis=1)
+    missed = lost(vehicle, telemetry["time"].values[sound], relative[sound] / full, float(noise / full))
     dead = _dead(relative[good], full) | missed
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
     bright = brightness(vehicle, use_value)

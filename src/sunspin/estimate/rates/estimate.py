@@ -195,7 +195,7 @@ def rates(
     with processes(_useful(workers, parts, momenta, forces.torques)) as pool:
         spent = Effort(allowed(effort), "rates" if progress else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
-            noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_judged, spent, judged, pool))
+            noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_evidences, spent, judged, pool))
         motion = Motion(body, noise, rate_max / 2)
         wholes = [np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts]
         tracks, cut = _searched(o, parts, motion, rate_max, spent, pool)
@@ -216,7 +216,7 @@ def rates(
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(
-        believed(o, found, motion, missed | cut | unmet, telemetry.attrs.get("epoch_utc"))
+        believed(o, found, motion, missed | cut | unmet | (result.attrs["wheels_untold"] != ""), telemetry.attrs.get("epoch_utc"))
     )
     result = result.assign(without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
@@ -272,7 +272,7 @@ def _useful(workers: int, parts: list[np.ndarray], momenta: dict[str, np.ndarray
     return 1 if torques else min(worker_count(workers), tasks)
 
 
-def _judged(spent: Effort, part: Effort, pool: Executor | None, tasks: Sequence[Task]) -> list[np.ndarray]:
+def _evidences(spent: Effort, part: Effort, pool: Executor | None, tasks: Sequence[Task]) -> list[np.ndarray]:
     """The evidence of noises of each task, each having an equal share of what is left of a part of the effort."""
     spent.doing("how strong torques are")
     found: list[np.ndarray] = []

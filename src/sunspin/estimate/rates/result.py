@@ -18,6 +18,7 @@ from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.images import either_side, images_of
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Observations
+from sunspin.estimate.rates.wheels import untold
 from sunspin.estimate.terms.earth_light import faint
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
@@ -50,6 +51,7 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
     }  # fmt: skip
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
+    attrs["wheels_untold"] = "" if attrs["gyro_used"] else ", ".join(untold(vehicle, telemetry))
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),
@@ -186,6 +188,11 @@ def verdict(result: xr.Dataset) -> str:
         text += "; not every other wiring was tried: give more effort (`--effort 10`)"
     if missed := result.attrs["coarse_passes"]:
         text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
+    if unsure := result.attrs["wheels_untold"]:
+        text += (
+            f"; NOTHING TELLS THE SPEED OF WHEEL {unsure}: taken for standing, and another motion about a wheel that spins may fit"
+            ": give speed_rad_s or a speed_column, or leave out a wheel that stands"
+        )
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
     if result.attrs["sensors_late_from"] == SUSPECTED:
         text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"

@@ -45,6 +45,13 @@ def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarr
     return found
 
 
+def untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
+    """Names of wheels of whose speed neither the vehicle file nor the telemetry says anything: taken for standing."""
+    if vehicle.inertia_kg_m2 is None or "wheel_speed_rad_s" in telemetry:
+        return []
+    return [wheel.name for wheel in vehicle.wheels if wheel.speed_rad_s == 0]
+
+
 def _momentum(vehicle: Vehicle, speed: np.ndarray) -> np.ndarray:
     axes = np.array([wheel.inertia_kg_m2 * np.asarray(wheel.axis_B) for wheel in vehicle.wheels])
     return speed @ axes / mean_moment(vehicle)
