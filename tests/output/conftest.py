@@ -18,7 +18,7 @@ from drawing import frame
 from shared_folder import shared_folder
 from sunspin.output import figures
 from sunspin.output.figures import inline
-from sunspin.philae import carries, contradictions_motion, motions, published_lines, rebound, reproduction, threshold
+from sunspin.philae import carries, contradictions_motion, motions, pictures, published_lines, rebound, reproduction, threshold
 from sunspin.philae import study as rp
 from sunspin.telemetry.case import load_case
 
@@ -37,7 +37,7 @@ def small() -> Iterator[None]:
             (contradictions_motion, "LINE_POINTS", 3), (rebound, "POOL_POINTS", 4), (threshold, "BLOCK", 64),
             (carries, "SHUFFLES", 1), (rp, "LEAST_RUNS", 40), (rp, "LANDING_RUNS", 1),
             (rp, "PARTS", tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity"))),
-            (reproduction, "draw", lambda *_: []), (inline, "lay_out", frame), (figures, "save", unsaved),
+            (pictures, "SHEETS", ()), (inline, "lay_out", frame), (figures, "save", unsaved),
         ):  # fmt: skip
             patch.setattr(module, name, value)
         yield

@@ -1,13 +1,14 @@
 """The study's parts together: order, ids, figures; telemetry that does not hold everything."""
 
 import re
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from sunspin.base.errors import InputError, TelemetryError
+from sunspin.base.errors import InputError, MotionError, TelemetryError
 from sunspin.output.folder import Picture
 from sunspin.philae import carries, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
@@ -50,7 +51,7 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     assert "holds too little" in headline(found)[0]
     ids = [row.id for row in found.rows]
     assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
-    sheets = [sheet for part, make in pictures.SHEETS if part in found.parts for sheet in make(found, found.parts[part])]
+    sheets = [sheet for (name, *_), make in pictures.SHEETS if name in found.parts for sheet in make(found, found.parts[name])]
     names = {sheet.name for sheet in sheets}
     assert "fig10_11_descent" not in names and {"fig03_measured", "fig09_lines", "fig12_touchdown", "worth"} <= names
     assert all(sheet.alt and sheet.caption for sheet in sheets)
@@ -88,7 +89,8 @@ def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)
     assert "cannot be concluded" in told[0] and "lit pattern" in told[0] and "Nothing is said" in told[1]
-    sheets = [sheet.name for part, make in pictures.SHEETS if part in found.parts for sheet in make(found, found.parts[part])]
+    made = [make(found, found.parts[name]) for (name, *_), make in pictures.SHEETS if name in found.parts]
+    sheets = [sheet.name for some in made for sheet in some]
     assert "fig12_touchdown" not in sheets and "fig12_lines" in sheets
 
 
@@ -100,6 +102,46 @@ def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
     assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"
     assert shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png" and shown["figure_3"] == "fig03_measured.png"
     assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith("not drawn: a picture")
+
+
+def part(name, compute, **about):
+    return rp.Part(name, name, "telemetry", compute, lambda _: [], **about)
+
+
+def test_parts_end_in_any_order_and_see_what_they_name(monkeypatch):
+    """The slow one is in the results where it stands in the list; what needs a part that failed is left out and nothing else."""
+    begun = threading.Event()
+
+    def slow(_):
+        assert begun.wait(20), "nothing ran beside it"
+        return "slow"
+
+    def fast(i):
+        begun.set()
+        return sorted(i.done)
+
+    def failing(_):
+        raise MotionError("no motion")
+
+    parts = (
+        part("slow", slow), part("fast", fast), part("failing", failing, uses=("fast",)), part("lost", fast, needs=("failing",)),
+        part("off", fast, off=lambda _: "not asked for"), part("both", fast, needs=("slow",), uses=("failing", "nowhere")),
+    )  # fmt: skip
+    monkeypatch.setattr(rp, "PARTS", parts)
+    told = []
+    found = rp.compute(CASE, workers=2, seen=lambda so_far: told.append(list(so_far.parts)))
+    assert list(found.parts.items()) == [("slow", "slow"), ("fast", []), ("both", ["slow"])]
+    assert told[-1] == ["fast", "slow", "both"]
+    assert list(found.missing) == ["failing", "lost"] and found.off == {"off": "not asked for"}
+
+
+def test_a_part_that_is_needed_ends_the_study(monkeypatch):
+    def failing(_):
+        raise MotionError("no motion")
+
+    monkeypatch.setattr(rp, "PARTS", (part("other", lambda _: 1), part("failing", failing, needed=True)))
+    with pytest.raises(MotionError, match="no motion"):
+        rp.compute(CASE, workers=1)
 
 
 def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
@@ -115,7 +157,7 @@ def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
 
 
 def test_every_figure_of_the_paper_has_a_sheet_in_its_order():
-    parts = [name for name, _ in pictures.SHEETS]
+    parts = [names[0] for names, _ in pictures.SHEETS]
     assert set(parts) <= {part.name for part in ALL_PARTS}
     order = ["phases", "mechanics", "sensitivity", "level_set", "descent", "precession", "touchdown", "landing"]
     assert [name for name in dict.fromkeys(parts) if name in order] == order

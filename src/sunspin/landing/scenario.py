@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -297,8 +298,14 @@ def _legs_down(vehicle: Vehicle, shape: Shape | None) -> tuple[np.ndarray, str]:
 
 def draws(seed: int, index: np.ndarray) -> dict[str, np.ndarray]:
     """Uniform numbers in [0, 1) for the runs `index` (n): each of `DRAWS` -> (n). A run's numbers are its own."""
-    table = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))).random(len(DRAWS)) for i in index]
+    table = [_drawn(seed, i) for i in index.tolist()]
     return dict(zip(DRAWS, np.array(table).reshape(-1, len(DRAWS)).T, strict=True))
+
+
+@lru_cache(maxsize=1 << 15)
+def _drawn(seed: int, i: int) -> np.ndarray:
+    """Kept, because strategies and scenarios are compared on the same draws."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))).random(len(DRAWS))
 
 
 def about(axis_B: np.ndarray, cosine: np.ndarray, turn: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +31,40 @@ from sunspin.philae.level_set import LevelSet
 from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.study import Reproduction
 
+Sheets = Callable[[Reproduction, Any], Iterator[Drawing]]
 
-def draw(result: Reproduction, folder: Path) -> list[Picture]:
-    """All figures of the parts that were computed, as PNG and SVG."""
-    pictures = []
-    for part, sheets in SHEETS:
-        if part in result.parts:
-            for sheet in sheets(result, result.parts[part]):
-                path = figures.save(sheet.make(), folder, sheet.name)[0]
-                pictures.append(Picture(path, sheet.alt, sheet.caption))
-    return pictures
+
+class Gallery:
+    """The figures, drawn by a thread of its own as soon as their parts are there, and written at the end.
+
+    Drawing holds Python's lock, which the kernels of the other parts hardly need.
+    """
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="figures")
+        self._sheets: dict[int, Future] = {}
+
+    def __enter__(self) -> Gallery:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def begin(self, result: Reproduction) -> None:
+        """Draw what can be drawn by now."""
+        for k, (parts, sheets) in enumerate(SHEETS):
+            if k not in self._sheets and result.parts.keys() >= {*parts}:
+                self._sheets[k] = self._pool.submit(_drawn, sheets, result, parts[0])
+
+    def write(self, result: Reproduction, folder: Path) -> list[Picture]:
+        """All figures of the parts that were computed, as PNG and SVG."""
+        self.begin(result)
+        sheets = [sheet for k in sorted(self._sheets) for sheet in self._sheets[k].result()]
+        return [Picture(figures.write(files, folder, made.name)[0], made.alt, made.caption) for made, files in sheets]
+
+
+def _drawn(sheets: Sheets, result: Reproduction, part: str) -> list[tuple[Drawing, dict[str, bytes]]]:
+    return [(sheet, figures.drawn(sheet.make())) for sheet in sheets(result, result.parts[part])]
 
 
 def _note(result: Reproduction) -> str:
@@ -222,20 +247,20 @@ def _worth(_: Reproduction, part: Any) -> Iterator[Drawing]:
     yield from coverage_drawings(part[1], Beside())
 
 
-SHEETS: tuple[tuple[str, Callable[[Reproduction, Any], Iterator[Drawing]]], ...] = (
-    ("phases", _measured),
-    ("mechanics", _mechanics),
-    ("sensitivity", _sensitivity),
-    ("level_set", _level_set),
-    ("descent", _descent),
-    ("precession", _precession),
-    ("touchdown", _touchdown),
-    ("landing", _landing),
-    ("published_lines", _published_lines),
-    ("phases", _health),
-    ("worth", _worth),
+SHEETS: tuple[tuple[tuple[str, ...], Sheets], ...] = (
+    (("phases",), _measured),
+    (("mechanics",), _mechanics),
+    (("sensitivity",), _sensitivity),
+    (("level_set", "published_lines"), _level_set),
+    (("descent",), _descent),
+    (("precession",), _precession),
+    (("touchdown",), _touchdown),
+    (("landing",), _landing),
+    (("published_lines",), _published_lines),
+    (("phases",), _health),
+    (("worth",), _worth),
 )
-"""Part of `study.PARTS` -> its figures, in the paper's order."""
+"""Parts of `study.PARTS`, the first the one drawn, and its figures, in the paper's order."""
 
 
 def _phases(sun: xr.Dataset) -> dict[str, xr.Dataset]:

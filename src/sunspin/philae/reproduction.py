@@ -20,7 +20,7 @@ from sunspin.philae import impulse, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.files import store
 from sunspin.philae.headline import headline, score
-from sunspin.philae.pictures import draw
+from sunspin.philae.pictures import Gallery
 from sunspin.philae.row import Row
 from sunspin.philae.study import SECTIONS, Options, Reproduction, compute, require_wheel, sections, titles, with_vehicle
 from sunspin.telemetry.case import Case, load_case
@@ -130,8 +130,9 @@ def reproduce(
                      where=str(telemetry))
         )  # fmt: skip
     folder = results_folder(out, "reproduce")
-    result = compute(case, options)
-    pictures = draw(result, folder)
+    with Gallery() as gallery:
+        result = compute(case, options, gallery.begin)
+        pictures = gallery.write(result, folder)
     store(result, folder)
     write_whole(folder / f"telemetry{source.suffix or '.csv'}", lambda part: part.write_bytes(source.read_bytes()))
     by_part = {name: rows for name, rows in result.rows_by_part.items()} | {FIGURES: figure_rows(pictures)}

@@ -1,13 +1,15 @@
 """The paper, computed part by part from the telemetry given: every result as data, and a row for each published figure.
 
-A part is a module of this folder with `compute` and `rows`; :data:`PARTS` lists them in the order in which they are computed. Parts
-are counted in three sections: what follows from the telemetry, what the equations and the printed lines give without any, and the
+A part is a module of this folder with `compute` and `rows`; :data:`PARTS` lists them in the order in which they are begun, each as
+soon as the parts that it uses are there: kernels leave Python's lock to others, and few parts alone keep two cores busy. Parts are
+counted in three sections: what follows from the telemetry, what the equations and the printed lines give without any, and the
 paper's own figures. A part that the telemetry cannot carry is said to be missing, and why.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, MotionError, TelemetryError, sentence
+from sunspin.compute.rows import worker_count
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS as SCAN_BINS
 from sunspin.landing.outcomes import BINS as OUTCOME_BINS
@@ -63,6 +66,9 @@ they come back tests the code."""
 PUT_IN_ALWAYS = ("spin_down_coefficients", "antenna_cone")
 """The same with any telemetry: the spin-down's record is computed, the cone stands in the vehicle file."""
 
+PARTS_AT_ONCE = 2
+"""More would keep more memory and gain nothing: each part's rows take all cores."""
+
 SECTIONS = {
     "telemetry": "From this telemetry",
     "no_telemetry": "The equations and the printed lines: no telemetry",
@@ -109,6 +115,7 @@ class Part:
     section : of `SECTIONS`
     compute, rows : how it is computed, and its rows
     needs : parts without which it cannot be computed
+    uses : parts that it waits for and can do without
     needed : whether the study makes no sense without it
     off : why it is not asked for, in a sentence; empty where it is
     """
@@ -119,8 +126,16 @@ class Part:
     compute: Callable[[Inputs], Any]
     rows: Callable[[Any], list[Row]]
     needs: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()
     needed: bool = False
     off: Callable[[Inputs], str] = lambda _: ""
+
+    def of(self, inputs: Inputs) -> tuple[Any, list[Row]]:
+        """Its result and rows; of the parts before it sees those that it names."""
+        seen = {name: inputs.done[name] for name in (*self.needs, *self.uses) if name in inputs.done}
+        result = self.compute(replace(inputs, done=seen))
+        synthetic = bool(inputs.sun.attrs.get("synthetic"))
+        return result, [_settled(row, self, synthetic) for row in self.rows(result)]
 
 
 def _candidates(i: Inputs) -> candidates.Chain:
@@ -159,12 +174,13 @@ PARTS = (
     Part("descent", "Section 3.1: the descent", "telemetry",
          lambda i: descent.compute(i.case, i.sun), descent.rows),
     Part("carries", "What this file can carry", "telemetry",
-         lambda i: carries.compute(i.case, i.sun, i.done.get("descent"), i.options.seed), carries.rows, needed=True),
+         lambda i: carries.compute(i.case, i.sun, i.done.get("descent"), i.options.seed), carries.rows, uses=("descent",),
+         needed=True),
     Part("level_set", "Section 2.3: the scan of this telemetry", "telemetry",
          lambda i: level_set.compute(i.case, i.sun, i.options.seed, i.options.coarser, i.options.workers, i.options.progress),
          level_set.rows),
     Part("candidates", "Section 2.3: the motions that follow", "telemetry", _candidates, lambda _: [],
-         ("level_set",)),
+         ("level_set", "carries")),
     Part("touchdown", "Section 3.2: after the first touchdown", "telemetry",
          lambda i: touchdown.compute(i.done["candidates"]), touchdown.rows, ("candidates",)),
     Part("landing", "Sections 3.3 and 4: after the collision", "telemetry",
@@ -174,15 +190,16 @@ PARTS = (
          off=lambda i: impulse.OFF if i.options.data is None else ""),
     Part("components", "Section 2.3: r_x and r_y", "telemetry",
          lambda i: components.compute(i.case, i.done["level_set"].scan.rebound, i.options.seed, i.options.coarser,
-                                      i.options.workers), components.rows, ("candidates",)),
+                                      i.options.workers), components.rows, ("candidates", "level_set")),
     Part("sensitivity", "Section 2.3: why a direct fit fails", "no_telemetry",
          lambda i: sensitivity.compute(i.case, i.sun, i.options.workers, i.options.coarser), sensitivity.rows),
     Part("motions", "The motion to look at", "telemetry",
-         lambda i: motions.compute(i.case, i.done, i.options.seed, i.options.workers), motions.rows, ("candidates",)),
+         lambda i: motions.compute(i.case, i.done, i.options.seed, i.options.workers), motions.rows,
+         ("candidates", "level_set"), ("descent",)),
     Part("mechanics", "Section 2.2: wheel and example motions", "no_telemetry", lambda i: mechanics.compute(i.case), mechanics.rows,
          needed=True),
     Part("published_lines", "The published lines through our equations", "no_telemetry", _published_lines, published_lines.rows,
-         needed=True),
+         uses=("level_set",), needed=True),
     Part("precession", "Section 3.2: precession on the published lines", "no_telemetry",
          lambda i: precession.compute(i.case), precession.rows),
     Part("worth", "What the paper's method is worth", "no_telemetry", _worth, lambda r: coverage_rows.rows(*r)),
@@ -190,7 +207,7 @@ PARTS = (
     Part("contradictions", "Where the paper is ambiguous or contradicts itself", "paper",
          lambda i: contradictions.compute(i.case), contradictions.rows, needed=True),
 )  # fmt: skip
-"""In the order of computing."""
+"""In the order of beginning."""
 
 CHAIN_OF = {"telemetry": "telemetry", "no_telemetry": "none", "paper": "none"}
 """Section -> what made those of its rows that do not say so themselves."""
@@ -242,7 +259,9 @@ class Reproduction:
         return {name: counts(rows) for name, rows in by_section.items()}
 
 
-def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reproduction:
+def compute(
+    case: Case, options: Options | None = None, seen: Callable[[Reproduction], Any] | None = None, **chosen: Any
+) -> Reproduction:
     """Run the whole chain on the case's telemetry.
 
     Parameters
@@ -256,6 +275,8 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
         twins : synthetic rebounds of a calibration (zero: none is made); seed : of all random choices;
         coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid;
         data : folder with philae_spk/, whose kernel gives the collision's impulse; without it that part is off.
+    seen : callable, optional
+        Given what there is so far each time that a part is computed.
     """
     options = options or Options(**chosen)
     require_wheel(case.vehicle)
@@ -264,29 +285,61 @@ def compute(case: Case, options: Options | None = None, **chosen: Any) -> Reprod
     rb.rebound_samples(case, sun)  # refused before the work
     inputs = Inputs(case, sun, options)
     k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
-    rows, missing, off = {}, {}, {}
-    for part in PARTS:
-        if why := part.off(inputs):
-            off[part.name] = why
-            continue
-        absent = [name for name in part.needs if name not in inputs.done]
-        if absent:
-            missing[part.name] = f"{part.title}: nothing is concluded"
+    found = Reproduction(case, options, noise, sun, inputs.done, {}, {}, {})
+    for part, ended in _computed(inputs):
+        if isinstance(ended, str):
+            (found.off if part.off(inputs) else found.missing)[part.name] = ended
             continue
         try:
-            inputs.done[part.name] = part.compute(inputs)
+            inputs.done[part.name], rows = ended.result()
         except (TelemetryError, InputError, MotionError) as error:
             if part.needed or (isinstance(error, InputError) and part.name == "candidates"):
                 raise
-            missing[part.name] = f"{part.title}: not reproduced, as {error}"
+            found.missing[part.name] = f"{part.title}: not reproduced, as {error}"
             continue
-        found = [_settled(row, part, bool(sun.attrs.get("synthetic"))) for row in part.rows(inputs.done[part.name])]
-        if found:
-            rows[part.name] = found
-    if "candidates" not in inputs.done and "level_set" in rows:  # nothing is concluded from these readings, nor judged by them
+        if rows:
+            found.rows_by_part[part.name] = rows
+        if seen is not None:
+            seen(found)
+    return _in_order(found)
+
+
+def _computed(inputs: Inputs) -> Iterator[tuple[Part, Future | str]]:
+    """Each part once it has ended, or why it has not begun. A part begins when all that it waits for has ended."""
+    at_once = min(worker_count(inputs.options.workers), PARTS_AT_ONCE)
+    waiting, running = list(PARTS), {}
+    over = {name for part in PARTS for name in (*part.needs, *part.uses)} - {part.name for part in PARTS}
+    pool = ThreadPoolExecutor(at_once, thread_name_prefix="part")
+    try:
+        while waiting or running:
+            for part in [part for part in waiting if over.issuperset((*part.needs, *part.uses))]:
+                if why := part.off(inputs) or _absent(part, inputs):
+                    waiting.remove(part)
+                    over.add(part.name)
+                    yield part, why
+                elif len(running) < at_once:
+                    waiting.remove(part)
+                    running[pool.submit(part.of, inputs)] = part
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                part = running.pop(future)
+                over.add(part.name)
+                yield part, future
+    finally:  # after an error nobody waits for the others
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _absent(part: Part, inputs: Inputs) -> str:
+    return "" if inputs.done.keys() >= {*part.needs} else f"{part.title}: nothing is concluded"
+
+
+def _in_order(found: Reproduction) -> Reproduction:
+    """The same with everything in the order of `PARTS`, whichever ended first."""
+    rows = dict(found.rows_by_part)
+    if "candidates" not in found.parts and "level_set" in rows:  # nothing is concluded from these readings, nor judged by them
         kept = rows["level_set"]
         rows["level_set"] = [replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None) for row in kept]
-    return Reproduction(case, options, noise, sun, inputs.done, rows, missing, off)
+    by_name = {"parts": found.parts, "rows_by_part": rows, "missing": found.missing, "off": found.off}
+    return replace(found, **{field: {p.name: of[p.name] for p in PARTS if p.name in of} for field, of in by_name.items()})
 
 
 def _settled(row: Row, part: Part, synthetic: bool) -> Row:

@@ -96,8 +96,8 @@ class ParameterRows:
         }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        crafts = [self.craft(*where) for where in zip(*np.unravel_index(index, self.shape), strict=True)]
-        rows = replace(self.start.take(np.zeros(len(index), dtype=np.int64)), bodies=k.Bodies.stack(crafts))
+        bodies = self.bodies(*np.unravel_index(index, self.shape))
+        rows = replace(self.start.take(np.zeros(len(index), dtype=np.int64)), bodies=bodies)
         run = k.run_rows(self.vehicle, rows, self.times, direction_error=TRACK_DIRECTION_ERROR)
         error = np.array([direction_error(sun, self.measured) for sun in run.sun_B])
         return {"E": error, "outcome": run.outcome.astype(np.int8)}
@@ -106,10 +106,17 @@ class ParameterRows:
     def shape(self) -> tuple[int, int]:
         return len(self.values[0]), len(self.values[1])
 
-    def craft(self, i: int, j: int) -> Vehicle:
-        """The vehicle at a point of the grid."""
-        first = varied(self.vehicle, self.names[0], float(self.values[0][i]))
-        return varied(first, self.names[1], float(self.values[1][j]))
+    def bodies(self, i: np.ndarray, j: np.ndarray) -> k.Bodies:
+        """The vehicles at points (n) of the grid. A vehicle is checked when it is made: for each point where two values must suit
+        each other, else, of friction and an inertia, for each value."""
+        (one, other), (first, second) = self.names, self.values
+        if (one in INERTIA) == (other in INERTIA) or "J" in self.names:
+            at = zip(first[i], second[j], strict=True)
+            return k.Bodies.stack([varied(varied(self.vehicle, one, float(a)), other, float(b)) for a, b in at])
+        along = [k.Bodies.stack([varied(self.vehicle, name, float(value)) for value in axis])
+                 for name, axis in zip(self.names, self.values, strict=True)]  # fmt: skip
+        of_wheels, of_body = (along[1].take(j), along[0].take(i)) if one in INERTIA else (along[0].take(i), along[1].take(j))
+        return replace(of_wheels, inertia_kg_m2=of_body.inertia_kg_m2)
 
 
 def rate_map(

@@ -5,8 +5,8 @@ Synthetic telemetry is called so in the title of every figure that shows it.
 
 from __future__ import annotations
 
+import io
 import warnings
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +38,28 @@ def lay_out(figure: Figure) -> Figure:
     return figure
 
 
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG."""
+def drawn(figure: Figure) -> dict[str, bytes]:
+    """A figure as the content of a PNG and of an SVG file."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
-        draw = lay_out(figure).savefig
-        return [
-            write_whole(folder / f"{name}.{suffix}", partial(draw, format=suffix, dpi=130, metadata=metadata))
-            for suffix, metadata in (("png", {}), ("svg", {"Date": None}))
-        ]
+        lay_out(figure)
+        found = {}
+        for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=suffix, dpi=130, metadata=metadata)
+            found[suffix] = buffer.getvalue()
+    return found
+
+
+def write(files: dict[str, bytes], folder: Path, name: str) -> list[Path]:
+    """Write a figure's files."""
+    return [write_whole(folder / f"{name}.{suffix}", lambda part, content=content: part.write_bytes(content))
+            for suffix, content in files.items()]  # fmt: skip
+
+
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and SVG."""
+    return write(drawn(figure), folder, name)
 
 
 def named(name: Any) -> str:
