@@ -1,6 +1,6 @@
 """Twins for `calibrate-sensors`: telemetry of a CubeSat in an orbit drawn at random, its sensors off by known errors, or by none.
 
-    python tests/calibration_twins.py OUT --first 0 --twins 20
+    PYTHONPATH=. python tests/calibration_twins.py OUT --first 0 --twins 20
 
 The orbit is that of tests/tle_twins.py, which nothing of the package's environment makes. All of it is synthetic.
 """

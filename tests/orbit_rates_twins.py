@@ -1,6 +1,6 @@
 """Twins for `rates` with an orbit: CubeSats with a dipole in the Earth's field, gravity gradient, clouds, and real elements.
 
-    python tests/orbit_rates_twins.py OUT --first 0 --twins 10
+    PYTHONPATH=. python tests/orbit_rates_twins.py OUT --first 0 --twins 10
 
 Orbits, field and Sun are those of `tests/tle_twins.py` (SGP4, IGRF, the Almanac), bodies, torques and the patchy light of the
 Earth those of `tests/orbit_twins.py`: nothing of the package's environment or dynamics makes them. A file has several passes,

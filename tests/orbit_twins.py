@@ -1,6 +1,6 @@
 """Twins for `rates` in orbit about the Earth, moved by equations of their own. All of it is synthetic.
 
-    python tests/orbit_twins.py OUT --first 0 --twins 30
+    PYTHONPATH=. python tests/orbit_twins.py OUT --first 0 --twins 30
 
 A CubeSat with a residual magnetic dipole tumbles in the Earth's field and in its gravity's gradient, of which the vehicle file says
 nothing; the Sun goes down; the Earth reflects light on every face, unevenly, from below, and below turns with the orbit, as does

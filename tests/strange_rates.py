@@ -1,6 +1,6 @@
 """Twins for `rates` whose vehicles, sensors, sampling and faults are all drawn anew. All of it is synthetic.
 
-    python tests/strange_rates.py OUT --first 0 --twins 30
+    PYTHONPATH=. python tests/strange_rates.py OUT --first 0 --twins 30
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Twins for the posterior whose vehicles, sampling and noise are all drawn anew. All of it is synthetic.
 
-    python tests/strange_twins.py OUT --first 0 --twins 30
+    PYTHONPATH=. python tests/strange_twins.py OUT --first 0 --twins 30
 
 Nothing is drawn as the posterior presumes it, but that the inertia, wheels and friction are off by as much as it assumes.
 """

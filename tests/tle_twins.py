@@ -1,6 +1,6 @@
 """Twins for the orbit check: telemetry of a CubeSat in an orbit drawn at random, and its elements, right or with the node turned.
 
-    python tests/tle_twins.py OUT --first 0 --twins 20
+    PYTHONPATH=. python tests/tle_twins.py OUT --first 0 --twins 20
 
 Nothing of the package's environment makes them: SGP4 and IGRF are called as their authors offer them, the Earth is turned by
 Greenwich sidereal time, the Sun is the low-precision formula of the Astronomical Almanac, the shadow a cylinder. All of it is
