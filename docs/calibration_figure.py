@@ -1,4 +1,7 @@
-"""Draw docs/images/calibration.png: PYTHONPATH=. python docs/calibration_figure.py FOLDER [PICTURE], FOLDER as `make calibrate` fills it."""
+"""Draw docs/images/calibration.png: PYTHONPATH=. python docs/calibration_figure.py FOLDER [PICTURE].
+
+FOLDER as `make calibrate` fills it.
+"""
 
 import sys
 from pathlib import Path
