@@ -181,7 +181,7 @@ def test_grids_by_typo_are_refused_with_an_estimate(home):
     refused(*files, "--omega-x=0:1:1e-12", words=["h of one core", "GB of memory", "larger step"])
     refused("simulate", "philae", *START, "--duration=1e7", "--step=1", words=["output times", "GB of memory"])
     refused("simulate", "philae", *START, "--duration=1e9", "--step=1e8", words=["rad", "would take some"])
-    refused("simulate", "philae", "--omega=1e5,0,0", "--sun=0,0.6,0.8", "--duration=1e4", "--step=1e3", words=["check that rates are in rad/s"])
+    refused("simulate", "philae", "--omega=1e5,0,0", "--sun=0,0.6,0.8", "--duration=1e4", "--step=1e3", words=["in rad/s"])
 
 
 def test_results_that_no_machine_holds_are_refused_with_an_estimate():
