@@ -52,6 +52,14 @@ def test_rows_of_the_study_against_the_wider_of_two_intervals(studies):
     assert not same["beyond"].values.any() and not same["change"].values.any()
 
 
+def test_a_value_outside_of_its_interval_scatters_by_more_than_the_interval_says(tmp_path):
+    a = folder(tmp_path / "a", "reproduce", figures=[row("nearest", 0.38, 0.22, 0.25), row("held", 0.24, 0.22, 0.25)])
+    b = folder(tmp_path / "b", "reproduce", figures=[row("nearest", 0.17, 0.21, 0.24), row("held", 0.30, 0.28, 0.31)])
+    found = ss.compare(a, b)
+    size = dict(zip(found["row"].values.tolist(), found["size"].values, strict=True))
+    assert size == pytest.approx({"nearest": 0.01 / 0.015, "held": 0.06 / 0.015})
+
+
 def test_it_is_printed_drawn_and_written(studies, tmp_path):
     ran = CliRunner().invoke(Group("sunspin"), ["compare", *map(str, studies), "--out", str(tmp_path / "out")])
     assert ran.exit_code == 0 and "3 of 5 rows with a known error moved beyond it; of 2 without one 2 changed" in ran.output

@@ -74,6 +74,12 @@ def test_rates_at_the_end_follow_a_wheel_that_stops_but_not_back_into_one_that_i
         end_rates(CASE.vehicle, Rows(found, sun[None], np.array([[0.0]])), -60.0)
 
 
+def test_a_wheel_at_rest_at_the_first_sample_is_taken_to_have_stood_still_since_the_touchdown():
+    omega = np.array([[0.1, -0.3, 0.2]])
+    run = propagate(CASE.vehicle, omega[0], rb.first_sun(CASE), 0.0, [0.0, -rb.after_touchdown_s(CASE)], wheel_mode="hold")
+    np.testing.assert_allclose(rb.at_touchdown(CASE, omega, 0.0), run["omega_B"].values[-1:], atol=1e-9)
+
+
 def test_a_twin_without_noise_and_with_dense_samples_fits_its_truth():
     """Negative control beside it: the samples of another motion do not fit."""
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])

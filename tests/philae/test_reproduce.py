@@ -83,6 +83,15 @@ def test_what_needs_no_telemetry_does_not_change_with_it(quick):
 
 
 @pytest.mark.long
+def test_a_wheel_that_stands_still_leaves_a_study(quick):
+    found = quick(load_case("philae", changes={"wheel.speed_rad_s": 0}), coarser=20)
+    assert set(found.missing) == {"worth"}
+    rows = {row.id: row for row in found.rows}
+    assert rows["wheel_stop"].ours is None and "descent_wheel_speed" not in rows
+    assert np.isfinite(rows["rate_at_touchdown_min"].low)
+
+
+@pytest.mark.long
 def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
     found = quick(rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20)
     assert found.chain is None and "touchdown" in found.missing

@@ -21,6 +21,12 @@ COMMANDS = ("coast", "hold", "brake")
 Schedule = tuple[tuple[float, str], ...]  # (from this time on, this command), times increasing
 
 
+def mode_before(wheel_speed_rad_s: np.ndarray) -> str:
+    """The command under which motions with these speeds of the wheels (n, n_wheels) are run backward, where nothing else is known:
+    wheels at rest are taken to have stood still, since friction that holds a wheel forgets how it came to rest."""
+    return "coast" if np.any(wheel_speed_rad_s) else "hold"
+
+
 class Turning(Enum):
     """How a wheel moves relative to the body."""
 

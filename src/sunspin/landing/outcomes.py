@@ -21,7 +21,7 @@ from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import wheel_speeds
-from sunspin.dynamics.wheel_modes import command_at
+from sunspin.dynamics.wheel_modes import command_at, mode_before
 from sunspin.landing import scenario as sc
 from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of, support
 from sunspin.landing.flight import angle_about, carry, fly, sun_height_shares
@@ -149,7 +149,8 @@ class OutcomeRows:
         out = {name: np.full((len(index), *shape), _nothing(dtype), dtype) for name, (dtype, shape) in self.outputs.items()}
         out["candidate"][:] = self.candidates.pick(draw["candidate"])
         start = self.candidates.rows(out["candidate"])
-        back = fly(self.vehicle, start, sc.FLOWN, s.lead_s, np.array([0.0])) if s.lead_s > 0 else None
+        flown = ((-np.inf, mode_before(start.wheel_speed_rad_s)),)
+        back = fly(self.vehicle, start, flown, s.lead_s, np.array([0.0])) if s.lead_s > 0 else None
         bad = np.zeros(len(index), dtype=np.int64) if back is None else back.outcome
         touchdown = start if back is None else _healthy(back.at(0), start, bad)
         if s.collision_s > 0:

@@ -26,8 +26,6 @@ STEEPEST_SINE = 0.2
 DRAWS = ("candidate", "leg", "polar", "azimuth", "vertical", "orbiter_polar", "orbiter_azimuth", "incidence", "heading")
 """What is drawn for each run, in this order: uniform numbers of its own generator. New ones are added at the end."""
 
-FLOWN: Schedule = ((-np.inf, "coast"),)
-
 
 @dataclass(frozen=True)
 class Scenario:
@@ -37,7 +35,8 @@ class Scenario:
     ----------
     sun_B, wheel_speed_rad_s
         Direction to the Sun and wheel speeds that go with the candidate rates.
-    lead_s : s from the touchdown to the instant of the candidates; the motion in between is run back, wheels coasting.
+    lead_s : s from the touchdown to the instant of the candidates; the motion in between is run back, wheels coasting
+        or, at rest, standing still.
     before_s, after_s : s from the candidates' instant to the collision, and from there to the landing.
     collision_speed_m_s : speed of the centre of mass at the collision, its direction any with a component along
         `collision_axis_B`; None: no collision.

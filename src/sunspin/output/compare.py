@@ -138,7 +138,8 @@ def _row(a: dict[str, Any], b: dict[str, Any]) -> Moved:
     if known:
         error, of = max(float(np.max(np.abs(high - low))) / 2 for low, high in ends), "half of the wider interval"
         moved = max((_largest(ends[1][k] - ends[0][k]) for k in range(2)), key=abs)
-        change = max(change, moved, key=abs)
+        of_value = all(_inside(one, low, high) for one, (low, high) in zip(ours, ends, strict=True))
+        change = max(change, moved, key=abs) if of_value else moved
     elif isinstance(a.get("tolerance"), int | float) and a["tolerance"] > 0:
         error, of = float(a["tolerance"]), "tolerance of the row"
     words = [] if a.get("agrees") == b.get("agrees") else [f"{_agreement(a)}, now {_agreement(b)}"]
@@ -146,6 +147,12 @@ def _row(a: dict[str, Any], b: dict[str, Any]) -> Moved:
         words.append("another value")
     texts = [_shown(row, bool(known)) for row in (a, b)]
     return _moved(str(a.get("id")), str(a.get("what")), texts, _unit(a), change, error, of, ours, words)
+
+
+def _inside(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether an interval may be that of a value. What the few motions nearest to the telemetry give may lie outside of what the
+    candidates give, and then scatters by other amounts than the interval's width."""
+    return value.shape == low.shape and bool(np.all((low <= value) & (value <= high)))
 
 
 def _agreement(row: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from sunspin.base.tables import read_table
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.ensemble import Rows
-from sunspin.estimate.scan.end_rates import EndSpeedRows, end_rates
+from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.estimate.scan.rows import histograms
 from sunspin.estimate.scan.table import Table
 from sunspin.landing.outcomes import BINS
@@ -151,7 +151,7 @@ def described(
     rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, seed: int, probable: bool = False
 ) -> Candidates:
     """Candidates that stand for themselves alone, with what is asked of them."""
-    speed = np.linalg.norm(end_rates(rebound.case.vehicle, states, -rebound.lead_s, DIRECTION_ERROR), axis=1)
+    speed = np.linalg.norm(rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR), axis=1)
     return _with_runs(rebound, name, chain, about, states, speed, seed, probable)
 
 
@@ -225,7 +225,7 @@ def compute(
     start = scan.table.rows.start
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
     cell = float(np.linalg.norm(steps)) / 2
-    speeds = ensemble(EndSpeedRows(case.vehicle, start, -rebound.lead_s, DIRECTION_ERROR), workers=workers)["speed"]
+    speeds = ensemble(rb.speeds_back(case, start, rebound.lead_s, DIRECTION_ERROR), workers=workers)["speed"]
 
     def of(name: str, chain: str, about: str, chosen: np.ndarray) -> Candidates:
         index = np.flatnonzero(chosen & np.isfinite(scan.emd))

@@ -19,7 +19,6 @@ from sunspin.compute.identity import code, fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan.end_rates import EndSpeedRows, end_rates
 from sunspin.estimate.scan.lines import distances, fit_lines, line_deviation, match_lines, point_at
 from sunspin.estimate.scan.rows import distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table, make_table
@@ -154,8 +153,7 @@ def _make_ground(case: Case, coarser: int, workers: int | None, progress: bool) 
         case.vehicle, rb.first_sun(case), axes, speeds, rb.window_s(case), workers=workers, progress=progress,
         mask=None if rb.counted(case) is None else "reconstructible",
     )  # fmt: skip
-    back = EndSpeedRows(case.vehicle, table.rows.start, -rb.after_touchdown_s(case))
-    speed = ensemble(back, workers=workers)["speed"]
+    speed = ensemble(rb.speeds_back(case, table.rows.start, rb.after_touchdown_s(case)), workers=workers)["speed"]
     points = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, 3)
     return Ground(table, speed, points)
 
@@ -166,7 +164,7 @@ def _one(case: Case, ground: Ground, setup: TwinRows, rng: np.random.Generator) 
     smallest = float(emd.min())
     near = emd < setup.factor * smallest
     points = ground.points[near]
-    at_touchdown = np.linalg.norm(end_rates(case.vehicle, _states(case, truth[None]), -rb.after_touchdown_s(case)))
+    at_touchdown = np.linalg.norm(rb.run_back(case, _states(case, truth[None]), rb.after_touchdown_s(case)))
     order = np.argsort(emd, kind="stable")[: max(int((emd < max(LEVELS[-1], FACTORS[-1] * smallest)).sum()), 1)]
     slowest = np.minimum.accumulate(ground.touchdown_speed[order])
     counts = [np.searchsorted(emd[order], levels, side="left") for levels in (LEVELS, FACTORS * smallest)]
@@ -239,7 +237,7 @@ def _lines(case: Case, points: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
                                                                              strict=True)]  # fmt: skip
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
     starts = np.concatenate([_inside(point, direction, box) for point, direction in fitted])
-    speeds = np.linalg.norm(end_rates(case.vehicle, _states(case, starts), -rb.after_touchdown_s(case)), axis=1)
+    speeds = np.linalg.norm(rb.run_back(case, _states(case, starts), rb.after_touchdown_s(case)), axis=1)
     to_line = distances(truth[None], np.array([p for p, _ in fitted]), np.array([d for _, d in fitted]))
     return {
         "truth_to_line": to_line.min(),

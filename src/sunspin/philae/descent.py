@@ -198,11 +198,13 @@ def _rate_rows(r: Descent) -> list[Row]:
     t = np.linspace(0.0, float(r.sun["time"].values[-1]), 2001)
     change = abs(implied_wheel_change(case, ours[1] - ours[0]))
     nominal = case.vehicle.wheels[0].speed_rad_s
-    return [
+    found = [
         row(case, "descent_rate_range", list(ours), twin=_twin(r), printed=printed),
         row(case, "descent_rate_romap", float(r.fit.rate(t).mean()), twin=_twin(r)),
-        row(case, "descent_wheel_speed", 100 * change / nominal, twin=_twin(r), change=change, nominal=nominal),
     ]
+    if nominal == 0:  # what changes by what part of nothing?
+        return found
+    return [*found, row(case, "descent_wheel_speed", 100 * change / abs(nominal), twin=_twin(r), change=change, nominal=nominal)]
 
 
 def _sample_rows(r: Descent) -> list[Row]:

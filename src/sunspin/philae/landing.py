@@ -250,7 +250,7 @@ def _rest_rows(landing: Landing) -> list[Row]:
         share("antenna_serves", "antenna_at_rest"),
         row(
             case, "best_switch_off_delay", delay.attrs["best_s"] / 60, chain=landing.chain.name, about=about, best=value.max(),
-            at_once=value[0], as_good=", ".join(f"{t / 60:g}" for t in good),
+            at_once=value[0], as_good=", ".join(f"{t / 60:g}" for t in good), low=min(good) / 60, high=max(good) / 60,
             within=[t / 60 for t in delay.attrs["spread_s"]], tip_best=tip[int(np.argmax(value))], tip=[tip[0], tip[-1]],
         ),
     ]  # fmt: skip

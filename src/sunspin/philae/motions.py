@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
+from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.environment.frames import BODY_AT_START
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
@@ -91,7 +92,8 @@ def chosen(chain: Chain, scan: LevelSet) -> dict[str, tuple[Rows, str]]:
 
 
 def _run(case: Case, start: Rows, t: Any) -> xr.Dataset:
-    return propagate(case.vehicle, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0], t, rtol=1e-9)
+    mode = mode_before(start.wheel_speed_rad_s) if t[-1] < t[0] else "coast"
+    return propagate(case.vehicle, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0], t, wheel_mode=mode, rtol=1e-9)
 
 
 def instant_s(rebound: rb.Rebound) -> float:

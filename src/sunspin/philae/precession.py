@@ -113,7 +113,8 @@ def swing(
 
 def _one(run: xr.Dataset, axis: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> tuple:
     sun, momentum = run["sun_B"].values, run["momentum_B"].values
-    unit = momentum / np.linalg.norm(momentum, axis=1, keepdims=True)
+    size = np.linalg.norm(momentum, axis=1, keepdims=True)
+    unit = np.where(size > 0, momentum / np.where(size > 0, size, 1.0), np.nan)  # what does not turn has no axis
     z, nutation = sun @ axis, _angle(unit, axis)
     sun_angle = _angle(unit[:1], sun[0] / np.linalg.norm(sun[0]))[0]
     first, last = parts
@@ -207,7 +208,7 @@ def _height_rows(r: Precession) -> list[Row]:
 def _constancy_rows(r: Precession) -> list[Row]:
     change = np.abs(r.examples.z_last - r.examples.z_first)
     on_lines = np.array([np.abs(line.z_last - line.z_first) for line in r.lines])
-    nutation = [np.degrees(np.abs(s.nutation_last - s.nutation_first)).max() for s in (r.examples, *r.lines)]
+    nutation = [np.nanmax(np.degrees(np.abs(s.nutation_last - s.nutation_first))) for s in (r.examples, *r.lines)]
     wander = np.degrees(np.array([line.nutation for line in r.lines]))
     counts = np.concatenate([r.examples.peaks[1:], *(line.peaks for line in r.lines)])
     ranges = zip(wander[..., 0].min(axis=1), wander[..., 1].max(axis=1), strict=True)

@@ -16,11 +16,13 @@ from sunspin.compute.identity import plain
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Mask, Rows
 from sunspin.dynamics.propagate import propagate
+from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.estimate.scan import window
-from sunspin.estimate.scan.end_rates import end_rates
+from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, EndSpeedRows, end_rates
 from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines, point_at
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import emd
+from sunspin.estimate.scan.rows import Start
 from sunspin.estimate.scan.volume import near_minimum, scan
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
@@ -332,7 +334,17 @@ def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float, lead_
         np.asarray(starts, dtype=np.float64).reshape(-1, 3), np.tile(first_sun(case), (len(starts), 1)),
         np.full((len(starts), len(case.vehicle.wheels)), float(wheel_speed_rad_s)),
     )  # fmt: skip
-    return end_rates(case.vehicle, states, -(after_touchdown_s(case) if lead_s is None else lead_s))
+    return run_back(case, states, after_touchdown_s(case) if lead_s is None else lead_s)
+
+
+def run_back(case: Case, states: Rows, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR) -> np.ndarray:
+    """Body rates (n, 3) `lead_s` before the states (n), back to the touchdown; a wheel at rest is taken to have stood still."""
+    return end_rates(case.vehicle, states, -lead_s, direction_error, mode_before(states.wheel_speed_rad_s))
+
+
+def speeds_back(case: Case, start: Start, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR) -> EndSpeedRows:
+    """Row of a grid -> angular speed (rad/s) `lead_s` before, as by `run_back`."""
+    return EndSpeedRows(case.vehicle, start, -lead_s, direction_error, mode_before(start.wheel_speed_rad_s))
 
 
 def speed_at_first_sample(case: Case, lead_s: float | None = None) -> float:

@@ -72,7 +72,8 @@ class Written:
 
 def _beside_published(row: dict[str, Any]) -> str:
     unit = "" if row["unit"] == "1" else f" {row['unit']}"
-    return f"{row['ours']:.4g}{unit} (published {row['published']:.4g})"
+    ours = "none" if row["ours"] is None else f"{row['ours']:.4g}{unit}"
+    return f"{ours} (published {row['published']:.4g})"
 
 
 def reproduce(
