@@ -49,7 +49,10 @@ def test_every_command_gets_its_parts(user_runs, name, expected):
 def test_outcomes_have_units_and_names_and_only_philae_was_flown(user_runs, tmp_path):
     text = Page(user_runs["outcomes"] / "report.html").text
     assert "wheel off at touchdown" in text and "is what was flown" in text and "the lines that the paper prints" in text
-    assert "Fastest leg tip at contact, m/s" in text and "Angular speed after the collision, deg/s" in text
+    assert "Fastest leg tip at first contact, m/s" in text and "touch leg" not in text
+    rates = [line.partition("deg/s")[2].split() for line in text.split("Angular speed after the collision, ")[1:]]
+    both = [float(line[0].partition("\u00a0")[0]) for line in rates]  # all runs of one strategy, and the strategies side by side
+    assert len(both) == 2 and both[0] == pytest.approx(both[1], rel=1e-6)
     shutil.copytree(user_runs["outcomes"], folder := tmp_path / "own")
     table = xr.load_dataset(folder / "strategies.nc", engine="h5netcdf").assign_attrs(vehicle="my lander")
     table.to_netcdf(folder / "strategies.nc", engine="h5netcdf")
