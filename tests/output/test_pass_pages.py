@@ -175,7 +175,7 @@ def test_a_posteriors_summary_has_a_place_for_each_of_its_entries(tmp_path):
     assert unknown(results) is None
     weights, table = posterior._hypotheses(results), posterior._widths(results)
     assert weights.rows == [["as stated", "0.65"], ["a steady torque in body axes", "0.35"]]
-    assert table.rows[0] == ["max rate rad s", "2", "not told by these draws", "", ""]
+    assert table.rows[0] == ["largest rate", "2", "not told by these draws", "", ""]
     assert table.rows[1] == ["inertia", "0.5", "unique", "0.36", "0.89"]
     for odd in (3, None, [3], [{"factor": "x"}], {"a": []}):  # of somebody else's folder
         results = Results(tmp_path, "posterior", {"hypotheses": odd, "prior_widths": odd})

@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 from matplotlib.text import Text
 
+from drawing import covered
 from sunspin.base.errors import InputError, MotionError, TelemetryError
 from sunspin.output.folder import Picture
 from sunspin.philae import carries, inputs, pictures, published_lines
@@ -57,7 +58,9 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     assert "fig10_11_descent" not in names and {"fig03_measured", "fig09_lines", "fig12_touchdown", "worth"} <= names
     assert all(sheet.alt and sheet.caption for sheet in sheets)
     for sheet in sheets:  # synthetic readings were not measured
-        drawn = [text.get_text() for text in sheet.make().findobj(Text)]
+        figure = sheet.make()
+        assert not covered(figure), (sheet.name, covered(figure))
+        drawn = [text.get_text() for text in figure.findobj(Text)]
         said = [text for text in (*drawn, sheet.alt, sheet.caption) if "measured" in text.lower() and "no measured" not in text]
         assert not said, (sheet.name, said)
 

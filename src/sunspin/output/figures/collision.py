@@ -31,8 +31,7 @@ def collision_figure(found: xr.Dataset) -> Figure:
     left.set_xlabel("change of velocity at the collision (m/s)")
     left.set_ylabel("speed after the collision (m/s)")
     left.legend(fontsize=8, loc="lower left")
-    sticks = not any(json.loads(found.attrs.get("scenario", "{}")).get(name) for name in ("restitution", "damper"))
-    impacts = "Sticking impacts" if sticks else "Impacts"
+    impacts = "Sticking impacts" if _sticks(found) else "Impacts"
     left.set_title(f"{impacts} at {facts['speed_before']:.3f} m/s and what the trajectory shows", fontsize=10)
     rate = np.linalg.norm(found["omega_after_B"].values, axis=1)
     edges = np.linspace(0, 1.0, 51)
@@ -58,6 +57,15 @@ def collision_figure(found: xr.Dataset) -> Figure:
     right.set_xlim(0, 1)
     right.set_xlabel("angular speed just after the collision (rad/s)")
     right.set_ylabel("probability density (s/rad)")
-    right.legend(fontsize=8, ncols=2, **ABOVE)
+    right.legend(fontsize=8, **ABOVE)
     figure.suptitle(titled("The collision", found.attrs.get("synthetic")), fontsize=11)
     return figure
+
+
+def _sticks(found: xr.Dataset) -> bool:
+    """Whether the blow was taken for one at which the point that hits sticks; not so where the scenario cannot be read."""
+    try:
+        scenario = json.loads(str(found.attrs.get("scenario", "{}")))
+    except ValueError:
+        return False
+    return isinstance(scenario, dict) and not any(scenario.get(name) for name in ("restitution", "damper"))

@@ -93,7 +93,9 @@ def unknown(results: Results) -> Section | None:
 
 def _is_table(value: object) -> bool:
     """Whether an entry is a list of things with the same keys."""
-    return isinstance(value, list) and bool(value) and all(isinstance(one, dict) and list(one) == list(value[0]) for one in value)
+    if not isinstance(value, list) or not value or not isinstance(value[0], dict):
+        return False
+    return bool(value[0]) and all(isinstance(one, dict) and list(one) == list(value[0]) for one in value)
 
 
 def _short(value: object) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sunspin.output.figures import ABOVE, COLOURS, titled
+from sunspin.output.text import counted
 from sunspin.philae import touchdown
 from sunspin.philae.candidates import Candidates, Chain
 
@@ -67,7 +68,7 @@ def _angles(axes: Any, chain: Chain) -> None:
         ("possible before the data", chain.box, "s", "#cccccc", 3.0), (f"left: {_short(chain)}", chain.chosen, "o", CHOSEN, 1.8),
         (f"the paper's recipe, EMD < {chain.case.assumptions.study.near_minimum_factor:g} EMD_min", chain.recipe, "D", RECIPE, 4.0),
     ):  # fmt: skip
-        label = f"{name} ({len(candidates):,})".replace(",", " ")
+        label = f"{name} ({counted(len(candidates), 'motion')})"
         axes.plot(*_pair(candidates), marker, ms=size, mew=0, color=colour, label=label, rasterized=True)
     ends = np.degrees([np.max(angle) for angle in (chain.box.smaller_angle, chain.box.larger_angle)])
     axes.set(
