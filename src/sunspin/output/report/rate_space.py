@@ -238,6 +238,11 @@ def maps(results: Results) -> Section | None:
         "have no unit. EMD changes slowly with the rate and has valleys wide enough to scan. E has many narrow ones: it "
         "cannot be fitted directly."
     ]
+    if results.command == "reproduce":
+        lead.append(
+            "Stripes are no error: where the momentum begins across the z axis (at the nominal wheel speed the lowest ωz), the body "
+            "falls to one side or the other as the wheel slows, in turn from one rate to the next."
+        )
     return Section("maps", "Maps of the misfit", lead, items)
 
 
