@@ -240,8 +240,8 @@ def maps(results: Results) -> Section | None:
     ]
     if results.command == "reproduce":
         lead.append(
-            "Stripes are no error: where the momentum begins across the z axis (at the nominal wheel speed the lowest ωz), the body "
-            "falls to one side or the other as the wheel slows, in turn from one rate to the next."
+            "Stripes are no error: where the momentum begins across the z axis (at the nominal wheel speed the lowest ωz), the "
+            "body falls to one side or the other as the wheel slows, in turn from one rate to the next."
         )
     return Section("maps", "Maps of the misfit", lead, items)
 
