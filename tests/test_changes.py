@@ -212,7 +212,7 @@ def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
     ran = [command(*words, *more) for more in ((), ("--restitution", "0.4"), ("--set", "collision.restitution=0.4"))]
     noisier = command("outcomes", "philae", "--runs", "50", "--strategy", "off", "--set", "telemetry.noise*=2")
     assert "telemetry.noise changes nothing here" in noisier.stderr and "a leg touches first" in noisier.output
-    rates = [[line for line in one.output.splitlines() if "rate after it" in line] for one in ran]
+    rates = [[line for line in one.output.splitlines() if "angular speed after" in line] for one in ran]
     assert rates[0] != rates[1] == rates[2] and rates[0] and "collision.restitution = 0.4 (was 0" in ran[1].output
 
 

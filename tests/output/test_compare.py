@@ -71,6 +71,16 @@ def test_it_is_printed_drawn_and_written(studies, tmp_path):
     assert [label.get_text().split()[1] for label in axes.get_yticklabels()] == ["far", "pair", "ends", "tolerated", "near"]
 
 
+def test_what_one_study_alone_has_or_concludes_is_said(tmp_path):
+    """A part that does not fit changed assumptions leaves no row: its absence is a difference too."""
+    told = [[f"It turned once in 8.6 min. It fits {share}% of 2.5 or so.", "Same."] for share in (73, 58)]
+    rows = [row("both", 1.0), row("worth_bound", 2.0)], [row("both", 1.0)]
+    a, b = (folder(tmp_path / name, "reproduce", figures=r, headline=t) for name, r, t in zip("ab", rows, told, strict=True))
+    lines = str(ss.compare(a, b).sunspin.summary())
+    assert "alone has 1 rows: worth_bound" in lines
+    assert "concludes: It fits 73% of 2.5 or so." in lines and "concludes: It fits 58%" in lines and "8.6 min" not in lines
+
+
 def test_what_differs_by_rounding_is_the_same(tmp_path):
     """Weights of passes, of which no error is known, are sums in another order where a run had other options."""
     made = [folder(tmp_path / name, "reproduce", figures=[row("share", share)]) for name, share in (("a", 1.0), ("b", 1.0 - 2e-16))]
@@ -94,7 +104,7 @@ def test_passes_in_common_are_compared_in_sigmas_of_both(tmp_path):
     assert {name.rpartition(" ")[0] for name in found["row"].values} == {"pass 1", "pass 2"}
     assert found.sel(row="pass 1 omega_x")["size"] == pytest.approx(0.3 / np.hypot(0.1, 0.1))
     assert "pass 2 omega_x" not in found["row"].values  # given for another instant
-    assert "decided True, now False" in str(found.sel(row="pass 2 speed")["words"].values)
+    assert "decided yes, now no" in str(found.sel(row="pass 2 speed")["words"].values)
 
 
 def test_medians_of_two_posteriors_in_sigmas(tmp_path):
@@ -113,11 +123,15 @@ def test_medians_of_two_posteriors_in_sigmas(tmp_path):
 def test_shares_of_runs_of_the_strategies_in_common(tmp_path):
     def made(name, value, *more):
         told = {"touch_leg": {"value": value, "error": 0.03}, "up_z": {"value": 0.5, "error": 0.04}}
+        told |= {"rate_after": {"value": np.radians(10.0), "error": np.radians(0.5)}}
         return folder(tmp_path / name, "outcomes", strategies=dict.fromkeys(("off", *more), told), inputs=[])
 
     found = ss.compare(made("a", 0.8, "held"), made("b", 0.6))
-    assert found["row"].values.tolist() == ["wheels off touch_leg", "wheels off up_z"]
-    assert found["size"].values == pytest.approx([0.2 / (0.03 * 2**0.5), 0.0]) and found["what"].values[0] == "a leg touches first"
+    assert found["row"].values.tolist() == ["wheels off touch_leg", "wheels off up_z", "wheels off rate_after"]
+    rate = found.isel(row=2)
+    assert (rate["a"].item(), rate["unit"].item()) == ("10", "deg/s")  # files have rad/s
+    assert found["size"].values == pytest.approx([0.2 / (0.03 * 2**0.5), 0.0, 0.0])
+    assert found["what"].values[0] == "a leg touches first"
     assert "telemetry" not in str(found.sunspin.summary())
 
 

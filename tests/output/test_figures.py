@@ -5,11 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
+from drawing import covered
 from sunspin.output.figures.outcomes import _error_of
 from sunspin.output.figures.telemetry import _connected, sun_directions_figure
+
+
+def test_a_legend_on_a_curve_is_seen():
+    """The check that the figures of the study pass does accuse."""
+    for place, said in (("upper left", []), ("lower right", []), ("center", ["rising"])):
+        axes = (figure := Figure()).subplots()
+        axes.plot(np.linspace(0, 1, 50), np.linspace(0, 1, 50), label="diagonal")
+        axes.set_title("rising")
+        axes.legend(loc=place)
+        assert covered(figure) == said, place
 
 
 def directions(hours: list[float], known: list[int], phase: list[str] | None = None) -> xr.Dataset:

@@ -76,6 +76,23 @@ def test_residuals_scatter_as_their_noise_and_show_a_wrong_motion():
     assert any("beyond 3 sigma" in text and "of noise alone: 0.3%" in text for text in texts)
 
 
+def test_a_panel_that_never_reads_is_called_left_out_beside_the_residuals():
+    result, samples = tumble()
+    dead = samples.assign(power_W=samples["power_W"].where(samples["panel"] != "+X", 0.0))
+    for data, label in ((samples, "+X"), (dead, "+X: left out")):
+        assert residuals_figure(result, data, CUBE).axes[0].get_legend().get_texts()[0].get_text() == label
+
+
+@pytest.mark.parametrize(
+    ("fits", "decided", "said"),
+    [(True, True, "weight 1.00"), (True, False, "weight 1.00, not decided"), (False, False, "weight 1.00, FITS BADLY")],
+)
+def test_the_rates_of_a_pass_that_must_not_be_used_say_so(fits, decided, said):
+    result, _ = tumble(20, 30.0)
+    found = result.assign(weight=(("pass_id", "mode"), [[1.0]]), fits=("pass_id", [fits]), decided=("pass_id", [decided]))
+    assert rates_figure(found).axes[0].get_title().splitlines()[1] == said
+
+
 @pytest.mark.parametrize(("used", "said"), [((), "panel signals"), (("gyro", "field"), "panel signals, gyro and magnetometer")])
 def test_the_sensors_used_are_named(used, said):
     result, _ = tumble()
@@ -158,7 +175,7 @@ def test_a_posteriors_summary_has_a_place_for_each_of_its_entries(tmp_path):
     assert unknown(results) is None
     weights, table = posterior._hypotheses(results), posterior._widths(results)
     assert weights.rows == [["as stated", "0.65"], ["a steady torque in body axes", "0.35"]]
-    assert table.rows[0] == ["max rate rad s", "2", "not told by these draws", "", ""]
+    assert table.rows[0] == ["largest rate", "2", "not told by these draws", "", ""]
     assert table.rows[1] == ["inertia", "0.5", "unique", "0.36", "0.89"]
     for odd in (3, None, [3], [{"factor": "x"}], {"a": []}):  # of somebody else's folder
         results = Results(tmp_path, "posterior", {"hypotheses": odd, "prior_widths": odd})
@@ -189,7 +206,7 @@ def test_passes_far_apart_stand_side_by_side(passes):
 
 
 def test_values_are_told_in_words():
-    assert number_text([[2], [2, 3]]) == "((2); (2, 3))"
+    assert number_text([[2], [2, 3]]) == "((2); (2, 3))" and number_text([["2"], ["2", "3"]]) == "2; 2-3"
     assert number_text(True) == "yes" and number_text([None, False]) == "(none, no)"
 
 

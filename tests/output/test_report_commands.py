@@ -15,6 +15,7 @@ from pages import Page
 from browser import HOSTILE
 from sunspin.cli import cli
 from sunspin.output.report import write_report
+from sunspin.output.text import with_sigma
 
 
 def test_labels_from_outside_stay_text(user_runs):
@@ -49,7 +50,10 @@ def test_every_command_gets_its_parts(user_runs, name, expected):
 def test_outcomes_have_units_and_names_and_only_philae_was_flown(user_runs, tmp_path):
     text = Page(user_runs["outcomes"] / "report.html").text
     assert "wheel off at touchdown" in text and "is what was flown" in text and "the lines that the paper prints" in text
-    assert "Fastest leg tip at contact, m/s" in text and "Angular speed after the collision, deg/s" in text
+    assert "Fastest leg tip at first contact, m/s" in text and "touch leg" not in text
+    rates = [line.partition("deg/s")[2].split() for line in text.split("Angular speed after the collision, ")[1:]]
+    both = [float(line[0].partition("\u00a0")[0]) for line in rates]  # all runs of one strategy, and the strategies side by side
+    assert len(both) == 2 and both[0] == pytest.approx(both[1], rel=1e-6)
     shutil.copytree(user_runs["outcomes"], folder := tmp_path / "own")
     table = xr.load_dataset(folder / "strategies.nc", engine="h5netcdf").assign_attrs(vehicle="my lander")
     table.to_netcdf(folder / "strategies.nc", engine="h5netcdf")
@@ -64,6 +68,10 @@ def test_what_it_does_not_know_it_lists_and_what_is_broken_it_names(user_runs, t
         folder / "wrong.nc", engine="h5netcdf"
     )
     (folder / "broken.nc").write_bytes(b"\x89HDF\r\n\x1a\nno")
+    listed = {"moved": [{"row": "first", "size": 1.25}, {"row": "second", "size": None}], "nothing": ""}
+    (folder / "summary.json").write_text(json.dumps(json.loads((folder / "summary.json").read_text("utf-8")) | listed), "utf-8")
+    text = Page(write_report(folder)).text
+    assert "row size first 1.25 second none" in text and "nothing –" in text  # a list of things is a table
     (folder / "summary.json").write_text('{"half": ', "utf-8")
     (folder / "figures.json").write_text('[{"file": 3}, 4]', "utf-8")
     (folder / "vehicle.toml").write_text("name = 'x'\n[body]\nmass_kg = -1\n", "utf-8")
@@ -79,7 +87,7 @@ def test_a_posterior_is_shown_with_its_best_motion_and_what_it_predicts(user_run
     read, tree = Page(folder / "report.html"), xr.load_datatree(folder / "posterior.nc")
     for axis in range(3):
         values = np.degrees(tree["posterior"]["omega_B"].values[..., axis])
-        assert f"{values.mean():.4g} ± {values.std():.2g}" in read.text
+        assert with_sigma(values.mean(), values.std()) in read.text
     speed = np.degrees(np.median(tree["predictions"]["rate"].sel(predicted_s=600.0)))
     assert f"{speed:.4g}" in read.text and "2026-01-01 00:10:00" in read.text
     motion = xr.load_dataset(folder / "motion-region-1.nc")

@@ -1,10 +1,13 @@
 """Strategies, the collision against the trajectory kernel, the settling argument, rows and figures of the landing study."""
 
+import json
+
 import numpy as np
 import pytest
 
 import sunspin as ss
 from chains import chain_on_the_lines
+from drawing import covered
 from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import estimate
@@ -145,9 +148,17 @@ def test_figures_have_units_on_every_axis(landing):
         collision_figure(landing.collision),
         figures.first_contact_figure({name: landing.strategy_runs[name] for name in ("off", "held")}),
     ):
-        figure.canvas.draw()
+        assert covered(figure) == []
         labels = [axes.get_ylabel() or axes.get_xlabel() for axes in figure.axes]
         assert all("(" in label or label.startswith(PURE) for label in labels), labels
+
+
+def test_only_a_blow_that_sticks_is_called_so(landing):
+    def said(**scenario):
+        found = landing.collision.assign_attrs(scenario=json.dumps(scenario))
+        return collision_figure(found).axes[0].get_title().split(" at ")[0]
+
+    assert said(restitution=0.0, damper=0.0) == "Sticking impacts" and said(restitution=0.2) == said(damper=0.5) == "Impacts"
 
 
 def test_shifting_the_hull_moves_it_and_not_the_legs():

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.text import Text
 
+from drawing import covered
 from sunspin.base.errors import InputError, MotionError, TelemetryError
 from sunspin.output.folder import Picture
 from sunspin.philae import carries, inputs, pictures, published_lines
@@ -55,6 +57,12 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     names = {sheet.name for sheet in sheets}
     assert "fig10_11_descent" not in names and {"fig03_measured", "fig09_lines", "fig12_touchdown", "worth"} <= names
     assert all(sheet.alt and sheet.caption for sheet in sheets)
+    for sheet in sheets:  # synthetic readings were not measured
+        figure = sheet.make()
+        assert not covered(figure), (sheet.name, covered(figure))
+        drawn = [text.get_text() for text in figure.findobj(Text)]
+        said = [text for text in (*drawn, sheet.alt, sheet.caption) if "measured" in text.lower() and "no measured" not in text]
+        assert not said, (sheet.name, said)
 
 
 @pytest.mark.long
@@ -111,6 +119,17 @@ def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
     assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"
     assert shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png" and shown["figure_3"] == "fig03_measured.png"
     assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith("not drawn: a picture")
+
+
+def test_what_a_run_changes_is_not_called_used_as_published():
+    """And the paper's tables stay the paper's, whatever body the run has."""
+    changed = load_case("philae", ["body.mass_kg=100", "wheel.speed_rad_s=833"])
+    rows = [{row.id: row for row in inputs.rows(inputs.Taken(case, case.telemetry))} for case in (CASE, changed)]
+    for name in ("table_2", "wheel_speed"):
+        assert all(found[name].published == rows[0][name].ours for found in rows), name
+        assert rows[1][name].ours != rows[0][name].ours and rows[1][name].note.startswith("not as published")
+    same = set(rows[0]) - {"table_2", "wheel_speed", "rate_at_touchdown_min_rounded"}
+    assert all(rows[0][name] == rows[1][name] for name in same) and rows[0]["table_2"].note.startswith("used as published")
 
 
 def part(name, compute, **about):

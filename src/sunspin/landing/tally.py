@@ -19,6 +19,62 @@ TRUTHS = ("touch_", "lowest_", "rest_", "rz_ever_", "antenna_at_")
 """How the names of questions begin that a run answers with yes or no."""
 
 
+class Quantity(NamedTuple):
+    """A question as people read it: in words, its unit ("": a probability or a share), and shown over stored value."""
+
+    text: str
+    unit: str = ""
+    scale: float = 1.0
+
+    @property
+    def heading(self) -> str:
+        """The words and the unit."""
+        return f"{self.text}, {self.unit}" if self.unit else self.text
+
+
+DEGREES = 180.0 / np.pi
+
+QUANTITIES = {
+    "touch_leg": Quantity("a leg touches first"),
+    "touch_panel": Quantity("a panel touches first"),
+    "touch_body": Quantity("the bare body touches first"),
+    "lowest_leg": Quantity("a leg is lowest at a fixed time"),
+    "lowest_panel": Quantity("a panel is lowest at a fixed time"),
+    "lowest_body": Quantity("the bare body is lowest at a fixed time"),
+    "rest_leg": Quantity("comes to rest on its legs"),
+    "rest_panel": Quantity("comes to rest on a panel"),
+    "rest_body": Quantity("comes to rest on the bare body"),
+    "leg_tip_speed": Quantity("fastest leg tip at first contact", "m/s"),
+    "leg_tip_bound": Quantity("bound on the speed of a leg tip", "m/s"),
+    "contact_speed": Quantity("speed of the point that touches first", "m/s"),
+    "velocity_change": Quantity("change of velocity at the collision", "m/s"),
+    "speed_after": Quantity("speed after the collision", "m/s"),
+    "up_z": Quantity("cosine of the z axis to the ground's normal at contact"),
+    "antenna_share": Quantity("antenna holds the orbiter, share of the time"),
+    "antenna_at_contact": Quantity("antenna holds the orbiter at contact"),
+    "antenna_at_rest": Quantity("antenna holds the orbiter at rest"),
+    "rz_time_below_-0.5": Quantity("Sun more than 120 deg from the z axis (r_z below -0.5), share of the time"),
+    "rz_time_below_-0.2": Quantity("r_z below -0.2, share of the time"),
+    "rz_time_below_0": Quantity("Sun below the body's equator (r_z below 0), share of the time"),
+    "rz_ever_below_-0.5": Quantity("r_z ever below -0.5"),
+    "rz_ever_below_-0.2": Quantity("r_z ever below -0.2"),
+    "rz_ever_below_0": Quantity("r_z ever below 0"),
+    "rate_before": Quantity("angular speed before the collision", "deg/s", DEGREES),
+    "rate_after": Quantity("angular speed after the collision", "deg/s", DEGREES),
+}
+"""Names of `per_run`, in the order in which they are listed; files have angular speeds in rad/s."""
+
+
+def quantity(name: str) -> Quantity:
+    """A name of `per_run` for people; that of one panel by the panel's."""
+    if name.startswith(ONE_PANEL):
+        return Quantity(f"panel {name.removeprefix(ONE_PANEL)} touches first")
+    return QUANTITIES.get(name, Quantity(name.replace("_", " ")))
+
+
+ONE_PANEL = "touch_panel_"
+
+
 class Estimate(NamedTuple):
     """A mean over runs and its standard error."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -15,8 +16,8 @@ from sunspin.base.errors import InputError, SunspinError, sentence
 from sunspin.base.netcdf import read_groups
 from sunspin.base.provenance import provenance
 from sunspin.base.untrusted import is_own, read_bytes
+from sunspin.landing.tally import quantity
 from sunspin.output.folder import MARKER, maker
-from sunspin.output.kinds.outcomes import SHOWN
 from sunspin.output.text import number_text
 
 MAX_SUMMARY_BYTES = 20_000_000
@@ -69,7 +70,9 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         Over `row`, the largest move first: `change` (B less A, unit in `unit`), `error` it is held against (of the rows of
         `reproduce` the half width of the wider of the two intervals; of rates, medians and shares of runs one sigma, of both
         together; NaN where none is known), `size` (change over error; without one over the value), `beyond`, both values as
-        text, and in `words` what changed in agreement or verdict. `.sunspin.plot()` draws it, `.sunspin.save(folder)` writes it.
+        text, and in `words` what changed in agreement or verdict; attrs: rows that one alone has (`only_a`, `only_b`), sentences
+        of its conclusions that the other has not (`said_a`, `said_b`). `.sunspin.plot()` draws it, `.sunspin.save(folder)`
+        writes it.
 
     Raises
     ------
@@ -220,7 +223,7 @@ def _counts(a: dict[str, Any], b: dict[str, Any]) -> bool:
 
 
 def _changed(key: str, a: dict[str, Any], b: dict[str, Any]) -> str:
-    return "" if a.get(key) == b.get(key) else f"{key} {a.get(key)}, now {b.get(key)}"
+    return "" if a.get(key) == b.get(key) else f"{key} {number_text(a.get(key))}, now {number_text(b.get(key))}"
 
 
 def _posterior(a: dict[str, Any], b: dict[str, Any], *folders: Path) -> Iterator[Moved]:
@@ -267,8 +270,9 @@ def _outcomes(a: dict[str, Any], b: dict[str, Any], *_: Path) -> Iterator[Moved]
     """Means and shares over the runs of the strategies that both have; with one seed both drew alike, and less is chance."""
     mine, theirs = (said.get("strategies") or {} for said in (a, b))
     for strategy, name in ((one, name) for one in mine if one in theirs for name in mine[one] if name in theirs[one]):
-        values, errors = ([float(said[strategy][name][key]) for said in (mine, theirs)] for key in ("value", "error"))
-        yield _sigmas(f"wheels {strategy} {name}", dict(SHOWN).get(name, name), values, "", _together(errors), [])
+        one = quantity(name)
+        values, errors = ([one.scale * float(said[strategy][name][key]) for said in (mine, theirs)] for key in ("value", "error"))
+        yield _sigmas(f"wheels {strategy} {name}", one.text, values, one.unit, _together(errors), [])
 
 
 # -------------------------------------------------------------------------------------------------------------------------- shared
@@ -338,11 +342,21 @@ def _dataset(found: list[Moved], command: str, folders: list[Path], said: list[d
     changed = {
         f"changes_{letter}": "\n".join(map(str, one.get("changes") or ())) for letter, one in zip("ab", said, strict=True)
     }  # fmt: skip
+    for letter, mine, other in zip("ab", said, reversed(said), strict=True):
+        changed[f"said_{letter}"] = "\n".join(one for one in _sentences(mine) if one not in _sentences(other))
+        theirs = {row.get("id") for row in _list(other, "figures")}
+        changed[f"only_{letter}"] = ", ".join(str(row.get("id")) for row in _list(mine, "figures") if row.get("id") not in theirs)
     attrs = provenance(
         "comparison", command=command, folder_a=str(folders[0]), folder_b=str(folders[1]), same_telemetry=int(_same(*said)),
         synthetic=int(any(bool(one.get("synthetic_telemetry")) for one in said)), **changed,
     )  # fmt: skip
     return xr.Dataset(variables, {"row": texts("name")}, attrs)
+
+
+def _sentences(said: dict[str, Any]) -> list[str]:
+    """What a study concludes, sentence by sentence."""
+    found = said.get("headline")
+    return [one for part in (found if isinstance(found, list) else []) for one in re.split(r"(?<=\.) (?=[A-Z])", str(part))]
 
 
 def _same(a: dict[str, Any], b: dict[str, Any]) -> bool:

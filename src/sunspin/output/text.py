@@ -10,9 +10,11 @@ from sunspin.output.folder import plain
 
 
 def number_text(value: Any, digits: int = 5) -> str:
-    """A number with so many digits, lists in parentheses, yes or no, anything else as it is."""
+    """A number with so many digits, lists in parentheses, sets of names as 2-3; 2-3-6, yes or no, anything else as it is."""
     value = plain(value)
     if isinstance(value, list):
+        if value and all(isinstance(one, list) and one and all(isinstance(name, str) for name in one) for one in value):
+            return "; ".join("-".join(names) for names in value)
         mark = "; " if any(isinstance(item, list | dict) for item in value) else ", "
         return "(" + mark.join(number_text(item, digits) for item in value) + ")"
     if isinstance(value, bool):

@@ -44,7 +44,7 @@ def _rebound(result: Reproduction) -> str:
     if slow <= chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
         return "After the first touchdown it need not have tumbled at all: a lander at rest fits as well."
     return (
-        f"After the first touchdown it turned, once in {turn_text(slow)} or faster ({level}); how much faster the heights "
+        f"After the first touchdown it turned once in {turn_text(slow)} or faster ({level}); how much faster the heights "
         "of the Sun do not say."
     )
 

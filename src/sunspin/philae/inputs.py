@@ -6,6 +6,7 @@ So that every figure of `published.toml` has a row (a test holds the two togethe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -17,6 +18,7 @@ from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row
 from sunspin.philae.templates import templates
 from sunspin.telemetry.case import Case
+from sunspin.vehicle import Vehicle, load_vehicle
 from sunspin.vehicle.timeline import utc_seconds
 
 
@@ -37,10 +39,19 @@ def rows(result: Taken) -> list[Row]:
 def _taken(case: Case) -> list[Row]:
     """Published figures that are inputs, or the other half of a comparison, in the order of `published.toml`."""
     inputs = {name: template.values["input"] for name, template in templates(case).items() if "input" in template.values}
+    used: dict[str, Any] = {
+        "wheel_speed": case.vehicle.wheels[0].speed_rad_s, "near_minimum_factor": case.assumptions.study.near_minimum_factor,
+    }  # fmt: skip
     return [
-        row(case, name, figure.value if inputs[name] else "not an input")
+        row(case, name, used.get(name, figure.value), **_note(used.get(name, figure.value), figure.value))
+        if inputs[name] else row(case, name, "not an input")
         for name, figure in case.published.items() if name in inputs
     ]  # fmt: skip
+
+
+def _note(ours: Any, published: Any) -> dict[str, Any]:
+    """The note of a row whose input is not as published in this run; else that of the table stays."""
+    return {} if ours == published else {"note": "not as published: this run has another value"}
 
 
 def _stated_rows(result: Taken) -> list[Row]:
@@ -66,7 +77,7 @@ def _stated_rows(result: Taken) -> list[Row]:
 
 
 def _table_rows(case: Case) -> list[Row]:
-    vehicle = case.vehicle
+    vehicle, paper = case.vehicle, load_vehicle(case.name)
     inertia = np.array(vehicle.require_inertia())
     moments = np.linalg.eigvalsh(inertia)
     legs = np.array([leg.tip_B_m for leg in vehicle.legs])
@@ -74,17 +85,22 @@ def _table_rows(case: Case) -> list[Row]:
     listed = [event for event in case.require_timeline().events if event.source.startswith("paper, Table 1")]
     events = {event.name: event.utc for event in listed}
     off = max((abs(utc_seconds(event.utc, event.refined_utc)) for event in listed if event.refined_utc), default=0.0)
-    table_2 = [vehicle.require_mass(), inertia.tolist(), vehicle.wheels[0].inertia_kg_m2]
-    gains = np.array(vehicle.panel_gains).tolist()
+    (table_2, table_3, gains), (body, tips, cells) = map(_tables_of, (vehicle, paper))
     return [
         row(case, "table_1", events, published=events, off=off),
         row(
-            case, "table_2", table_2, published=table_2, moments=", ".join(f"{x:.3f}" for x in moments),
+            case, "table_2", table_2, published=body, **_note(table_2, body), moments=", ".join(f"{x:.3f}" for x in moments),
             unlike=100 * (moments[1] / moments[0] - 1),
         ),
-        row(case, "table_3", legs.tolist(), published=legs.tolist(), middle=np.hypot(middle[0], middle[1])),
-        row(case, "cells", gains, published=gains),
+        row(case, "table_3", table_3, published=tips, **_note(table_3, tips), middle=np.hypot(middle[0], middle[1])),
+        row(case, "cells", gains, published=cells, **_note(gains, cells)),
     ]  # fmt: skip
+
+
+def _tables_of(vehicle: Vehicle) -> tuple[list[Any], list[Any], list[float]]:
+    """Table 2 of a vehicle (mass, inertia tensor, axial inertia of the wheel), Table 3 (ends of the legs), gains of its panels."""
+    body = [vehicle.require_mass(), np.array(vehicle.require_inertia()).tolist(), vehicle.wheels[0].inertia_kg_m2]
+    return body, [list(leg.tip_B_m) for leg in vehicle.legs], np.array(vehicle.panel_gains).tolist()
 
 
 def _checked(result: Taken) -> list[Row]:

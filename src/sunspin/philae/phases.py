@@ -110,9 +110,9 @@ def _delta_rows(r: Phases) -> list[Row]:
     shadowed = [phase for name in SHADOWED if (phase := r.named(name)) is not None and phase.delta.size]
     delta = np.concatenate([phase.delta for phase in shadowed]) if shadowed else np.zeros(0)
     inside = float(np.mean((delta >= low) & (delta <= high))) if delta.size else 0.0
-    each = "; ".join(f"{p.name} {p.delta.min():.3f} to {p.delta.max():.3f} ({p.delta.size})" for p in shadowed)
+    each = "; ".join(f"{p.name.replace('_', ' ')} {p.delta.min():.3f} to {p.delta.max():.3f} ({p.delta.size})" for p in shadowed)
     others = "; ".join(
-        f"{p.name} mean {p.delta.mean():.4f}, largest {p.delta.max():.3f} ({p.delta.size})"
+        f"{p.name.replace('_', ' ')} mean {p.delta.mean():.4f}, largest {p.delta.max():.3f} ({p.delta.size})"
         for p in r.phases if p.name not in SHADOWED and p.delta.size
     )  # fmt: skip
     ours = [float(delta.min()), float(delta.max())] if delta.size else None
@@ -137,7 +137,7 @@ def _pattern_rows(r: Phases) -> list[Row]:
     others = ", ".join("-".join(pair) for pair in pairs if not set(pair) & {p for one in r.health["explanations"] for p in one})
     verdicts = r.health["noise"]
     each = "; ".join(
-        f"({'-'.join(p)}) {r.health['impossible'][p]} samples, the likeliest {v.largest:.1e}, all {v.log10_together:.0f}"
+        f"({'-'.join(p)}) {r.health['impossible'][p]} samples, the likeliest {v.largest:.2g}, all 1e{v.log10_together:.0f}"
         for p, v in verdicts.items()
     )  # fmt: skip
     together = float(sum(v.log10_together for v in verdicts.values())) if verdicts else None
@@ -146,7 +146,7 @@ def _pattern_rows(r: Phases) -> list[Row]:
         row(case, "lit_patterns_allowed", len(allowed), published=None, patterns="; ".join("-".join(p) for p in allowed)),
         row(
             case, "lit_patterns_before", wrong, twin=_twin(r), samples=int(early.sum()),
-            phases=", ".join(f"{p.name} {p.impossible}" for p in r.phases),
+            phases=", ".join(f"{p.name.replace('_', ' ')} {p.impossible}" for p in r.phases),
         ),
         row(case, "shadowed_panel_alternatives", others or "none", published=None, twin=_twin(r)),
         row(case, "lit_patterns_noise", together, published=None, twin=_twin(r), attrs=r.sun.attrs, each=each),

@@ -141,15 +141,16 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
         f"The paper's recipe on this telemetry (paper, Fig. 9): {len(near.points)} points, smallest EMD {part.scan.smallest:.4f}; "
         f"{part.lines_found} of the four printed lines (dashed) come out of them." + note,
     )  # fmt: skip
-    measured = "measured" + (" (synthetic telemetry)" if part.synthetic else "")
+    about = "telemetry (synthetic)" if part.synthetic else "telemetry"
     pooled = result.parts["published_lines"].pooled
     shown = {f"L{k + 1} as published": z for k, z in enumerate(pooled)}
     if part.truth:
         shown["truth of the synthetic telemetry"] = part.truth["z"]
     yield Drawing(
-        "distributions", lambda: figures_level_set.distributions_figure(part.measured_z, measured, shown, "What the EMD compares"),
+        "distributions", lambda: figures_level_set.distributions_figure(part.measured_z, about, shown, "What the EMD compares"),
         "Cumulative distributions of the z component",
-        "Measured z components, and motions begun on the printed lines: these four are nearly one distribution (EMD to "
+        "z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one "
+        "distribution (EMD to "
         f"their mean at most {max(rb.pooled_spread(pooled)):.4f}), which is why a line cannot be narrowed to a point."
         + note,
     )  # fmt: skip
@@ -190,9 +191,9 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
 def _descent(result: Reproduction, part: Any) -> Iterator[Drawing]:
     yield Drawing(
         "fig10_11_descent", lambda: figures_descent.draw(part),
-        "Measured and fitted directions of the descent, the fitted rate, E against the rate",
-        "The descent: measured and fitted directions (paper, Fig. 10), E against the rate (Fig. 11), here over all aliases of "
-        "the sampling too." + _note(result),
+        "The telemetry's directions and the fitted ones, the fitted rate, E against the rate",
+        "The descent: directions of the telemetry and fitted ones (paper, Fig. 10), E against the rate (Fig. 11), here over all "
+        "aliases of the sampling too." + _note(result),
     )  # fmt: skip
 
 
@@ -217,19 +218,21 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
 def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
     runs = next(iter(part.chosen.paper.values())).sizes["run"]
     about = part.chain.chosen.about
+    of_telemetry = {"synthetic": int(result.synthetic)}
+    after = {name: found.assign_attrs(of_telemetry) for name, found in part.chosen.paper.items()}
     yield Drawing(
-        "fig13_after_collision", lambda: figures_outcomes.sun_height_figure(part.chosen.paper),
+        "fig13_after_collision", lambda: figures_outcomes.sun_height_figure(after),
         "Densities of the z component between collision and second touchdown, wheel off and held",
         f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1." +
         _note(result),
     )  # fmt: skip
     yield Drawing(
-        "strategies", lambda: figures_outcomes.strategies_figure(part.strategies),
+        "strategies", lambda: figures_outcomes.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
         f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}." + _note(result),
     )  # fmt: skip
     yield Drawing(
-        "collision", lambda: collision_figure(part.collision),
+        "collision", lambda: collision_figure(part.collision.assign_attrs(of_telemetry)),
         "Simulated collisions against the trajectory kernel's speeds",
         "The simulated collisions against what the trajectory kernel and the magnetometer say of them." + _note(result),
     )  # fmt: skip

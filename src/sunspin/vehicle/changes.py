@@ -394,14 +394,14 @@ def unit_of(key: str) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value for people, on one line of at most `SHOWN` characters."""
+    """A value for people, on one line of at most `SHOWN` characters, cut between words: half a number is another number."""
     if isinstance(value, dict):
         text = ", ".join(f"{key} {shown(item)}" for key, item in value.items())
     elif isinstance(value, list):
         text = f"[{', '.join(map(shown, value))}]"
     else:
         text = f"{value:.7g}" if isinstance(value, float) else "not set" if value is None else str(value)
-    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 4].rpartition(' ')[0] or text[: SHOWN - 4]} ..."
 
 
 # ------------------------------------------------------------------------------------------------------------------ as a file

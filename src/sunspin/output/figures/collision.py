@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from sunspin.landing.weighted import facts_of
-from sunspin.output.figures import COLOURS
+from sunspin.output.figures import ABOVE, COLOURS, titled
 
 
 def collision_figure(found: xr.Dataset) -> Figure:
@@ -29,7 +31,8 @@ def collision_figure(found: xr.Dataset) -> Figure:
     left.set_xlabel("change of velocity at the collision (m/s)")
     left.set_ylabel("speed after the collision (m/s)")
     left.legend(fontsize=8, loc="lower left")
-    left.set_title(f"Sticking impacts at {facts['speed_before']:.3f} m/s and what the trajectory shows", fontsize=10)
+    impacts = "Sticking impacts" if _sticks(found) else "Impacts"
+    left.set_title(f"{impacts} at {facts['speed_before']:.3f} m/s and what the trajectory shows", fontsize=10)
     rate = np.linalg.norm(found["omega_after_B"].values, axis=1)
     edges = np.linspace(0, 1.0, 51)
     weighted = found["weight"].values, "weighted by the kernel's speeds"
@@ -54,6 +57,15 @@ def collision_figure(found: xr.Dataset) -> Figure:
     right.set_xlim(0, 1)
     right.set_xlabel("angular speed just after the collision (rad/s)")
     right.set_ylabel("probability density (s/rad)")
-    right.legend(fontsize=8, frameon=False)
-    right.set_title("Rates after the collision", fontsize=10)
+    right.legend(fontsize=8, **ABOVE)
+    figure.suptitle(titled("The collision", found.attrs.get("synthetic")), fontsize=11)
     return figure
+
+
+def _sticks(found: xr.Dataset) -> bool:
+    """Whether the blow was taken for one at which the point that hits sticks; not so where the scenario cannot be read."""
+    try:
+        scenario = json.loads(str(found.attrs.get("scenario", "{}")))
+    except ValueError:
+        return False
+    return isinstance(scenario, dict) and not any(scenario.get(name) for name in ("restitution", "damper"))

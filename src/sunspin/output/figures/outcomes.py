@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.landing.tally import Estimate, density, tally
-from sunspin.output.figures import ABOVE, COLOURS, named
+from sunspin.landing.tally import Estimate, density, quantity, tally
+from sunspin.output.figures import ABOVE, COLOURS, named, titled
 
 DOTS = (
     (
@@ -55,7 +55,7 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
     axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis")
     axes.set_ylabel("probability density")
     axes.legend(title="wheel", loc="upper left", frameon=False)
-    axes.set_title("Height of the Sun on the way to the landing")
+    axes.set_title(titled("Height of the Sun on the way to the landing", _synthetic(runs)))
     return figure
 
 
@@ -70,10 +70,9 @@ def strategies_figure(table: xr.Dataset) -> Figure:
         _stack(axes, table, names, prefix, known)
         axes.set_title(title, fontsize=10)
     for axes, (title, label, quantities) in zip(parts[2:], DOTS, strict=True):
-        for k, (quantity, text) in enumerate(q for q in quantities if q[0] in known):
-            at = table.sel(quantity=quantity)
+        for k, (name, text) in enumerate(q for q in quantities if q[0] in known):
+            at = table[["value", "error"]].sel(quantity=name) * quantity(name).scale
             place = np.arange(len(names)) + 0.12 * (k - 0.5)
-            at = at * np.degrees(1.0) if "deg/s" in label else at
             error = _within(at["value"].values, at["error"].values) if label in SHARES else at["error"].values
             axes.errorbar(place, at["value"], yerr=error, fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
         axes.set_title(title, fontsize=10)
@@ -86,8 +85,14 @@ def strategies_figure(table: xr.Dataset) -> Figure:
     for axes in parts:
         axes.set_xticks(range(len(names)), [_short(name) for name in names], fontsize=8)
         axes.set_xlim(-0.6, len(names) - 0.4)
-    figure.suptitle(f"Momentum-wheel strategies after the touchdown: {table.attrs['runs']} runs each, one standard error")
+    title = f"Momentum-wheel strategies after the touchdown: {table.attrs['runs']} runs each, one standard error"
+    figure.suptitle(titled(title, table.attrs.get("synthetic")))
     return figure
+
+
+def _synthetic(runs: Mapping[str, xr.Dataset]) -> bool:
+    """Whether the motions that the runs begin with follow from synthetic telemetry."""
+    return any(found.attrs.get("synthetic") for found in runs.values())
 
 
 def _short(name: str) -> str:
@@ -169,7 +174,7 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
     if published_tip_speed is not None:
         parts[1].axvline(published_tip_speed, color=COLOURS[6], lw=1, ls=":", label=f"paper: {published_tip_speed:g} m/s")
     parts[1].legend(fontsize=8, frameon=False)
-    figure.suptitle("At the landing, and on the way to it")
+    figure.suptitle(titled("At the landing, and on the way to it", _synthetic(runs)))
     return figure
 
 
@@ -187,7 +192,7 @@ def delay_figure(search: xr.Dataset) -> Figure:
     top.axvspan(low_s / 60, high_s / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings")
     top.set_ylabel({"touch_leg": "probability that a leg touches first"}.get(metric, metric.replace("_", " ")))
     top.legend(ncols=3, fontsize=8, **ABOVE)
-    figure.suptitle("When to switch the wheel off")
+    figure.suptitle(titled("When to switch the wheel off", search.attrs.get("synthetic")))
     quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"), ("rest_leg", "rests on its legs"),
                   ("leg_tip_speed", "fastest leg tip at contact (m/s)"))  # fmt: skip
     for k, (name, text) in enumerate(quantities):
@@ -221,7 +226,7 @@ def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
     axes.set_xticks(range(len(labels)), labels, fontsize=9)
     axes.set_ylabel("probability of touching first")
     axes.legend(title="wheel", frameon=False)
-    axes.set_title("What touches the ground first (a shared corner counts for each panel)", fontsize=10)
+    axes.set_title(titled("What touches the ground first; a shared corner counts for each panel", _synthetic(runs)), fontsize=10)
     return figure
 
 

@@ -30,7 +30,7 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Fig
             component(axes, result, number, k)
             if gyro is not None:
                 _gyro(axes, gyro["time"].values, gyro.values[:, k], t)
-        grid[0, column].set_title(f"{clock_text(result, t[0])}\nweight {result['weight'].values[number, 0]:.2f}", fontsize=8)
+        grid[0, column].set_title(f"{clock_text(result, t[0])}\n{_standing(result, number)}", fontsize=8)
         grid[2, column].set_xlabel("time (min)")
     for k, row in enumerate(grid):
         row[0].set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
@@ -41,6 +41,14 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Fig
     figure.suptitle(titled(f"Body rates of {named(result.attrs['vehicle'])} from {sources(result)}, best motion of each pass",
                            result.attrs.get("synthetic")), fontsize=10, wrap=True)  # fmt: skip
     return figure
+
+
+def _standing(result: xr.Dataset, number: int) -> str:
+    """The weight of the likeliest motion of a pass, and whether it may be believed."""
+    weight = f"weight {result['weight'].values[number, 0]:.2f}"
+    if "fits" in result and not bool(result["fits"].values[number]):
+        return f"{weight}, FITS BADLY"
+    return weight if "decided" not in result or bool(result["decided"].values[number]) else f"{weight}, not decided"
 
 
 def _legend(gyro: bool) -> list[Any]:

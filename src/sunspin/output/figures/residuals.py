@@ -90,7 +90,8 @@ def residuals_figure(result: xr.Dataset, telemetry: xr.Dataset, vehicle: Vehicle
             at = np.flatnonzero(result["pass_of"].values == number)
             t = result["time"].values[at]
             for k, name in enumerate(names):
-                axes.plot((t - t[0]) / 60, shown[at, k], ".", ms=4, color=COLOURS[k % 8], label=named(name))
+                label = named(name) if np.isfinite(value[:, k]).any() else f"{named(name)}: left out"
+                axes.plot((t - t[0]) / 60, shown[at, k], ".", ms=4, color=COLOURS[k % 8], label=label)
             axes.axhspan(-1, 1, color=COLOURS[7], alpha=0.2, lw=0)
         row[0].set_ylabel(f"{sensor}{_unused(result, sensor)}\nresidual (sigma)", fontsize=8)
         row[-2].legend(fontsize=7, ncols=2 if len(names) > 4 else 1, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False,

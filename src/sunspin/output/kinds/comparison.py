@@ -28,12 +28,16 @@ def comparison_summary(found: Any) -> Summary:
         "rows": int(beyond.size), "beyond": int(np.count_nonzero(beyond & known)),
         "changed_without_error": int(np.count_nonzero(beyond & ~known)), "same_telemetry": bool(found.attrs["same_telemetry"]),
         "synthetic_telemetry": bool(found.attrs.get("synthetic", 0)),
+        **{f"{what}_{letter}": str(found.attrs.get(f"{what}_{letter}", "")) for what in ("only", "said") for letter in "ab"},
         "moved": [_plain(found, i) for i in range(beyond.size) if beyond[i] or found["words"].values[i]],
     }  # fmt: skip
     lines = []
     for letter in "ab":
         lines.append(f"{letter.upper()}: {found.attrs[f'folder_{letter}']}")
         lines += [f"   {line}" for line in str(found.attrs.get(f"changes_{letter}", "")).splitlines()]
+        lines += [f"   concludes: {line}" for line in str(found.attrs.get(f"said_{letter}", "")).splitlines()]
+        if only := str(found.attrs.get(f"only_{letter}", "")):
+            lines.append(f"   alone has {only.count(', ') + 1} rows: {only}")
     lines.append(
         f"{numbers['beyond']} of {int(known.sum())} rows with a known error moved beyond it; of {int((~known).sum())} without one "
         f"{numbers['changed_without_error']} changed"

@@ -9,33 +9,25 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.landing.tally import tally
+from sunspin.landing.tally import quantity, tally
 from sunspin.output.folder import write_netcdf
 from sunspin.output.kinds.collision import collision_drawings, collision_summary
 from sunspin.output.kinds.kind import Beside, Drawing, Summary
 
 SHOWN = (
-    ("touch_leg", "a leg touches first"),
-    ("touch_panel", "a panel touches first"),
-    ("touch_body", "the bare body touches first"),
-    ("rest_leg", "comes to rest on its legs"),
-    ("rest_panel", "comes to rest on a panel"),
-    ("leg_tip_speed", "fastest leg tip at first contact, m/s"),
-    ("antenna_share", "antenna holds the orbiter, share of the time"),
-    ("antenna_at_rest", "antenna holds the orbiter at rest"),
-    ("rz_time_below_-0.5", "Sun more than 120 deg from the z axis (r_z below -0.5), share of the time"),
-    ("rate_before", "rate before the collision, deg/s"),
-    ("rate_after", "rate after it, deg/s"),
-)
+    "touch_leg", "touch_panel", "touch_body", "rest_leg", "rest_panel", "leg_tip_speed", "antenna_share", "antenna_at_rest",
+    "rz_time_below_-0.5", "rate_before", "rate_after",
+)  # fmt: skip
 """What is printed of a tally, in this order."""
 
 
 def _shown(found: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    """A line for each quantity that is known; rates, in rad/s as all numbers of files, in deg/s."""
-    for name, text in SHOWN:
+    """A line for each quantity that is known, in the unit in which it is shown."""
+    for name in SHOWN:
         if name in found:
-            value, error = (found[name][key] * (np.degrees(1.0) if text.endswith("deg/s") else 1.0) for key in ("value", "error"))
-            yield f"  {text}: {value:.4f} +- {error:.4f}"
+            one = quantity(name)
+            value, error = (found[name][key] * one.scale for key in ("value", "error"))
+            yield f"  {one.heading}: {value:.4f} +- {error:.4f}"
 
 
 def outcomes_summary(runs: Any) -> Summary:

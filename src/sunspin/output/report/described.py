@@ -54,6 +54,8 @@ def figure_of(plot: Plot, view: int = 0) -> Figure:
     for note in (*layout.get("shapes", ()), *layout.get("annotations", ())):
         _mark(axes, note)
     shown = {text: handle for one in axes.values() for handle, text in zip(*one.get_legend_handles_labels(), strict=True)}
+    if "synthetic telemetry" in plot.caption.lower():
+        figure.text(LEFT, 0.98, "synthetic telemetry", fontsize=9, va="top")
     figure.legend(shown.values(), shown.keys(), ncols=3, fontsize=8, frameon=False, loc="upper right",
                   bbox_to_anchor=(LEFT + WIDTH, 0.99))  # fmt: skip
     return figure

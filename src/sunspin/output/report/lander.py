@@ -50,9 +50,12 @@ def section(results: Results) -> Section | None:
         )
         + f"Panels are coloured by the power that the Sun would give them, dark violet to yellow. {about}"
     ]
+    silent = results.summary.get("panels_left_out")
+    silent = silent if isinstance(silent, list) else []
+    panels = [f"{name}: left out" if name in silent else name for name in vehicle.panel_names]
     content = {
         "motions": [{"name": m["name"], "about": m["about"]} for m in motions],
-        "measured": "pass_of" in next(iter(results.having("B_from_N")))[1], "panels": list(vehicle.panel_names),
+        "measured": "pass_of" in next(iter(results.having("B_from_N")))[1], "panels": panels,
         "wheels": [w.name for w in vehicle.wheels], "events": motions[0]["events"], "simulated": True,
         "synthetic": results.synthetic,
     }  # fmt: skip

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 
-from sunspin.landing.tally import tally
+from sunspin.landing.tally import ONE_PANEL, QUANTITIES, Estimate, quantity, tally
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table
+from sunspin.output.text import capital, with_sigma
 from sunspin.telemetry.case import case_names
 
 STRATEGY_NAMES = {
     "off": "off at touchdown", "held": "held at speed", "brake": "braked at touchdown", "after_rest": "held, off after rest",
 }  # fmt: skip
 
-QUANTITIES = (
-    ("touch_leg", "A leg touches first"),
-    ("touch_panel", "A panel touches first"),
-    ("rest_leg", "Comes to rest on its legs"),
-    ("leg_tip_speed", "Fastest leg tip at contact, m/s"),
-    ("antenna_at_rest", "Antenna holds the orbiter at rest"),
-    ("rz_time_below_-0.5", "Upside down to the Sun (r_z < -0.5)"),
-    ("rate_after", "Angular speed after the collision, deg/s"),
-)
-"""What is listed of a comparison: name, heading; rates stand in files in rad/s."""
+LISTED = ("touch_leg", "touch_panel", "rest_leg", "leg_tip_speed", "antenna_at_rest", "rz_time_below_-0.5", "rate_after")
+"""Quantities of a comparison."""
 
 
 def strategy_name(name: str) -> str:
@@ -55,19 +46,11 @@ def outcomes(results: Results) -> Section | None:
     return Section("outcomes", "What the collision led to", [*lead, *([missing] if missing else [])], items)
 
 
-def _numbers(told: dict[str, dict[str, Any]]) -> Table:
-    names = list(told)
-    quantities = list(dict.fromkeys(q for found in told.values() for q in found))
-    rows = [
-        [q.replace("_", " "), *(_pair(told[n][q].value, told[n][q].error, 4) if q in told[n] else "–" for n in names)]
-        for q in quantities
-    ]
-    return Table(
-        ["quantity (probability or share: 1; speeds: m/s; rates: rad/s)", *map(strategy_name, names)],
-        rows,
-        "In numbers",
-        closed=True,
-    )
+def _numbers(told: dict[str, dict[str, Estimate]]) -> Table:
+    known = {q for found in told.values() for q in found}
+    listed = [*QUANTITIES, *sorted(q for q in known if q.startswith(ONE_PANEL))]
+    rows = [[capital(quantity(q).heading), *(_pair(q, found.get(q)) for found in told.values())] for q in listed if q in known]
+    return Table(["quantity", *map(strategy_name, told)], rows, "In numbers (one standard error)", closed=True)
 
 
 def strategies(results: Results) -> Section | None:
@@ -75,7 +58,7 @@ def strategies(results: Results) -> Section | None:
     table = results.first("value", "error", "gain")
     if table is None or not {"strategy", "quantity"} <= set(table.dims):
         return None
-    known = [q for q in QUANTITIES if q[0] in table["quantity"].values and np.isfinite(table["value"].sel(quantity=q[0])).any()]
+    known = [q for q in LISTED if q in table["quantity"].values and np.isfinite(table["value"].sel(quantity=q)).any()]
     names = [str(name) for name in table["strategy"].values]
     if not known or len(names) < 2:
         return None
@@ -83,17 +66,19 @@ def strategies(results: Results) -> Section | None:
     lead = [f"The same {runs} draws for every command, so that differences are known better than the values."]
     if table.attrs.get("vehicle") in case_names():  # of another lander nobody told
         lead[0] += " Switching the wheel off at the touchdown is what was flown."
-    rows = [[text, *(_value(table, name, q, text) for name in names)] for q, text in known]
+    rows = [[capital(quantity(q).heading), *(_value(table, name, q) for name in names)] for q in known]
     numbers = Table(["quantity", *map(strategy_name, names)], rows, "In numbers (one standard error)")
     return Section("strategies", "What the wheel could have been told instead", lead, [*drawn(results, "strategies"), numbers])
 
 
-def _pair(value: float, error: float, decimals: int) -> str:
+def _pair(name: str, found: Estimate | None) -> str:
     """A value with its error, never broken between two lines: the table scrolls instead."""
-    return f"{value:.{decimals}f}\u00a0±\u00a0{error:.{decimals}f}"
+    if found is None or not np.isfinite(found.value):
+        return "–"
+    scale = quantity(name).scale
+    return with_sigma(scale * found.value, scale * found.error).replace(" ", "\u00a0")
 
 
-def _value(table: xr.Dataset, name: str, quantity: str, text: str) -> str:
-    unit = float(np.degrees(1.0)) if text.endswith("deg/s") else 1.0
-    value, error = (unit * float(table[part].sel(strategy=name, quantity=quantity)) for part in ("value", "error"))
-    return _pair(value, error, 3) if np.isfinite(value) else "not told"
+def _value(table: xr.Dataset, strategy: str, name: str) -> str:
+    at = table.sel(strategy=strategy, quantity=name)
+    return _pair(name, Estimate(float(at["value"]), float(at["error"])))

@@ -85,7 +85,8 @@ def powers(results: Results) -> Section | None:
         {"type": "scatter", "mode": "markers", "x": clock(t, epoch), "y": packed(measured[:, k]), "yaxis": _axis(k), "xaxis": "x",
          "marker": {"size": 8, "color": "@muted" if lost[k] else "@ink", "symbol": "x-thin-open" if lost[k] else "circle",
                     "line": {"color": "@paper", "width": 1}},
-         "name": "telemetry (synthetic)" if results.synthetic else "measured", "showlegend": k == 0, "legendgroup": "measured"}
+         "name": "telemetry (synthetic)" if results.synthetic else "measured", "legendgroup": "measured",
+         "showlegend": k == int(np.argmax(~lost))}
         for k in range(len(names))
     ]  # fmt: skip
     for view in views:
@@ -96,7 +97,9 @@ def powers(results: Results) -> Section | None:
     if views:
         views.append({"label": "Samples only, the whole file", "show": dots, "range": instants([t[0], t[-1]], epoch), "text": ""})
     top = 1.1 * float(np.nanmax(measured)) if np.isfinite(measured).any() else 1.0
-    titles = [f"{name} ({unit})" + ("<br>left out" if lost[k] else "") for k, name in enumerate(names)]
+    titles = [
+        f"{'panel ' if name.isdigit() else ''}{name} ({unit})" + ("<br>left out" if lost[k] else "") for k, name in enumerate(names)
+    ]
     layout = _rows_layout(titles, time_axis(epoch, t), top)
     if views:
         layout["xaxis"]["range"] = views[0]["range"]
@@ -116,14 +119,15 @@ def powers(results: Results) -> Section | None:
         )
     if lost.any():
         left = ", ".join(name for name, is_lost in zip(names, lost, strict=True) if is_lost)
-        caption += f" Left out, as it never reads anything: {left} (crosses; grey line: what it would read if it worked)."
+        line = "; grey line: what it would read if it worked" if modelled else ""
+        caption += f" Left out, as it never reads anything: {left} (crosses{line})."
     if results.command == "reproduce" and modelled:
         caption += (
             " Different motions share how often the Sun stands how high, not when: only one motion can meet the dots one by one."
         )
     plot = Plot(
         "powers", data, layout,
-        f"Signals of {len(names)} panels against time, measured as dots and modelled as lines; each panel rises and falls as it "
+        f"Signals of {len(names)} panels against time, dots of the telemetry and modelled lines; each panel rises and falls as it "
         "turns to the Sun and away.",
         caption, 90 * len(names) + 110, views, "Modelled motion" if modelled else "Part of the file",
         numbers=_power_numbers(names, values, unit),

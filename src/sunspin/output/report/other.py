@@ -51,6 +51,9 @@ SEEN_OF = {
 }
 """The same, for one command's summary."""
 
+MOST_ROWS = 100
+"""Of a list in the summary."""
+
 MOST_TEXT = 400
 
 
@@ -66,9 +69,15 @@ def unknown(results: Results) -> Section | None:
     """Every variable of files that no other part has shown, and the summary's other entries."""
     items = []
     seen = SEEN | SEEN_OF.get(results.command, set())
-    rows = [[key.replace("_", " "), _short(value)] for key, value in results.summary.items() if key not in seen]
+    found = {key.replace("_", " "): value for key, value in results.summary.items() if key not in seen}
+    lists = {key: value for key, value in found.items() if _is_table(value)}
+    rows = [[key, _short(value) or "–"] for key, value in found.items() if key not in lists]
     if rows:
         items.append(Table(["entry", "value"], rows, "Entries of the summary", closed=len(rows) > 12))
+    items += [
+        Table(list(value[0]), [[_short(each) for each in one.values()] for one in value[:MOST_ROWS]], key, closed=len(value) > 12)
+        for key, value in lists.items()
+    ]
     for name, data in results.data.items():
         if name not in results.used:
             items.append(
@@ -80,6 +89,13 @@ def unknown(results: Results) -> Section | None:
                 )
             )
     return Section("more", "More results in this folder", [], items) if items else None
+
+
+def _is_table(value: object) -> bool:
+    """Whether an entry is a list of things with the same keys."""
+    if not isinstance(value, list) or not value or not isinstance(value[0], dict):
+        return False
+    return bool(value[0]) and all(isinstance(one, dict) and list(one) == list(value[0]) for one in value)
 
 
 def _short(value: object) -> str:

@@ -12,6 +12,7 @@ from sunspin.estimate.posterior.verdict import TOO_FEW
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, camera, packed, thin, utc_text
+from sunspin.output.text import with_sigma
 
 MOST = 4000
 SHOWN = 7
@@ -66,6 +67,10 @@ def section(results: Results) -> Section | None:
     return Section("posterior", "The posterior", [], [_cloud(draws), *drawn(results, "posterior"), *known])
 
 
+MODE_NUMBERS = (("chi_square", ".4g"), ("lit_readings", ".0f"), ("starts", ".0f"))
+"""What is said of a region beside its rates, and how its numbers are written."""
+
+
 def _regions(draws: Draws, results: Results) -> Table:
     modes = next((data for _, data in results.having("log_evidence", "chi_square", "starts", "weight")), None)
     rows = []
@@ -75,11 +80,11 @@ def _regions(draws: Draws, results: Results) -> Table:
         mean = np.average(part, axis=0, weights=weight if share > 0 else None)
         sigma = np.sqrt(np.average((part - mean) ** 2, axis=0, weights=weight if share > 0 else None))
         few = _effective(part, weight) < TOO_FEW
-        rates = [f"{m:.4g}" if few else f"{m:.4g} ± {s:.2g}" for m, s in zip(mean, sigma, strict=True)]
+        rates = [f"{m:.4g}" if few else with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)]
         row = [str(k + 1), f"{share:.3g}", *rates[:2], rates[2] + ", no sigma: too few draws" * few]
         more = ["", "", ""]
         if modes is not None and k < modes.sizes["mode"]:
-            more = [f"{float(modes[name].values[k]):.4g}" for name in ("chi_square", "lit_readings", "starts")]
+            more = [f"{float(modes[name].values[k]):{form}}" for name, form in MODE_NUMBERS]
         rows.append(row + more)
     head = ["region", "weight", *(f"ω{axis} (deg/s)" for axis in "xyz"), "chi-square", "lit readings", "starts that led to it"]
     return Table(head, rows, "Regions of motions, heaviest first: rates at the first sample, body axes, and one sigma")
@@ -116,7 +121,10 @@ def _judged(results: Results) -> Table | None:
         "effective_draws": ("draws that the sample is worth", "below 700 widths and weights are rough"),
         "pareto_k": ("Pareto's k of the weights", "above 0.55 widths and weights are rough"),
     }
-    rows = [[what, f"{s[key]:.3g}", limit] for key, (what, limit) in said.items() if isinstance(s.get(key), int | float)]
+    rows = [
+        [what, f"{s[key]:.3g}" if s[key] < 1000 else f"{s[key]:.0f}", limit]
+        for key, (what, limit) in said.items() if isinstance(s.get(key), int | float)
+    ]  # fmt: skip
     return Table(["what", "value", "limit"], rows, "What the verdict rests on", closed=True) if rows else None
 
 
@@ -126,6 +134,10 @@ def _hypotheses(results: Results) -> Table | None:
     known = found.items() if isinstance(found, dict) else ()
     rows = [[what, f"{weight:.2f}"] for what, weight in known if isinstance(weight, int | float)]
     return Table(["model of the motion", "weight"], rows, "What may move the body; the draws of all are mixed") if rows else None
+
+
+PRIORS = {"max_rate_rad_s": "largest rate", "tilt_common": "common tilt"}
+"""Priors whose names do not say what they are."""
 
 
 def _widths(results: Results) -> Table | None:
@@ -138,7 +150,7 @@ def _widths(results: Results) -> Table | None:
         if one.get("told"):
             word = str(one.get("word", ""))
             numbers = [f"{one[key]:.2f}" if isinstance(one.get(key), int | float) else "" for key in ("shift", "width")]
-        rows.append([str(one.get("prior", "")).replace("_", " "), f"{factor:g}", word, *numbers])
+        rows.append([PRIORS.get(str(one.get("prior")), str(one.get("prior", "")).replace("_", " ")), f"{factor:g}", word, *numbers])
     head = ["prior", "its width times", "verdict", "rate moves by (sigma)", "sigma of the rate times"]
     return Table(head, rows, "The verdict under other widths of the priors", closed=True) if rows else None
 

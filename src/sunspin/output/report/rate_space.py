@@ -94,7 +94,7 @@ def lines(results: Results) -> Section | None:
         "misfit is near its smallest. The text below says how many they are.",
         "Drag, or use the arrow keys, to turn; + and − to zoom. Rates in rad/s, body axes." + (" Synthetic "
         "telemetry." if results.synthetic else ""),
-        600, views, "Target", narrow={"scene.camera.eye": {"x": 1.6, "y": 2.1, "z": 1.0}, "font.size": 11},
+        600, views, "Target", narrow={"scene.camera.eye": {"x": 2.3, "y": 3.0, "z": 1.4}, "font.size": 11},
     )  # fmt: skip
     title = "The scan of this telemetry, in rate space" if results.why_nothing else "Motions that fit, in rate space"
     return Section("rate-space", title, lead, [plot, *tables])
@@ -195,7 +195,7 @@ def _marks(results: Results, scan: xr.Dataset) -> list[dict[str, Any]]:
     vehicle = results.vehicle
     if vehicle is not None and vehicle.inertia_kg_m2 is not None and vehicle.wheels and "published_point" in scan:
         still = total_momentum(vehicle, np.zeros(3), np.array([w.speed_rad_s for w in vehicle.wheels]))
-        marks.append((-np.linalg.solve(vehicle.require_inertia(), still), "body cancels the wheel: no momentum", "x"))
+        marks.append((-np.linalg.solve(vehicle.require_inertia(), still), "body cancels the wheel: no momentum", "cross"))
     if "truth" in scan:
         marks.append((scan["truth"].values, "truth of the synthetic telemetry", "diamond"))
     return [
@@ -238,6 +238,11 @@ def maps(results: Results) -> Section | None:
         "have no unit. EMD changes slowly with the rate and has valleys wide enough to scan. E has many narrow ones: it "
         "cannot be fitted directly."
     ]
+    if results.command == "reproduce":
+        lead.append(
+            "Stripes are no error: where the momentum begins across the z axis (at the nominal wheel speed the lowest ωz), the "
+            "body falls to one side or the other as the wheel slows, in turn from one rate to the next."
+        )
     return Section("maps", "Maps of the misfit", lead, items)
 
 

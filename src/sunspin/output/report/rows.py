@@ -148,7 +148,7 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
         "part": str(row.get("part", "")),
         "section": str(row.get("section", "")),
         "what": str(row.get("what", "")),
-        "published": _cut(number_text(row.get("published"), 4)),
+        "published": "–" if row.get("published") is None else _cut(number_text(row["published"], 4)),
         "ours": _cut(number_text(row.get("ours"), 4)),
         "interval": between(row.get("low"), row.get("high")),
         "before": between(row.get("prior_low"), row.get("prior_high")),

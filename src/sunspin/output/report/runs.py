@@ -33,7 +33,7 @@ def rates(results: Results) -> Section | None:
             rows.append([
                 str(int(found["pass_id"].values[k])), begin, str(at.size), str(mode + 1),
                 f"{weight[mode]:.3f}", speed, at_s or "mean of the pass",
-                *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), said[k],
+                *(with_sigma(m, s) for m, s in zip(mean, sigma, strict=True)), "" if mode else said[k],
             ])  # fmt: skip
     table = Table(
         ["pass", "begins", "samples", "motion", "weight", "speed and its range (deg/s)", "components at",

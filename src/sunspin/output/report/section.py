@@ -14,8 +14,8 @@ from markupsafe import Markup
 COLOURS = ("@blue", "@orange", "@green", "@pink", "@gold", "@sky", "@ink", "@grey")
 """Colour-blind safe (Okabe and Ito), in a light and a dark shade each: page.js puts in the numbers. "@blue:0.2" is translucent."""
 
-SYMBOLS = ("circle", "square", "diamond", "cross", "x", "circle-open", "square-open", "diamond-open")
-"""A second sign beside colour."""
+SYMBOLS = ("circle", "square", "diamond", "cross", "circle-open", "square-open", "diamond-open")
+"""A second sign beside colour. In space plotly.js writes "x" as a letter of a picture font, an empty box where there is none."""
 
 MOTIONS = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastest candidate")
 """Motions of a study in the order in which they are offered; others follow by name, the descent last."""

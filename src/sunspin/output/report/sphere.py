@@ -28,7 +28,7 @@ def sun_path(results: Results) -> Section | None:
             at = at[thin(at.size, MOST_SAMPLES)]
             shown.append(len(data))
             label = PHASES.get(str(name), str(name))
-            data.append(_points(sun["sun_B"].values[at], label, COLOURS[k % 7], SYMBOLS[k % 8]))
+            data.append(_points(sun["sun_B"].values[at], label, COLOURS[k % 7], SYMBOLS[k % 7]))
             z = sun["sun_B"].values[at, 2]
             numbers.append([label, str(at.size), f"{z.min():.2f} to {z.max():.2f}", f"{z.mean():.2f}"])
     for k, (title, path, note) in enumerate(_paths(results)):
@@ -60,7 +60,7 @@ def sun_path(results: Results) -> Section | None:
         "motion; labels stand where a panel looks straight at the Sun.",
         "Where the Sun stood as seen from the body. Drag, or use the arrow keys, to turn; + and − to zoom. Directions are unit "
         "vectors without unit." + synthetic_words(results.synthetic and sun is not None),
-        560, views, "Path of", narrow={"scene.camera.eye": {"x": 1.6, "y": -1.65, "z": 1.0}},
+        560, views, "Path of", narrow={"scene.camera.eye": {"x": 2.0, "y": -2.05, "z": 1.3}, "font.size": 11},
         numbers=Table(["phase", "directions", "range of z", "mean of z"], numbers, "In numbers", closed=True),
     )  # fmt: skip
     return Section("sun-path", "The Sun's path on the body's sphere", [], [plot])

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, titled
+from sunspin.output.figures import ABOVE, COLOURS, titled
+from sunspin.output.text import counted
 from sunspin.philae import touchdown
 from sunspin.philae.candidates import Candidates, Chain
 
@@ -30,8 +31,10 @@ def draw(chain: Chain, synthetic: bool) -> Figure:
 
 
 def _short(chain: Chain) -> str:
+    if chain.calibration is not None:
+        return f"the {chain.calibration.confidence:.0%} set, EMD < {chain.calibration.factor()[0]:.2f} EMD_min"
     names = {
-        "scan": "the 90 % set of the scan", "posterior": "draws of the posterior",
+        "scan": "the set of the scan", "posterior": "draws of the posterior",
         "published": "the printed lines, whatever the data say",
     }  # fmt: skip
     return names.get(chain.name, f"motions of {chain.name}")
@@ -56,18 +59,16 @@ def _speeds(axes: Any, chain: Chain) -> None:
     published = float(chain.case.published["rate_at_touchdown_min"].value)
     axes.axvline(published, color=RECIPE, ls="--", lw=1.4, label=f"published lower bound: {published:g} rad/s")
     axes.set(xlim=(0, edges[-1]), xlabel="angular speed just after the first touchdown (rad/s)", ylabel="density (s/rad)")
-    axes.set_ylim(0, 1.45 * axes.get_ylim()[1])  # room for the legend
-    axes.legend(fontsize=8, loc="upper right", ncols=2)
-    axes.set_title("Angular speed", fontsize=9)
+    axes.legend(fontsize=8, ncols=2, **ABOVE)
 
 
 def _angles(axes: Any, chain: Chain) -> None:
     """The two angles of every motion: chosen ones over all that were possible."""
     for name, candidates, marker, colour, size in (
         ("possible before the data", chain.box, "s", "#cccccc", 3.0), (f"left: {_short(chain)}", chain.chosen, "o", CHOSEN, 1.8),
-        ("the paper's recipe on this telemetry", chain.recipe, "D", RECIPE, 4.0),
+        (f"the paper's recipe, EMD < {chain.case.assumptions.study.near_minimum_factor:g} EMD_min", chain.recipe, "D", RECIPE, 4.0),
     ):  # fmt: skip
-        label = f"{name} ({len(candidates):,})".replace(",", " ")
+        label = f"{name} ({counted(len(candidates), 'motion')})"
         axes.plot(*_pair(candidates), marker, ms=size, mew=0, color=colour, label=label, rasterized=True)
     ends = np.degrees([np.max(angle) for angle in (chain.box.smaller_angle, chain.box.larger_angle)])
     axes.set(
@@ -79,12 +80,13 @@ def _angles(axes: Any, chain: Chain) -> None:
     for handle in legend.legend_handles:
         handle.set_markersize(6)
     cell = float(np.degrees(np.median(chain.chosen.angle_cell)))
-    spread = f" (a cell of the grid: {cell:.2g} deg)" if cell > 0 else ""
+    spread = f"; a cell of the grid: {cell:.2g} deg" if cell > 0 else ""
     axes.set_title(f"Angles of the momentum{spread}", fontsize=9)
     axes.grid(lw=0.3)
 
 
 def _pair(candidates: Candidates) -> np.ndarray:
-    """Smaller and larger angle (2, n), deg, of at most `MOST_POINTS` of them, evenly."""
-    every = -(-len(candidates) // MOST_POINTS)
-    return np.degrees(np.stack([candidates.smaller_angle, candidates.larger_angle])[:, ::every])
+    """Smaller and larger angle (2, n), deg, of at most `MOST_POINTS` of them, evenly, and of those at the ends of either angle."""
+    angles = np.stack([candidates.smaller_angle, candidates.larger_angle])
+    shown = np.arange(0, len(candidates), -(-len(candidates) // MOST_POINTS))
+    return np.degrees(angles[:, np.union1d(shown, [*angles.argmin(axis=1), *angles.argmax(axis=1)])])

@@ -38,13 +38,13 @@ def _directions(axes: Any, r: Descent) -> None:
     fitted, fitted_z = _polar(r.simulated_B[told])
     near = np.abs(azimuth - fitted) < 180  # not across the edge of the map
     axes.plot(np.stack([azimuth, fitted])[:, near], np.stack([z, fitted_z])[:, near], lw=0.6, color=COLOURS[7])
-    axes.plot(azimuth, z, "o", ms=4.5, mfc="none", color=COLOURS[0], label=f"measured ({told.sum()})")
+    axes.plot(azimuth, z, "o", ms=4.5, mfc="none", color=COLOURS[0], label=f"from the telemetry ({told.sum()})")
     axes.plot(fitted, fitted_z, ".", ms=4, color=COLOURS[1], label="fitted, same samples")
     behind = ~told & ~r.predicted
     axes.plot(*_polar(r.simulated_B[behind]), "+", ms=6, color=COLOURS[6], label=f"fitted, behind the lander ({behind.sum()})")
     odd = ~told & r.predicted
     if odd.any():
-        axes.plot(*_polar(r.simulated_B[odd]), "x", ms=6, color=COLOURS[3], label=f"fitted in view, not measured ({odd.sum()})")
+        axes.plot(*_polar(r.simulated_B[odd]), "x", ms=6, color=COLOURS[3], label=f"fitted in view, no direction ({odd.sum()})")
     axes.set(xlim=(-185, 185), ylim=(0.4, 0.8), xlabel="azimuth of the Sun about z (deg)", ylabel="$z$ component")
     axes.set_xticks(range(-180, 181, 90))
     axes.legend(fontsize=8, loc="upper left", ncols=2)

@@ -64,8 +64,10 @@ def histograms_figure(runs: list[xr.Dataset]) -> Figure:
 def _sphere(axes: Any) -> None:
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc")
-    axes.set_box_aspect((1, 1, 1), zoom=1.15)
+    axes.set_box_aspect((1, 1, 1), zoom=1.05)
+    axes.text(1.15, 1.15, 1.35, "z", ha="center", fontsize=8)  # matplotlib's own label of z is lost beside the next sphere
     for name in "xyz":
-        getattr(axes, f"set_{name}label")(f"{name}", labelpad=-6, fontsize=8)
+        if name != "z":
+            getattr(axes, f"set_{name}label")(name, labelpad=-6, fontsize=8)
         getattr(axes, f"set_{name}ticks")([-1, 0, 1])
         axes.tick_params(axis=name, labelsize=6, pad=-3)

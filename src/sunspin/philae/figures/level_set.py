@@ -11,6 +11,9 @@ from matplotlib.figure import Figure
 from sunspin.estimate.scan.lines import Line
 from sunspin.output.figures import COLOURS
 
+RATE_TICKS = (-0.4, 0.0, 0.4, 0.8)
+"""rad/s: as many as stand apart in perspective."""
+
 
 def level_set_figure(
     points: np.ndarray, lines: Any, published: Sequence[Line], title: str, truth: np.ndarray | None = None
@@ -37,7 +40,7 @@ def level_set_figure(
         axes.set_zlabel(r"$\omega_z$ (rad/s)" if k == 0 else "")
         if k:
             axes.zaxis.set_ticks([])
-        axes.set(xlim=(-0.5, 1), ylim=(-0.5, 1), zlim=(-0.3, 0.3))
+        axes.set(xlim=(-0.5, 1), ylim=(-0.5, 1), zlim=(-0.3, 0.3), xticks=RATE_TICKS, yticks=RATE_TICKS)
         axes.set_title(name, fontsize=9)
     figure.suptitle(title, fontsize=11)
     figure.legend(*figure.axes[0].get_legend_handles_labels(), fontsize=9, ncols=3, loc="outside lower center", frameon=False)
@@ -78,12 +81,11 @@ def distributions_figure(z: np.ndarray, weights_label: str, others: dict[str, np
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.subplots()
     axes.step(np.sort(z), np.arange(1, len(z) + 1) / len(z), where="post", color=COLOURS[6], label=weights_label)
-    for k, (label, values) in enumerate(others.items()):  # nearly one curve: wide below narrow, so that each is seen
-        style: dict[str, Any] = {"lw": 7 - 1.6 * k, "alpha": 0.45}
-        if k >= 2:
-            style = {"lw": 2.2, "ls": (0, (2, 2) if k == 2 else (1, 3))}
-        style = {"lw": 2.0} if label.startswith("truth") else style
-        axes.plot(np.sort(values), np.linspace(0, 1, len(values)), color=COLOURS[k], label=label, **style)
+    for k, (label, values) in enumerate(others.items()):  # nearly one curve in pairs: each second one in dashes over the first
+        style: dict[str, Any] = {"lw": 5.0, "ls": (0, (1.5, 1.5)) if k % 2 else "-", "color": COLOURS[k]}
+        if label.startswith("truth"):
+            style = {"lw": 1.4, "ls": (0, (1, 2)), "color": COLOURS[6]}
+        axes.plot(np.sort(values), np.linspace(0, 1, len(values)), label=label, **style)
     axes.set_xlabel("$z$ component of the Sun's direction")
     axes.set_ylabel("cumulative distribution")
     axes.set_xlim(-0.05, 1.02)
@@ -102,6 +104,7 @@ def backward_figure(rates: np.ndarray, published: np.ndarray, smallest: float, l
     axes.set_xlabel(r"$\omega_x$ (rad/s)")
     axes.set_ylabel(r"$\omega_y$ (rad/s)")
     axes.set_zlabel(r"$\omega_z$ (rad/s)")
+    axes.set(xticks=RATE_TICKS, yticks=RATE_TICKS)
     figure.suptitle(rf"Rates at the first touchdown; smallest $|\omega|$ on the paper's lines {smallest:.4f} rad/s", fontsize=10)
     figure.legend(*axes.get_legend_handles_labels(), fontsize=9, loc="outside lower center", frameon=False)
     return figure

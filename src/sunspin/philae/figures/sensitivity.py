@@ -32,7 +32,7 @@ def draw_maps(result: Sensitivity) -> Figure:
     omega = ", ".join(f"{x:g}" for x in result.case.published["E_study_omega"].value)
     right.set(xlabel=r"$\mu_0$ ($10^{-3}$ N m)", ylabel=r"$\theta_{xx}$ (kg m$^2$)")
     right.set_title(rf"B: parameters, $\omega(0)$ = [{omega}] rad/s", fontsize=10)
-    figure.suptitle(titled(f"E against {result.n_samples} measured directions, {length}", result.synthetic), fontsize=10)
+    figure.suptitle(titled(f"E against {result.n_samples} directions of the telemetry, {length}", result.synthetic), fontsize=10)
     return figure
 
 
