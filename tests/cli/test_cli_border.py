@@ -58,7 +58,8 @@ def test_what_an_option_takes_is_said_in_its_own_form(read, text):
 def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
     refused(sunspin("sun", "philae", "philae", "--noise=x"), "'x' is not a number")
     refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
-    refused(sunspin("sun", "philae", "philae", "--noise=nan"), "--noise must be a finite number between")
+    refused(sunspin("sun", "philae", "philae", "--noise=nan"), "is not a number such as -1.5e-3")
+    refused(sunspin("sun", "philae", "philae", "--noise=1e300"), "--noise must be a finite number between")
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "no wheel strategy of this name (found nothing)")
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
 
@@ -175,7 +176,7 @@ def test_results_of_the_same_command_are_replaced(sunspin, undrawn, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--duration=nan"], ["finite"]),
+        (["--duration=nan"], ["not a number"]),
         (["--duration=1e9"], ["larger --step"]),
         (["--duration=10", "--step=0"], ["--step"]),
         (["--duration=10", "--wheel-speed=1,2"], ["wheel"]),

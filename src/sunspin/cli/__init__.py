@@ -15,7 +15,7 @@ LONGEST = 1200
 """Characters of one sentence: names from outside may have any number."""
 
 
-NUMBERS = {"float": "is not a number", "integer": "is not a whole number"}
+NUMBERS = {"float": "is not a number such as -1.5e-3", "integer": "is not a whole number"}
 """What is wrong with the value of an option, by click's name of its type."""
 
 
