@@ -8,12 +8,14 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import pytest
 
 from rowsets import heed_interrupts
 from sunspin import cli
 from sunspin.base.errors import InputError
 from sunspin.cli import values
+from sunspin.cli.common import COMMANDS
 
 START = ["--omega=0.1,0,0", "--sun=0.1959,0.5690,0.7986"]
 
@@ -60,7 +62,7 @@ def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
     refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
     refused(sunspin("sun", "philae", "philae", "--noise=nan"), "is not a number such as -1.5e-3")
     refused(sunspin("sun", "philae", "philae", "--noise=1e300"), "--noise must be a finite number between")
-    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "no wheel strategy of this name (found nothing)")
+    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "the value is empty")
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
 
 
@@ -235,3 +237,29 @@ def test_a_grid_without_its_step_is_told_its_form(sunspin):
 
 def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):
     refused(sunspin("posterior", "philae", "--phase", "descnt"), "no such phase (found descnt)", "descent", "first_rebound")
+
+
+NO_TEXT = (click.types.BoolParamType, click.types.Choice)
+
+
+def takers():
+    """Every command with every option and argument that takes a text."""
+    for name in COMMANDS:
+        command = cli.cli.get_command(click.Context(cli.cli), name)
+        for parameter in command.params:
+            if not isinstance(parameter.type, NO_TEXT) and not getattr(parameter, "is_flag", False):
+                yield name, command, parameter
+
+
+@pytest.mark.parametrize("empty", ["", " ", "\t"])
+def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, monkeypatch):
+    """As a path an empty text is the present folder: `init ""` wrote there."""
+    monkeypatch.chdir(tmp_path)
+    count = 0
+    for name, command, parameter in takers():
+        before = [empty if one is parameter else "philae" for one in command.params if isinstance(one, click.Argument)]
+        option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0], empty]
+        outcome = sunspin(name, *before, *option)
+        refused(outcome, f"Invalid value for '{option[0] if option else ''}", "the value is empty")
+        count += 1
+    assert count > 100 and not list(tmp_path.iterdir())

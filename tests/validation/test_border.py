@@ -193,7 +193,7 @@ def test_results_that_no_machine_holds_are_refused_with_an_estimate():
 
 @pytest.mark.parametrize("value", ["nan", "inf", "1e308", "1e-308"])
 def test_numbers_beyond_all_measure_are_refused_by_every_command(value, home):
-    refused("simulate", "philae", *START, f"--duration={value}", words=["--duration", "1e-30"])
+    refused("simulate", "philae", *START, f"--duration={value}", words=["--duration", "number"])
     refused("simulate", "philae", f"--omega=0,{value},0", START[1], "--duration=1", words=["--omega"])
     refused("sun", "vehicle.toml", "telemetry.csv", f"--noise={value}", words=["--noise"])
 

@@ -18,14 +18,17 @@ MAX_GRID = 100_000
 """Values of one axis of a scan's grid."""
 
 
-def plain(kind: click.ParamType) -> click.ParamType:
-    """A click type of numbers that takes what `plain_number` takes and no more of Python's forms; other types as they are."""
-    if not isinstance(kind, click.types.FloatParamType | click.types.IntParamType) or "convert" in vars(kind):
+def strict(kind: click.ParamType) -> click.ParamType:
+    """A click type that takes no empty text, which as a path would be the present folder; one of numbers takes what `plain_number`
+    takes and no more of Python's forms."""
+    if "convert" in vars(kind):
         return kind
-    made = copy(kind)
+    made, is_number = copy(kind), isinstance(kind, click.types.FloatParamType | click.types.IntParamType)
 
     def convert(value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
-        if isinstance(value, str) and math.isnan(plain_number(value)):
+        if isinstance(value, str) and not value.strip():
+            made.fail("the value is empty", parameter, context)
+        if isinstance(value, str) and is_number and math.isnan(plain_number(value)):
             made.fail(f"{value!r} is not a valid {kind.name}.", parameter, context)
         return kind.convert(value, parameter, context)
 

@@ -30,10 +30,12 @@ def copying() -> Generator[None]:
     What there is by now is no garbage: a copy that looked for some would have to copy all memory.
     """
     gc.freeze()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-        yield
-    gc.unfreeze()
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
+            yield
+    finally:
+        gc.unfreeze()
 
 
 def deaf() -> None:
