@@ -204,21 +204,25 @@ def test_a_reader_that_goes_away_is_no_error():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_interruption_is_one_sentence_and_130(tmp_path):
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.long)])
+def test_interruption_is_one_sentence_and_130(kind, tmp_path):
+    """Also where somebody ends the process or closes its terminal; its copies end with it."""
     out = tmp_path / "out"
     # the installed command: under `python -m`, Python ends by the signal itself where Ctrl-C met a library that runs text
     # (exec), though it was caught; shells call both 130
     command = [Path(sys.executable).with_name("sunspin"), "reproduce", "--quiet", "--out", out]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(command, preexec_fn=heed_interrupts, **pipes)
+    process = subprocess.Popen(command, preexec_fn=heed_interrupts, start_new_session=True, **pipes)
     try:
         while not out.exists() and process.poll() is None:  # the marker is written when the work begins
             time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(kind)
         printed, complaint = process.communicate(timeout=120)
     finally:
         process.kill()
     assert process.returncode == 130, complaint
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, 0)
     assert complaint.count("\n") == 1 and "interrupted" in complaint and printed == ""
     assert not [path.name for path in out.iterdir() if path.name.endswith((".part", ".html"))]
 

@@ -297,7 +297,7 @@ def test_kernels_that_are_none_are_a_sentence(home, undrawn):
     pytest.importorskip("spiceypy")
     assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
     given = "compare", "results", "--frame=X", "--epoch=2026-01-01T00:00:00Z"
-    refused(*given, "", words=["--frame"])  # the folder itself
+    refused(*given, ".", words=["--frame"])  # the folder itself
     refused(*given, "telemetry.csv", words=["kernels cannot be used"])
 
 

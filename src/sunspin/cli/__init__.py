@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import sys
+import threading
 
 import click
 
@@ -38,6 +40,7 @@ def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+    _heed_the_end()
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
@@ -61,6 +64,14 @@ def main() -> None:
             raise
         code = _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _heed_the_end() -> None:
+    """End as by Ctrl-C where somebody ends the process or closes its terminal: without a word, its copies would compute on."""
+    if threading.current_thread() is threading.main_thread():
+        for kind in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            if signal.getsignal(kind) == signal.SIG_DFL:  # under nohup it is ignored, and stays so
+                signal.signal(kind, signal.default_int_handler)
 
 
 def _say(text: str, code: int) -> int:

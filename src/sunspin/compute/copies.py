@@ -39,8 +39,10 @@ def copying() -> Generator[None]:
 
 
 def deaf() -> None:
-    """In a copy: Ctrl-C reaches the process that waits for it, which then ends it."""
+    """In a copy: Ctrl-C reaches the process that waits for it, which then ends it, at once and without a word."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for kind in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        signal.signal(kind, signal.SIG_DFL)
 
 
 def at_once(works: Sequence[Callable[[], Any]]) -> None:
