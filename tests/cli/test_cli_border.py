@@ -267,3 +267,20 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
         refused(outcome, f"Invalid value for '{option[0] if option else ''}", "the value is empty")
         count += 1
     assert count > 100 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("home", ["", "/proc"])
+def test_without_a_folder_for_caches_the_output_is_ours_alone(home, tmp_path):
+    """The integrator's library warned of its own cache on standard output, where --json is read."""
+    places = {"HOME": home, "XDG_CACHE_HOME": home, "SUNSPIN_CACHE": str(tmp_path / "missing")}
+    command = [sys.executable, "-m", "sunspin.cli", "simulate", "philae", *START, "--duration=10", "--json"]
+    done = subprocess.run(command, env={**os.environ, **places}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "") and json.loads(done.stdout)["t_s"] == 10
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "cp437", "utf-8"])
+def test_a_name_that_a_terminal_cannot_show_is_escaped(encoding, tmp_path):
+    command = [sys.executable, "-m", "sunspin.cli", "init", str(tmp_path / "caf\u00e9\u2603")]
+    done = subprocess.run(command, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert ("caf\u00e9\u2603" if encoding == "utf-8" else "\\u2603") in done.stdout.decode(encoding)

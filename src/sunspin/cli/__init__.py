@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import re
 import signal
@@ -40,6 +42,8 @@ def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        if isinstance(getattr(sys, name), io.TextIOWrapper):  # a name from outside may be beyond what a terminal can show
+            getattr(sys, name).reconfigure(errors="backslashreplace")
     _heed_the_end()
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
@@ -58,7 +62,8 @@ def main() -> None:
         code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
     except OSError as error:  # what files and folders answer where no better sentence was found
         what = error.filename or "a file or the output"
-        code = _say(f"error: {what} cannot be used ({error.strerror or error}); check the path", 2)
+        do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
+        code = _say(f"error: {what} cannot be used ({error.strerror or error}); {do}", 2)
     except Exception as error:
         if os.environ.get("SUNSPIN_TRACEBACK"):
             raise
