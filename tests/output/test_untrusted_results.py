@@ -209,3 +209,13 @@ def test_hostile_text_of_a_variable_is_escaped_on_the_page(text, folder):
     write_netcdf(folder / "trajectory.nc", made)
     page = write_report(folder).read_text("utf-8")
     assert "<script>alert" not in page and "\u202e" not in page and "trajectory.nc could not" not in page
+
+
+def test_how_a_stored_file_was_packed_is_not_handed_on(folder):
+    """A fill value that is a text ended the export in a traceback."""
+    path = folder / "rates.nc"
+    xr.Dataset({"sigma_x": ("x", [0.5], {"units": "rad s-1"})}, attrs={"kind": "rates"}).to_netcdf(path, engine="h5netcdf")
+    with h5py.File(path, "r+") as file:
+        file["sigma_x"].attrs["_FillValue"] = "a"
+    read = read_groups(path, "rates.nc", InputError, probe=False)["/"]
+    assert write_netcdf(folder / "again.nc", read).exists()

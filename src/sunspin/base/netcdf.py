@@ -78,7 +78,7 @@ def _loaded(data: xr.Dataset, size: int, ours: bool) -> xr.Dataset:
         raise _Refused(f"the file would take {size / 1e9:.3g} GB of memory", "cut it into parts")
     if ours and (changed := changed_attribute(data.attrs, data.variables)):
         raise _Refused(f"this file was changed after sunspin wrote it: {changed}", "make it again, or mend the attribute")
-    return data.load()
+    return data.load().drop_encoding()  # how a file from outside was packed is no rule for the files that are written from it
 
 
 def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any, probe: bool) -> Any:
