@@ -8,12 +8,14 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import pytest
 
 from rowsets import heed_interrupts
 from sunspin import cli
 from sunspin.base.errors import InputError
 from sunspin.cli import values
+from sunspin.cli.common import COMMANDS
 
 START = ["--omega=0.1,0,0", "--sun=0.1959,0.5690,0.7986"]
 
@@ -58,8 +60,9 @@ def test_what_an_option_takes_is_said_in_its_own_form(read, text):
 def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
     refused(sunspin("sun", "philae", "philae", "--noise=x"), "'x' is not a number")
     refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
-    refused(sunspin("sun", "philae", "philae", "--noise=nan"), "--noise must be a finite number between")
-    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "no wheel strategy of this name (found nothing)")
+    refused(sunspin("sun", "philae", "philae", "--noise=nan"), "is not a number such as -1.5e-3")
+    refused(sunspin("sun", "philae", "philae", "--noise=1e300"), "--noise must be a finite number between")
+    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "the value is empty")
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
 
 
@@ -175,7 +178,7 @@ def test_results_of_the_same_command_are_replaced(sunspin, undrawn, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--duration=nan"], ["finite"]),
+        (["--duration=nan"], ["not a number"]),
         (["--duration=1e9"], ["larger --step"]),
         (["--duration=10", "--step=0"], ["--step"]),
         (["--duration=10", "--wheel-speed=1,2"], ["wheel"]),
@@ -201,21 +204,25 @@ def test_a_reader_that_goes_away_is_no_error():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_interruption_is_one_sentence_and_130(tmp_path):
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.long)])
+def test_interruption_is_one_sentence_and_130(kind, tmp_path):
+    """Also where somebody ends the process or closes its terminal; its copies end with it."""
     out = tmp_path / "out"
     # the installed command: under `python -m`, Python ends by the signal itself where Ctrl-C met a library that runs text
     # (exec), though it was caught; shells call both 130
     command = [Path(sys.executable).with_name("sunspin"), "reproduce", "--quiet", "--out", out]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(command, preexec_fn=heed_interrupts, **pipes)
+    process = subprocess.Popen(command, preexec_fn=heed_interrupts, start_new_session=True, **pipes)
     try:
         while not out.exists() and process.poll() is None:  # the marker is written when the work begins
             time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(kind)
         printed, complaint = process.communicate(timeout=120)
     finally:
         process.kill()
     assert process.returncode == 130, complaint
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, 0)
     assert complaint.count("\n") == 1 and "interrupted" in complaint and printed == ""
     assert not [path.name for path in out.iterdir() if path.name.endswith((".part", ".html"))]
 
@@ -234,3 +241,46 @@ def test_a_grid_without_its_step_is_told_its_form(sunspin):
 
 def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):
     refused(sunspin("posterior", "philae", "--phase", "descnt"), "no such phase (found descnt)", "descent", "first_rebound")
+
+
+NO_TEXT = (click.types.BoolParamType, click.types.Choice)
+
+
+def takers():
+    """Every command with every option and argument that takes a text."""
+    for name in COMMANDS:
+        command = cli.cli.get_command(click.Context(cli.cli), name)
+        for parameter in command.params:
+            if not isinstance(parameter.type, NO_TEXT) and not getattr(parameter, "is_flag", False):
+                yield name, command, parameter
+
+
+@pytest.mark.parametrize("empty", ["", " ", "\t"])
+def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, monkeypatch):
+    """As a path an empty text is the present folder: `init ""` wrote there."""
+    monkeypatch.chdir(tmp_path)
+    count = 0
+    for name, command, parameter in takers():
+        before = [empty if one is parameter else "philae" for one in command.params if isinstance(one, click.Argument)]
+        option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0], empty]
+        outcome = sunspin(name, *before, *option)
+        refused(outcome, f"Invalid value for '{option[0] if option else ''}", "the value is empty")
+        count += 1
+    assert count > 100 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("home", ["", "/proc"])
+def test_without_a_folder_for_caches_the_output_is_ours_alone(home, tmp_path):
+    """The integrator's library warned of its own cache on standard output, where --json is read."""
+    places = {"HOME": home, "XDG_CACHE_HOME": home, "SUNSPIN_CACHE": str(tmp_path / "missing")}
+    command = [sys.executable, "-m", "sunspin.cli", "simulate", "philae", *START, "--duration=10", "--json"]
+    done = subprocess.run(command, env={**os.environ, **places}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "") and json.loads(done.stdout)["t_s"] == 10
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "cp437", "utf-8"])
+def test_a_name_that_a_terminal_cannot_show_is_escaped(encoding, tmp_path):
+    command = [sys.executable, "-m", "sunspin.cli", "init", str(tmp_path / "caf\u00e9\u2603")]
+    done = subprocess.run(command, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert ("caf\u00e9\u2603" if encoding == "utf-8" else "\\u2603") in done.stdout.decode(encoding)

@@ -1,5 +1,6 @@
 """Work shared among copies of this process: all of it is done, in copies where that is safe, and errors are seen here."""
 
+import gc
 import subprocess
 import sys
 import threading
@@ -53,3 +54,10 @@ def test_no_copy_beside_other_threads():
     finally:
         wait.set()
         other.join()
+
+
+def test_garbage_is_collected_again_where_a_copy_could_not_be_made():
+    before = gc.get_freeze_count()
+    with pytest.raises(OSError, match="no room"), copies.copying():
+        raise OSError("no room for another process")
+    assert gc.get_freeze_count() == before

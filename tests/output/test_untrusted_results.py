@@ -15,7 +15,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, printable
 from sunspin.base.netcdf import read_groups, read_netcdf
-from sunspin.base.provenance import NUMBERS, TEXTS
+from sunspin.base.provenance import LABELS, NUMBERS, TEXTS, UNITS
 from sunspin.output.export import read_results as exported
 from sunspin.output.folder import MARKER, write_netcdf
 from sunspin.output.report import write_report
@@ -173,3 +173,49 @@ def test_an_attribute_of_another_kind_is_one_sentence(tmp_path, folder):
     assert read_groups(path, "file.nc", InputError, probe=False)["/"].attrs["synthetic"] == "no"
     xr.Dataset(attrs={"kind": "rates", "synthetic": "no"}).to_netcdf(folder / "rates.nc", engine="h5netcdf")
     assert "rates.nc: this file was changed" in told(folder)
+
+
+def test_the_unit_of_a_variable_is_ours_and_what_is_said_of_it_a_text(tmp_path):
+    """Every unit that is read back, missing, of another kind or another unit; in files of others they are nobody's business."""
+    path = tmp_path / "file.nc"
+
+    def read(attrs, **about):
+        xr.Dataset({name: ("x", [0.0], {"units": UNITS.get(name, "1")} | about) for name in names}, attrs=attrs).to_netcdf(
+            path, engine="h5netcdf"
+        )
+        return read_groups(path, "file.nc", InputError, probe=False)["/"]
+
+    names = [*UNITS, "another"]
+    assert set(read({"kind": "rates"}).data_vars) == set(names)  # negative control
+    for name in UNITS:
+        names = [name]
+        for unit in ("deg/s", 1.0, np.array([1.0, 2.0]), ""):
+            with pytest.raises(InputError, match=rf"file.nc: this file was changed .* variable {name} must be .*; make it again"):
+                read({"kind": "rates"}, units=unit)
+    assert read({"title": "of somebody else"}, units="deg/s")[name].attrs["units"] == "deg/s"
+    names = ["another"]
+    for label in sorted(LABELS):
+        with pytest.raises(InputError, match=rf"attribute {label} of its variable another must be a text"):
+            read({"sunspin_version": "0.1"}, **{label: 7.0})
+        assert read({"kind": "rates"}, **{label: "<script>\x1b[2J"})
+
+
+@pytest.mark.parametrize("text", ["<script>alert(1)</script>", "$\\frac$", "\u202egnp", "x" * 5000])
+def test_hostile_text_of_a_variable_is_escaped_on_the_page(text, folder):
+    t = np.arange(3.0)
+    about = {"units": "rad s-1", "long_name": text}
+    data = {"omega_B": (("time", "axis"), np.ones((3, 3)), about), "y": ("time", t, {"units": text})}
+    made = xr.Dataset(data, {"time": ("time", t, {"units": "s", "long_name": text})}, {"kind": "motion", "title": text})
+    write_netcdf(folder / "trajectory.nc", made)
+    page = write_report(folder).read_text("utf-8")
+    assert "<script>alert" not in page and "\u202e" not in page and "trajectory.nc could not" not in page
+
+
+def test_how_a_stored_file_was_packed_is_not_handed_on(folder):
+    """A fill value that is a text ended the export in a traceback."""
+    path = folder / "rates.nc"
+    xr.Dataset({"sigma_x": ("x", [0.5], {"units": "rad s-1"})}, attrs={"kind": "rates"}).to_netcdf(path, engine="h5netcdf")
+    with h5py.File(path, "r+") as file:
+        file["sigma_x"].attrs["_FillValue"] = "a"
+    read = read_groups(path, "rates.nc", InputError, probe=False)["/"]
+    assert write_netcdf(folder / "again.nc", read).exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError, sentence
-from sunspin.base.provenance import changed_attribute
+from sunspin.base.provenance import changed_attribute, is_ours
 from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 
 MAX_BYTES = 2_000_000_000
@@ -61,22 +62,23 @@ class _Refused(Exception):
 
 def _one(source: Any) -> xr.Dataset:
     with xr.open_dataset(source, engine="h5netcdf", decode_timedelta=False) as data:
-        return _loaded(data, data.nbytes)
+        return _loaded(data, data.nbytes, is_ours(data.attrs))
 
 
 def _tree(path: Path) -> dict[str, xr.Dataset]:
     with xr.open_datatree(path, engine="h5netcdf", decode_times=False) as tree:
         groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
         size = sum(data.nbytes for data in groups.values())
-        return {name: _loaded(data, size) for name, data in groups.items()}
+        ours = is_ours(tree.attrs) or any(is_ours(data.attrs) for data in groups.values())
+        return {name: _loaded(data, size, ours) for name, data in groups.items()}
 
 
-def _loaded(data: xr.Dataset, size: int) -> xr.Dataset:
+def _loaded(data: xr.Dataset, size: int, ours: bool) -> xr.Dataset:
     if size > MAX_BYTES:
         raise _Refused(f"the file would take {size / 1e9:.3g} GB of memory", "cut it into parts")
-    if changed := changed_attribute(data.attrs):
+    if ours and (changed := changed_attribute(data.attrs, data.variables)):
         raise _Refused(f"this file was changed after sunspin wrote it: {changed}", "make it again, or mend the attribute")
-    return data.load()
+    return data.load().drop_encoding()  # how a file from outside was packed is no rule for the files that are written from it
 
 
 def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any, probe: bool) -> Any:
@@ -84,7 +86,8 @@ def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any,
         raise error_type(sentence(f"this NetCDF file cannot be read ({trouble})", do=MEND, where=where))
     hook = sys.unraisablehook
     try:
-        return read()
+        with warnings.catch_warnings(action="ignore"):  # of attributes that mean nothing to xarray
+            return read()
     except _Refused as error:
         what = sentence(error.args[0], do=error.args[1], where=where)
     except Exception as error:

@@ -27,16 +27,41 @@ NUMBERS = frozenset(
 """Attributes that are read back from files of results: those that are texts, and those that are one number each."""
 
 
+LABELS = frozenset("units long_name about title flag_meanings".split())
+"""Attributes of variables that are read back, texts all."""
+
+UNITS = {
+    name: unit
+    for unit, names in {
+        "s": "time curve_time event_time_s descent_time received_s",
+        "rad s-1": "omega_B omega_x omega_y omega_z omega_mean_B omega_sigma_B omega_sigma_all_B curve_omega_B curve_omega_sigma_B "
+        "best_omega_B sigma_x sigma_y sigma_z speed_low speed_median speed_high gyro_B wheel_speed_rad_s",
+        "rad2 s-2": "omega_cov_B",
+        "rad/s": "omega_before_B omega_after_B",
+        "rad": "sigma_rad sun_sigma_rad sun_sensor_angle",
+        "N m s": "momentum_B momentum_before momentum_after",
+        "m/s": "contact_speed leg_tip_speed leg_tip_bound speed_after velocity_change",
+        "W": "power_W", "A": "current_A",
+        "1": "sun_B B_from_N curve_B_from_N attitude_B_from_N sun_sensor_B emd E delta",
+    }.items()
+    for name in names.split()
+}  # fmt: skip
+"""The unit of variables that are read back, which no reader converts."""
+
+
 @cache
 def version() -> str:
     """The version of sunspin that runs."""
     return metadata.version("sunspin")
 
 
-def changed_attribute(attrs: Mapping[str, Any]) -> str:
-    """What somebody has made of an attribute of our own that it cannot be, in words; nothing of files that are not ours."""
-    if not (isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs):
-        return ""
+def is_ours(attrs: Mapping[Any, Any]) -> bool:
+    """Whether a file with these attributes is a result of our own; what is exported goes by the conventions of others."""
+    return (isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs) and "Conventions" not in attrs
+
+
+def changed_attribute(attrs: Mapping[str, Any], variables: Mapping[Any, Any]) -> str:
+    """What somebody has made of an attribute of a result of our own, or of its variables, that it cannot be, in words."""
     for name in sorted({*attrs} & TEXTS):
         if not isinstance(attrs[name], str):
             return f"its attribute {name} must be a text"
@@ -46,6 +71,13 @@ def changed_attribute(attrs: Mapping[str, Any]) -> str:
             return f"its attribute {name} must be one number"
     if "synthetic" in attrs and np.asarray(attrs["synthetic"]).ravel()[0] not in (0, 1):
         return "its attribute synthetic must be 0 or 1"
+    for name, variable in variables.items():
+        for label in sorted({*variable.attrs} & LABELS):
+            if not isinstance(variable.attrs[label], str):
+                return f"the attribute {label} of its variable {name} must be a text"
+        unit = UNITS.get(name)
+        if unit is not None and variable.attrs.get("units") != unit:
+            return f"the units of its variable {name} must be {unit!r}"
     return ""
 
 

@@ -10,7 +10,7 @@ import hashlib
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.json_rows import json_rows
-from sunspin.base.untrusted import decoded, read_bytes
+from sunspin.base.untrusted import decoded, plain_number, read_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,11 +35,10 @@ MAX_CELLS = 100_000_000
 DELIMITERS = ",;\t"
 """What may part the columns: the one that the header has most of."""
 
-DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+\s*)$")
+DECIMAL_COMMA = re.compile(r"(\s*[-+]?\d*),(\d+([eE][-+]?\d+)?\s*)", re.ASCII)
 """A number as written where the semicolon parts the columns."""
 
-
-RAW_FRAME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\|[0-9A-Fa-f]+(\|[^|]*)*")
+RAW_FRAME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\|[0-9A-Fa-f]+(\|[^|]*)*", re.ASCII)
 """A line of SatNOGS DB's export of raw frames, which has no header."""
 
 FRAME_COLUMNS = ("timestamp", "frame", "observation_id", "observer")
@@ -47,7 +46,8 @@ FRAME_COLUMNS = ("timestamp", "frame", "observation_id", "observer")
 
 
 class Table(NamedTuple):
-    """A file as text: header, rows of cells, the line each row stands on, comments, hash; and a NetCDF file as it is."""
+    """A file as text: header, rows of cells, the line each row stands on, comments, hash; a NetCDF file as it is; its name in
+    messages."""
 
     header: list[str]
     rows: list[list[str]]
@@ -55,11 +55,37 @@ class Table(NamedTuple):
     comments: list[str]
     sha256: str
     data: xr.Dataset | None = None
+    where: str = ""
+
+    def numbers(self, columns: Sequence[int]) -> np.ndarray:
+        """The cells of these columns as numbers (rows, columns), NaN where one is none.
+
+        A cell may be damaged; `TelemetryError` is raised where the file writes its numbers in a form that is not read: with a
+        decimal comma, or no number in a whole column.
+        """
+        values = np.array([[plain_number(row[at]) for at in columns] for row in self.rows]).reshape(len(self.rows), len(columns))
+        none = np.isnan(values)
+        empty = np.flatnonzero(none.all(axis=0)).tolist()
+        for i, k in np.argwhere(none):
+            cell = self.rows[i][columns[k]]
+            comma = DECIMAL_COMMA.fullmatch(cell)
+            if comma or (k in empty and any(map(str.isdigit, cell))):
+                what = "the number has a decimal comma" if comma else "no cell of this column is a number"
+                do = "write plain decimals with a point, such as -1.5e-3"
+                raise TelemetryError(sentence(what, got=cell, do=do, where=self.place(i, columns[k])))
+        return values
+
+    def place(self, row: int, column: int) -> str:
+        """A cell in messages."""
+        return f"{self.where}, line {self.lines[row]}, column {self.header[column]!r}"
 
 
 def read_table(path: Path) -> Table:
     """Read a table; the kind of file is told by its first bytes, not by its name."""
-    where = str(path)
+    return _read(path, str(path))._replace(where=str(path))
+
+
+def _read(path: Path, where: str) -> Table:
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
     if content[:4] == b"PAR1":
         return _from_columns(_parquet(content, where), where, content)
@@ -124,7 +150,7 @@ def _split(text: str, where: str, sha256: str) -> Table:
                     where=f"{where}, line {number}",
                 )
             )
-        rows.append([DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells] if mark == ";" else cells)
+        rows.append([_with_point(cell) for cell in cells] if mark == ";" else cells)
         numbers.append(number)
     if not rows:
         raise TelemetryError(sentence("the file has a header but no samples", where=where))
@@ -135,6 +161,11 @@ def _split(text: str, where: str, sha256: str) -> Table:
     if repeated:
         raise TelemetryError(sentence("two columns share a name", got=repeated[0], do="rename one", where=where))
     return Table(header, rows, numbers, [c for c in comments if c], sha256)
+
+
+def _with_point(cell: str) -> str:
+    found = DECIMAL_COMMA.fullmatch(cell) if "," in cell else None
+    return cell if found is None else f"{found[1]}.{found[2]}"
 
 
 def _records(reader: Any, skipped: int, where: str) -> Iterator[tuple[int, list[str]]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import stat
 import subprocess
 import sys
@@ -19,6 +20,18 @@ SIZES = f"0 or a finite number between {SMALLEST:g} and {LARGEST:g} in size"
 def is_sensible(value: float) -> bool:
     """Whether a number is zero or of a size that arithmetic stands."""
     return value == 0 or SMALLEST <= abs(value) <= LARGEST
+
+
+def plain_number(text: str) -> float:
+    """The number that a text from outside is: a plain decimal in ASCII digits, such as -1.5e-3; NaN for every other text.
+
+    Python reads more as numbers, which nobody means by them: 1_000, digits of other scripts, inf, nan.
+    """
+    try:
+        value = math.nan if "_" in text or not text.isascii() else float(text)
+    except ValueError:
+        value = math.nan
+    return value if math.isfinite(value) else math.nan
 
 
 def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError], do: str) -> bytes:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import re
+import signal
 import sys
+import threading
 
 import click
 
@@ -15,7 +19,7 @@ LONGEST = 1200
 """Characters of one sentence: names from outside may have any number."""
 
 
-NUMBERS = {"float": "is not a number", "integer": "is not a whole number"}
+NUMBERS = {"float": "is not a number such as -1.5e-3", "integer": "is not a whole number"}
 """What is wrong with the value of an option, by click's name of its type."""
 
 
@@ -38,6 +42,9 @@ def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        if isinstance(getattr(sys, name), io.TextIOWrapper):  # a name from outside may be beyond what a terminal can show
+            getattr(sys, name).reconfigure(errors="backslashreplace")
+    _heed_the_end()
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
@@ -55,12 +62,21 @@ def main() -> None:
         code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
     except OSError as error:  # what files and folders answer where no better sentence was found
         what = error.filename or "a file or the output"
-        code = _say(f"error: {what} cannot be used ({error.strerror or error}); check the path", 2)
+        do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
+        code = _say(f"error: {what} cannot be used ({error.strerror or error}); {do}", 2)
     except Exception as error:
         if os.environ.get("SUNSPIN_TRACEBACK"):
             raise
         code = _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _heed_the_end() -> None:
+    """End as by Ctrl-C where somebody ends the process or closes its terminal: without a word, its copies would compute on."""
+    if threading.current_thread() is threading.main_thread():
+        for kind in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            if signal.getsignal(kind) == signal.SIG_DFL:  # under nohup it is ignored, and stays so
+                signal.signal(kind, signal.default_int_handler)
 
 
 def _say(text: str, code: int) -> int:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from sunspin.base.errors import InputError, printable, sentence
-from sunspin.cli.values import sensible
+from sunspin.cli.values import sensible, strict
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -86,6 +86,7 @@ class Group(click.Group):
         command = next(one for one in found if isinstance(one, click.Command) and one.name == cmd_name)
         for parameter in command.params:
             parameter.callback = parameter.callback or sensible
+            parameter.type = strict(parameter.type)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -34,8 +34,8 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.option("--no-wirings", is_flag=True, help="Where a pass does not fit, do not try other wirings of panels and sensors.")
 @orbit_options
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
-@click.option("--effort", type=float, callback=effort_given, default=1.0, show_default=True, help="How much may be computed, in "
-              "units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
+@click.option("--effort", metavar="FLOAT", callback=effort_given, default="1.0", show_default=True, help="How much may be computed "
+              "in units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
               "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
               "says so and is never decided.")
 @click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side; default one "

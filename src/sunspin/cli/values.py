@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.base.untrusted import SIZES, is_sensible
+from sunspin.base.untrusted import SIZES, is_sensible, plain_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,10 +18,29 @@ MAX_GRID = 100_000
 """Values of one axis of a scan's grid."""
 
 
-def effort(_: click.Context, parameter: click.Parameter, given: float) -> float:
+def strict(kind: click.ParamType) -> click.ParamType:
+    """A click type that takes no empty text, which as a path would be the present folder; one of numbers takes what `plain_number`
+    takes and no more of Python's forms."""
+    if "convert" in vars(kind):
+        return kind
+    made, is_number = copy(kind), isinstance(kind, click.types.FloatParamType | click.types.IntParamType)
+
+    def convert(value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        if isinstance(value, str) and not value.strip():
+            made.fail("the value is empty", parameter, context)
+        if isinstance(value, str) and is_number and math.isnan(plain_number(value)):
+            made.fail(f"{value!r} is not a valid {kind.name}.", parameter, context)
+        return kind.convert(value, parameter, context)
+
+    vars(made).update(convert=convert)
+    return made
+
+
+def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
     """A positive number, or infinity."""
+    given = math.inf if text == "inf" else plain_number(text)
     if not given > 0:
-        raise InputError(sentence(f"{parameter.opts[0]} must be a positive number or inf", got=given, do="1 is the usual effort"))
+        raise InputError(sentence(f"{parameter.opts[0]} must be a positive number or inf", got=text, do="1 is the usual effort"))
     return given
 
 
@@ -47,13 +67,12 @@ WHEN = "s from the epoch, or UTC such as 2014-11-12T16:20"
 
 def numbers(text: str | None, name: str, count: int | None = None, form: str = "") -> list[float]:
     """Comma-separated numbers of an option; `form`: what it takes, where that is not only numbers."""
-    try:
-        values = [float(part) for part in text.split(",")] if text else []
-    except ValueError:
-        values = None
-    for value in values or ():
-        _check_number(name, value)
-    if values is None or (count is not None and len(values) != count):
+    values = [plain_number(part) for part in text.split(",")] if text else []
+    none = any(map(math.isnan, values))
+    if not none:
+        for value in values:
+            _check_number(name, value)
+    if none or (count is not None and len(values) != count):
         wanted = form or ("a number" if count == 1 else f"{count or ''} numbers separated by commas".lstrip())
         do = None if form else f"for example {name}{'=' if name.startswith('--prior ') else ' '}{','.join(EXAMPLE[: count or 3])}"
         raise InputError(sentence(f"{name} takes {wanted}", got=text or "nothing", do=do))

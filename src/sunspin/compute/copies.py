@@ -30,15 +30,19 @@ def copying() -> Generator[None]:
     What there is by now is no garbage: a copy that looked for some would have to copy all memory.
     """
     gc.freeze()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-        yield
-    gc.unfreeze()
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
+            yield
+    finally:
+        gc.unfreeze()
 
 
 def deaf() -> None:
-    """In a copy: Ctrl-C reaches the process that waits for it, which then ends it."""
+    """In a copy: Ctrl-C reaches the process that waits for it, which then ends it, at once and without a word."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for kind in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        signal.signal(kind, signal.SIG_DFL)
 
 
 def at_once(works: Sequence[Callable[[], Any]]) -> None:

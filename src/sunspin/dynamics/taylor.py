@@ -72,6 +72,7 @@ def _compiled(n_wheels: int, torques: tuple[Torque, ...], tol: float):
     rates = [rate + 0.0 * variables[0] if not isinstance(rate, hk.expression) else rate for rate in rates]
     pars = [0.0] * (_COMMON + _PER_WHEEL * n_wheels + n_parameters(torques))
     system = list(zip(variables, rates, strict=True))
+    hk.set_logger_level_error()  # without a folder for its cache it warns on standard output
     return hk.taylor_adaptive(system, [0.0] * len(names), pars=pars, t_events=events, tol=tol)
 
 

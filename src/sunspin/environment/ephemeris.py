@@ -17,7 +17,7 @@ import numpy as np
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.lazy import lazy
 from sunspin.base.tables import TelemetryError, read_table
-from sunspin.base.untrusted import Elsewhere, decoded, elsewhere, read_bytes, xml_root
+from sunspin.base.untrusted import Elsewhere, decoded, elsewhere, plain_number, read_bytes, xml_root
 from sunspin.environment.earth import DAY_S, EQUATOR_M, MU_M3_S2, Instants, J2000_from_TEME, earth_from_J2000
 from sunspin.environment.elements import Elements, read_elements
 
@@ -50,6 +50,9 @@ BESIDE_S = 1.0
 SPK_STEP_S, SPK_CPU_S, MOST_STATES = 60.0, 60, 200_000
 
 INERTIAL = {"EME2000", "GCRF", "ICRF", "J2000", "ICRF2", "ICRF3"}
+TIME = re.compile(r"(\d{4})-(?:(\d{3})|\d\d-\d\d)(T\d\d(?::\d\d(?::\d\d(?:\.\d*)?)?)?)?", re.ASCII)
+"""A time of the calendar or, with the second group, of a day of the year."""
+
 FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
 """Names of frames: that of J2000, and those that turn with the Earth."""
 
@@ -345,25 +348,28 @@ def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: s
 
 def _table(rows: list[tuple[str, list[str]]], to_m: float, to_m_s: float, scale: str, frame: str, where: str) -> _Table:
     try:
-        first = np.datetime64(_iso(rows[0][0]), "ns")
-        t_s = np.array([(np.datetime64(_iso(time), "ns") - first) / np.timedelta64(1, "ns") / 1e9 for time, _ in rows])
+        times = np.array([_iso(time) for time, _ in rows], dtype="datetime64[us]")
     except ValueError as error:
         raise InputError(sentence(f"a time of the ephemeris cannot be read ({error})", where=where)) from None
-    try:
-        values = np.array([[float(cell) for cell in (*cells, *["nan"] * (6 - len(cells)))] for _, cells in rows])
-    except ValueError as error:
-        raise InputError(sentence(f"a coordinate of the ephemeris is no number ({error})", where=where)) from None
+    t_s = (times - times[0]) / np.timedelta64(1, "us") / 1e6
+    values = np.array([[plain_number(cell) for cell in (*cells, *["nan"] * (6 - len(cells)))] for _, cells in rows])
+    odd = [cell for _, cells in rows for cell in cells if cell not in ("", "nan") and np.isnan(plain_number(cell))]
+    if odd:
+        do = "write plain decimals, such as -6778.137"
+        raise InputError(sentence("a coordinate of the ephemeris is no number", got=odd[0], do=do, where=where))
     if not np.isfinite(values[:, :3]).all():
         raise InputError(sentence("a coordinate of the ephemeris is missing or not finite", where=where))
     return _Table(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
 
 
 def _iso(time: str) -> str:
-    """A time of the calendar; a day of the year becomes a date."""
+    """A time of the calendar; a day of the year becomes a date. `ValueError` for what is no time: NumPy knows `today`."""
     time = time.rstrip("Z").replace(" ", "T")
-    day = re.fullmatch(r"(\d{4})-(\d{3})(T.*)?", time)
-    if day:
-        time = str(np.datetime64(day[1], "D") + int(day[2]) - 1) + (day[3] or "")
+    found = TIME.fullmatch(time)
+    if found is None or (found[2] and not 1 <= int(found[2]) <= 366):
+        raise ValueError(f"{time!r} is not a time such as 2026-01-31T12:00:00")
+    if found[2]:
+        time = str(np.datetime64(found[1], "D") + int(found[2]) - 1) + (found[3] or "")
     whole, _, part = time.partition(".")
     return f"{whole}.{part[:6]}" if part else whole
 

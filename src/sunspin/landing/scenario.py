@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.base.untrusted import is_sensible
+from sunspin.base.untrusted import is_sensible, plain_number
 from sunspin.dynamics.wheel_modes import Schedule, schedules
 from sunspin.landing.contact import Shape, legs_down, shape_of
 from sunspin.telemetry.case import Case, case_names, load_case, timeline_of
@@ -244,10 +244,7 @@ def delayed(delay_s: float) -> Strategy:
 
 
 def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
+    value = plain_number(text)
     if not (is_sensible(value) and value >= 0):
         what = "a delay must be zero or a positive number of seconds below 1e30"
         raise InputError(sentence(what, got=text, do="for example delay:600"))

@@ -91,6 +91,7 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     find = {"reproduce": _rows, "rates": _passes, "posterior": _posterior, "outcomes": _outcomes}[commands[0]]
     try:
         found = sorted(find(said[0], said[1], *folders), key=lambda one: (not np.isfinite(one.error), -one.size))
+        compared = _dataset(found, commands[0], folders, said)
     except SunspinError:
         raise
     except (TypeError, KeyError, ValueError, AttributeError, IndexError, OverflowError) as error:
@@ -99,7 +100,7 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     if not found:
         got = f"{a} and {b}"
         raise InputError(sentence("the two results have nothing in common", got=got, do="compare results of the same data"))
-    return _dataset(found, commands[0], folders, said)
+    return compared
 
 
 def _command(folder: Path) -> str:

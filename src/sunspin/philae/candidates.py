@@ -309,11 +309,11 @@ def _from_file(path: Path) -> np.ndarray:
     table = read_table(path)
     try:
         at = [table.header.index(name) for name in ("omega_x", "omega_y", "omega_z")]
-        omega = np.array([[float(row[i]) for i in at] for row in table.rows]).reshape(-1, 3)
     except ValueError as error:
         raise InputError(
-            sentence(f"candidates need numbers in columns omega_x, omega_y, omega_z, rad/s ({error})", where=str(path))
+            sentence(f"candidates need columns omega_x, omega_y, omega_z, rad/s ({error})", where=str(path))
         ) from None
+    omega = table.numbers(at)
     if not len(omega) or not np.all(np.isfinite(omega)):
         raise InputError(sentence("candidates must be finite rates, one row each", got=f"{len(omega)} rows", where=str(path)))
     return omega

@@ -17,6 +17,7 @@ import xarray as xr
 from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
+from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.columns import column_of, missing_sensors, unused_columns
 from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import UNITS
@@ -96,7 +97,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         if mended:
             sensors, received = read_sensors(vehicle, table), _received(form, table, path)
     volts = _volts(vehicle, table, path) if columns and form.has_voltages else None
-    values, flag = _values(form, table, columns, volts, path)
+    values, flag = _values(form, table, columns, volts)
     values, warmth = _at_reference(vehicle, table, values, path)
     flag |= _order_flags(form, time, table, path)
     unused, missing = unused_columns(vehicle, table, columns), missing_sensors(vehicle, table, columns, path)
@@ -127,43 +128,33 @@ def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = 
     return found
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
-
-
 def _volts(vehicle: Vehicle, table: Table, path: Path) -> np.ndarray:
     """Voltage (n, n_panel) of each current."""
     form = vehicle.telemetry
     names = [form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.input_names]
     at = [column_of(table, name, f"voltage of panel {panel}", path) for name, panel in zip(names, vehicle.input_names, strict=True)]
-    volts = form.voltage_scale * np.array([[_number(row[column]) for column in at] for row in table.rows]).reshape(-1, len(at))
+    volts = form.voltage_scale * table.numbers(at)
     volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
     if form.bad_rows == "refuse" and not np.isfinite(volts).all():
         i, k = np.argwhere(~np.isfinite(volts))[0]
-        raise _refused("a voltage is a number, zero or above", table, i, at[k], path)
+        raise _refused("a voltage is a number, zero or above", table, i, at[k])
     return volts
 
 
-def _refused(what: str, table: Table, row: int, column: int, path: Path) -> TelemetryError:
+def _refused(what: str, table: Table, row: int, column: int) -> TelemetryError:
     """The error for a cell that cannot be used."""
     return TelemetryError(
         sentence(
             what,
             got=table.rows[row][column] or "an empty cell",
             do='correct it, or set bad_rows = "flag" under [telemetry] in the vehicle file',
-            where=f"{path}, line {table.lines[row]}, column {table.header[column]!r}",
+            where=table.place(row, column),
         )
     )
 
 
-def _values(
-    form: TelemetryForm, table: Table, columns: list[int], volts: np.ndarray | None, path: Path
-) -> tuple[np.ndarray, np.ndarray]:
-    cells = [[_number(row[column]) for column in columns] for row in table.rows]
-    values = np.array(cells).reshape(len(table.rows), -1)
+def _values(form: TelemetryForm, table: Table, columns: list[int], volts: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
     values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
     values = values if volts is None else values * volts
@@ -176,7 +167,7 @@ def _values(
     for bit, bad, what in problems:
         if form.bad_rows == "refuse" and bad.any():
             i, k = np.argwhere(bad)[0]
-            raise _refused(what, table, i, columns[k], path)
+            raise _refused(what, table, i, columns[k])
         flag |= np.where(bad.any(axis=1), np.uint8(bit), np.uint8(0))
     return values, flag
 
@@ -203,7 +194,7 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
         at = column_of(table, name, f"temperature of panel {panel}", path)
-        warm[:, vehicle.input_names.index(panel)] = [_number(row[at]) for row in table.rows]
+        warm[:, vehicle.input_names.index(panel)] = table.numbers([at])[:, 0]
     warm *= form.temperature_scale
     warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)
     known = np.isfinite(warm)
@@ -218,7 +209,7 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
 
 def parse_utc(text: str) -> datetime | None:
     text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
-    day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text)  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
+    day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text, re.ASCII)  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
     try:
         if day:
             start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
@@ -236,7 +227,7 @@ def _received(form: TelemetryForm, table: Table, path: Path) -> np.ndarray | Non
     at = column_of(table, name, "the time of reception", path)
     cells = [row[at] for row in table.rows]
     if form.receive_time_format == "unix":
-        seconds = np.array([_number(cell) for cell in cells])
+        seconds = np.array([plain_number(cell) for cell in cells])
         return np.where(np.abs(seconds) < LATEST_UNIX_S, seconds, np.nan)
     moments = [parse_utc(cell) for cell in cells]
     return np.array([np.nan if moment is None else (moment - UNIX_ZERO).total_seconds() for moment in moments])
@@ -269,7 +260,7 @@ def _times(
         _one_clock(cells, table, path, form)
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
-    numbers = np.array([_number(cell) for cell in cells]) * form.time_scale_s
+    numbers = np.array([plain_number(cell) for cell in cells]) * form.time_scale_s
     if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > LATEST_UNIX_S:
         raise bad(int(np.flatnonzero(~(np.abs(numbers) <= LATEST_UNIX_S))[0]))
     if form.time_format == "elapsed":
@@ -287,10 +278,10 @@ OTHER_FORM = "correct it, or set time_format under [telemetry] in the vehicle fi
 
 def _how_to_write(cell: str) -> str:
     """What to do with a cell that is no time in UTC."""
-    number = abs(_number(cell))
-    if number > LATEST_UNIX_S:
+    size = abs(plain_number(cell))
+    if size > LATEST_UNIX_S:
         return 'if it is Unix time in milliseconds, set time_format = "unix" and time_scale_s = 0.001 under [telemetry]'
-    if np.isfinite(number):
+    if np.isfinite(size):
         return 'if it is in seconds, set time_format = "unix" (since 1970) or "elapsed" under [telemetry] in the vehicle file'
     if re.search(r":\d\d:60(?!\d)", cell):
         return "leap seconds are not known: write the second before or after, or remove the row"

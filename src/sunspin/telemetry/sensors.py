@@ -88,14 +88,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
 
 
 def _numbers(table: Table, names: Any) -> np.ndarray:
-    def number(text: str) -> float:
-        try:
-            return float(text)
-        except ValueError:
-            return np.nan
-
-    columns = [table.header.index(name) for name in names]
-    values = np.array([[number(row[column]) for column in columns] for row in table.rows])
+    values = table.numbers([table.header.index(name) for name in names])
     return np.where(np.abs(values) < ABSURD, values, np.nan)
 
 

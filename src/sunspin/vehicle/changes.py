@@ -6,6 +6,7 @@ be a vehicle's or the assumptions of a study (:mod:`sunspin.vehicle.assumptions`
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
@@ -13,6 +14,7 @@ from typing import Annotated, Any, NamedTuple, TypeGuard, get_args, get_origin
 
 from sunspin.base.errors import InputError, VehicleError, sentence
 from sunspin.base.toml import read_toml
+from sunspin.base.untrusted import plain_number
 from sunspin.vehicle.part import keys_of, part_in
 from sunspin.vehicle.parts import GAIN_UNITS, Friction, Wheel
 
@@ -116,7 +118,16 @@ def _value(text: str) -> Any:
         read = read_toml(f"x = {text}", "the value", InputError)
     except InputError:
         return text
-    return read["x"] if set(read) == {"x"} else text  # a second line would be another key, of which nobody asked
+    if set(read) != {"x"}:  # a second line would be another key, of which nobody asked
+        return text
+    numbers = filter(None, re.split(r"[\[\],\s]+", text)) if _is_numbers(read["x"]) else ()
+    if (odd := next((number for number in numbers if math.isnan(plain_number(number))), None)) is not None:
+        raise InputError(sentence("this is not a finite number such as -1.5e-3", got=odd, do="write it in decimal digits"))
+    return read["x"]
+
+
+def _is_numbers(value: Any) -> bool:
+    return all(map(_is_numbers, value)) if isinstance(value, list) else _is_number(value)
 
 
 def changed(
@@ -155,7 +166,7 @@ def _unknown(key: str, known: list[str]) -> str:
 
 def _mirrored(change: Change) -> list[Change]:
     """The change, and for an element beside the diagonal of a tensor of inertia that of its mirror."""
-    found = re.fullmatch(r"(.*inertia_kg_m2)\[(\d+)\]\[(\d+)\]", change.key)
+    found = re.fullmatch(r"(.*inertia_kg_m2)\[(\d+)\]\[(\d+)\]", change.key, re.ASCII)
     if found is None or found[2] == found[3]:
         return [change]
     return [change, change._replace(key=f"{found[1]}[{found[3]}][{found[2]}]")]
@@ -223,7 +234,7 @@ def _index(node: list[Any], name: str, key: str) -> int:
     names = [str(each.get("name")) if isinstance(each, dict) else "" for each in node]
     if name and name in names:
         return names.index(name)
-    if name.isdigit() and int(name) < len(node):
+    if name.isdecimal() and name.isascii() and int(name) < len(node):
         return int(name)
     known = ", ".join(names) if any(names) else f"0 to {len(node) - 1}"
     raise InputError(sentence(f"there is no [{name}] here", got=key, do=f"known: {known}"))

@@ -29,6 +29,10 @@ REDRAWN = {
 """Figures of the study that the page has in another form, most of them to be turned; the files stay in the folder."""
 
 
+TURNS = {at: f"\\u{at:04x}" for at in (0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))}
+"""Characters that turn the direction of the text after them, by which names from outside could show what they are not."""
+
+
 def write_report(folder: str | Path, ours: bool = False, figures: bool = False) -> Path:
     """Write `report.html` of a results folder from the files in it, and return its path; `ours` as in `read_results`.
 
@@ -48,6 +52,7 @@ def write_report(folder: str | Path, ours: bool = False, figures: bool = False) 
         style=Markup(_asset("page.css")), data=Markup(_json(data)), licence=_licence() if turned else "",
         scripts=[Markup(_script(text)) for text in (*([_plotly()] if turned else []), _asset("page.js"), _asset("lander.js"))],
     )  # fmt: skip
+    text = text.translate(TURNS)
     return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
 
 

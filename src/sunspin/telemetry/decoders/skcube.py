@@ -163,7 +163,7 @@ def _zipped(path: Path) -> Iterator[Frame]:
 
 
 def _of_collector(name: str, frame: bytes) -> Frame:
-    named = re.match(r"(\d{9,11})_([A-Za-z0-9]+)", name)
+    named = re.match(r"([0-9]{9,11})_([A-Za-z0-9]+)", name)
     content = unescape(frame)[KISS_BYTES + AX25_BYTES :]
     return Frame(None, "", content) if named is None else Frame(int(named[1]), named[2], content)
 

@@ -1,0 +1,195 @@
+"""A number from outside is a plain decimal in ASCII digits, wherever it stands: no other form that Python reads is one."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.base.errors import InputError, TelemetryError
+from sunspin.base.untrusted import plain_number
+from sunspin.cli import values
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.ephemeris import read_ephemeris
+from sunspin.landing.scenario import _seconds
+from sunspin.vehicle.changes import changes_of
+from sunspin.vehicle.file import parse_vehicle
+
+SCRIPTS = (0x660, 0x6F0, 0x966, 0xFF10, 0x1D7CE)
+"""Where other scripts have their zero."""
+
+
+def plain(rng: np.random.Generator) -> str:
+    """A plain decimal, in one of the ways in which people write it."""
+    size = f"{rng.uniform(0, 100):.{rng.integers(0, 9)}f}"
+    forms = (size, size + "e-3", size + "E+2", str(rng.integers(0, 10**6)), f"{rng.integers(0, 9)}.", f".{rng.integers(0, 99)}")
+    return str(rng.choice(["", "", "-", "+"])) + str(rng.choice(np.array(forms, dtype=object)))
+
+
+def strange(text: str, rng: np.random.Generator) -> str:
+    """The same number in a form that is none."""
+    digits = [i for i, c in enumerate(text) if c.isdigit()]
+    at, zero = int(rng.choice(digits)), int(rng.choice(SCRIPTS))
+    forms = (
+        text[: at + 1] + "_0" + text[at + 1 :], text[:at] + chr(zero + int(text[at])) + text[at + 1 :],
+        text[: at + 1] + " 1" + text[at + 1 :], text.replace("-", "\u2212") if "-" in text else f"\u2212{text}", f"0x{digits[0]}f",
+        *("inf", "-inf", "nan", "Infinity", "1e400", "--1", "1e", "e5", "1.2.3", "True", "", " ", f"{text} W"),
+        *(f"\u00a0{text}", f"{text}j"),
+    )  # fmt: skip
+    return str(rng.choice(np.array(forms, dtype=object)))
+
+
+def test_plain_decimals_are_read_and_no_others():
+    rng = np.random.default_rng(1)
+    for _ in range(1000):
+        text = plain(rng)
+        odd = strange(text, rng)
+        assert plain_number(text) == plain_number(f" {text}\t") == float(text)
+        assert math.isnan(plain_number(odd)), odd
+
+
+VEHICLE = """
+name = "two"
+[gyro]
+columns = ["gx", "gy", "gz"]
+noise_rad_s = 0.001
+scale_rad_s = 1
+[[panel]]
+name = "a"
+normal_B = [1, 0, 0]
+gain_W = 1
+[[panel]]
+name = "b"
+normal_B = [0, 1, 0]
+gain_W = 1
+[telemetry]
+time_format = "elapsed"
+time_column = "t"
+epoch_utc = "2026-01-01T00:00:00Z"
+columns = { a = "a", b = "b" }
+bad_rows = "flag"
+"""
+
+
+def read(folder, cells, mark=","):
+    table = folder / "t.csv"
+    head = ["t", "a", "b", "gx", "gy", "gz"]
+    table.write_text("\n".join(mark.join(row) for row in [head, *cells]) + "\n", "utf-8")
+    return ss.read_telemetry(table, parse_vehicle(VEHICLE, "v.toml"))
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_a_cell_in_another_form_is_no_reading(seed, tmp_path):
+    rng = np.random.default_rng(seed)
+    cells = [[str(10 * i), *(f"{v:.4f}" for v in rng.uniform(0.1, 0.9, 5))] for i in range(4)]
+    row, column = int(rng.integers(1, 4)), int(rng.integers(1, 6))
+    assert not read(tmp_path, cells)["flag"].values.any()  # the right file first
+    cells[row][column] = strange(cells[row][column], rng)
+    data = read(tmp_path, cells)
+    seen = np.column_stack([data["power_W"].values, data["gyro_B"].values])
+    assert np.isnan(seen[row, column - 1]) and np.isfinite(np.delete(seen.ravel(), 5 * row + column - 1)).all()
+    assert bool(data["flag"].values[row]) == (column < 3)
+    cells[0][0] = strange("10", rng)
+    with pytest.raises(TelemetryError, match="line 2, column 't'"):
+        read(tmp_path, cells)
+
+
+@pytest.mark.parametrize("column", [1, 3])
+def test_how_a_file_writes_its_numbers_is_said_in_its_own_sentence(column, tmp_path):
+    """A damaged cell is flagged; a decimal comma or a column without a number is the file's way: no sensor is lost in silence."""
+    rows = [[str(10 * i), "0.5", "0.25", "0.1", "0.2", "0.3"] for i in range(3)]
+
+    def changed(cells, mark="\t"):
+        return read(tmp_path, [[*row[:column], cell, *row[column + 1 :]] for row, cell in zip(rows, cells, strict=True)], mark)
+
+    name = ["t", "a", "b", "gx"][column]
+    for cell in ("0,5", "-,5", "1,5e-3"):
+        with pytest.raises(TelemetryError, match=rf"line 3, column '{name}': the number has a decimal comma .*{cell}.*point"):
+            changed(["1", cell, "0.5"])
+    for cell in ("1_000", "\u0663", "0x10", "0.5 W", "1 e5"):
+        with pytest.raises(TelemetryError, match=rf"line 2, column '{name}': no cell of this column is a number \(found {cell}"):
+            changed([cell] * 3)
+        changed([cell, "0.5", cell])  # one number is enough for the others to be damaged
+    for cell in ("", "nan", "N/A", "--", "off"):
+        changed([cell] * 3)  # a sensor that is off
+    assert changed(["0,5", "1,5e-1", "2"], ";")["power_W"].values[1, 0] == (0.15 if column == 1 else 0.5)
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_options_and_changes_take_the_same_numbers(seed, capsys, monkeypatch):
+    rng = np.random.default_rng(seed)
+    good = plain(rng)
+    while not (odd := strange(good, rng)) or odd != odd.strip() or odd in ("True", "nan", "inf", "-inf"):
+        pass
+    assert values.numbers(f"1,{good}", "--omega") == [1, float(good)]
+    for wrong in (lambda: values.numbers(f"1,{odd}", "--omega"), lambda: _seconds(odd),
+                  lambda: values.period(f"{odd}+-1@10", None), lambda: values.prior(f"inertia={odd}"),
+                  lambda: values.grid(f"0:1:{odd}", "--omega-x"), lambda: values.times(odd, None)):  # fmt: skip
+        with pytest.raises(InputError):
+            wrong()
+
+
+@pytest.mark.parametrize("value", ["1_000", "0x10", "0o7", "0b1", "inf", "-nan", "[1, 1_0]", "[[1, 0, 0], [0, 0x1, 0]]"])
+def test_a_change_is_written_in_plain_decimals(value):
+    with pytest.raises(InputError, match="not a finite number such as"):
+        changes_of([f"body.mass_kg={value}"])
+    assert changes_of(["a=-1.5e-3", "b=[1, +2.5, 3e2]", 'c=["a_b", "0x1"]', "d=_x", "e=inverse"])[1].value == [1, 2.5, 300.0]
+
+
+LINES = """1 25544U 98067A   26001.50000000  .00001000  00000-0  10000-3 0  9990
+2 25544  51.6400 100.0000 0001000 100.0000 100.0000 15.50000000    10"""
+
+
+def summed(line: str) -> str:
+    """A line of elements with its right checksum."""
+    return line[:68] + str(sum(int(c) if c in "0123456789" else c == "-" for c in line[:68]) % 10)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_lines_with_other_characters_are_elements_or_a_sentence(seed):
+    """SGP4's own reader takes `1 5` for 1, and Python's `isdigit` a small ² for a digit."""
+    rng = np.random.default_rng(seed)
+    for _ in range(500):
+        one_pair_of_lines(rng)
+
+
+def one_pair_of_lines(rng):
+    first, second = (summed(line) for line in LINES.splitlines())
+    assert len(parse_elements(f"{first}\n{second}", "x")) == 1
+    lines = [first, second]
+    which, at = int(rng.integers(2)), int(rng.integers(2, 68))
+    odd = str(rng.choice(list(" _.-+eE0\u00b2\u0663\uff11\u00e9x\u00a0,")))
+    lines[which] = summed(lines[which][:at] + odd + lines[which][at + 1 :])
+    try:
+        (found,) = parse_elements("\n".join(lines), "x")
+    except InputError as error:
+        assert str(error).isprintable()
+    else:
+        assert "\n".join(found.given).isascii()
+        for field in (lines[1][8:16], lines[1][17:25], lines[1][34:42], lines[1][43:51], lines[1][52:63], lines[0][20:32]):
+            assert re.fullmatch(r" *\d+\.\d+", field)
+
+
+def test_an_angle_with_a_gap_in_it_is_no_angle():
+    first, second = (summed(line) for line in LINES.splitlines())
+    with pytest.raises(InputError, match="columns are not those"):
+        parse_elements(f"{first}\n{summed(second.replace(' 51.6400', '5 1.6400'))}", "x")
+
+
+ROWS = [f"2026-01-01T00:{m:02d}:00Z,{7000 * math.cos(m / 16):.6f},{7000 * math.sin(m / 16):.6f},0" for m in range(20)]
+
+
+@pytest.mark.parametrize("cell", ["1_0", "\u0663", "inf", "nan", "", "0x10", "1 0", "x"])
+def test_a_coordinate_in_another_form_is_refused(cell, tmp_path):
+    def ephemeris(rows):
+        path = tmp_path / "e.csv"
+        path.write_text("# frame: J2000\ntime_utc,x_km,y_km,z_km\n" + "\n".join(rows) + "\n", "utf-8")
+        return read_ephemeris(path)
+
+    assert ephemeris(ROWS)
+    with pytest.raises(InputError, match="coordinate of the ephemeris"):
+        ephemeris([*ROWS[:9], ROWS[9].rpartition(",")[0] + f",{cell}", *ROWS[10:]])
+    for time in ("now", "today", "NaT", "2026", "2026-000T00:00:00", "2026-999T00:00:00", "\u0662026-01-01", "9" * 30):
+        with pytest.raises(InputError, match="time"):
+            ephemeris([*ROWS[:9], time + "," + ROWS[9].partition(",")[2], *ROWS[10:]])
