@@ -37,7 +37,7 @@ def test_panels_of_one_face_count_as_one(each):
 
     sun, power = readings(each)
     samples = telemetry_dataset(craft, np.arange(len(sun)), power, sun, "2026-01-01T00:00:00Z", {})
-    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0}))
+    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.01}))
     assert np.all(lit[np.abs(sun).min(axis=1) > 0.05] == 3) and lit.max() <= 3
 
 
