@@ -41,6 +41,14 @@ def test_panels_of_one_face_count_as_one(each):
     assert np.all(lit[np.abs(sun).min(axis=1) > 0.05] == 3) and lit.max() <= 3
 
 
+def test_noise_lights_no_face():
+    craft = parse_vehicle(satellite(1), "v.toml")
+    dark = np.abs(0.05 * np.random.default_rng(0).normal(size=(40, 6)))
+    samples = telemetry_dataset(craft, np.arange(40), dark, np.eye(3)[np.zeros(40, int)], "2026-01-01T00:00:00Z", {})
+    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.05}))
+    assert np.count_nonzero(lit) <= 3  # at two hundredths of full Sun, 0.04 W, nearly all were
+
+
 @pytest.mark.parametrize("count", [1, SETS, SETS + 1, 500])
 def test_the_most_frequent_sets_are_named_and_the_others_counted(count):
     seen = {f"set {k}": k + 1 for k in range(count)}
