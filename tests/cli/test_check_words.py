@@ -5,7 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 
+from sunspin.base.errors import InputError
+from sunspin.cli.values import between, instants_of
 from sunspin.output.check.samples import _lit
 from sunspin.output.kinds.telemetry import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
@@ -72,3 +75,11 @@ def test_in_a_wrong_unit_nothing_is_said_of_directions_gains_and_faces(scale, tm
     assert scale != 1.0 or ("reconstructed" in said and "faces lit:" in said)
     if scale != 1.0:
         assert json.loads(sunspin("check", "v.toml", "t.csv", "--json").out)["telemetry"]["panels_misread"]
+
+
+def test_a_stretch_is_chosen_alike_by_rates_posterior_and_scan():
+    samples = xr.Dataset(coords={"time": np.arange(0, 600, 60.0)}, attrs={"epoch_utc": "2026-01-01T12:00:00Z"})
+    assert instants_of(samples, "2026-01-01T12:01", "180") == (60.0, 180.0) and instants_of(samples, None, None) == (None, None)
+    assert between(samples, "2026-01-01T12:01", "180")["time"].values.tolist() == [60.0, 120.0, 180.0]
+    with pytest.raises(InputError, match="--from takes s from the epoch, or UTC"):
+        instants_of(samples, "soon", None)
