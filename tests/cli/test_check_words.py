@@ -5,7 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 
+from sunspin.base.errors import InputError
+from sunspin.cli.values import between, instants_of
 from sunspin.output.check.samples import _lit
 from sunspin.output.kinds.telemetry import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
@@ -37,8 +40,16 @@ def test_panels_of_one_face_count_as_one(each):
 
     sun, power = readings(each)
     samples = telemetry_dataset(craft, np.arange(len(sun)), power, sun, "2026-01-01T00:00:00Z", {})
-    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0}))
+    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.01}))
     assert np.all(lit[np.abs(sun).min(axis=1) > 0.05] == 3) and lit.max() <= 3
+
+
+def test_noise_lights_no_face():
+    craft = parse_vehicle(satellite(1), "v.toml")
+    dark = np.abs(0.05 * np.random.default_rng(0).normal(size=(40, 6)))
+    samples = telemetry_dataset(craft, np.arange(40), dark, np.eye(3)[np.zeros(40, int)], "2026-01-01T00:00:00Z", {})
+    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.05}))
+    assert np.count_nonzero(lit) <= 3  # at two hundredths of full Sun, 0.04 W, nearly all were
 
 
 @pytest.mark.parametrize("count", [1, SETS, SETS + 1, 500])
@@ -64,3 +75,11 @@ def test_in_a_wrong_unit_nothing_is_said_of_directions_gains_and_faces(scale, tm
     assert scale != 1.0 or ("reconstructed" in said and "faces lit:" in said)
     if scale != 1.0:
         assert json.loads(sunspin("check", "v.toml", "t.csv", "--json").out)["telemetry"]["panels_misread"]
+
+
+def test_a_stretch_is_chosen_alike_by_rates_posterior_and_scan():
+    samples = xr.Dataset(coords={"time": np.arange(0, 600, 60.0)}, attrs={"epoch_utc": "2026-01-01T12:00:00Z"})
+    assert instants_of(samples, "2026-01-01T12:01", "180") == (60.0, 180.0) and instants_of(samples, None, None) == (None, None)
+    assert between(samples, "2026-01-01T12:01", "180")["time"].values.tolist() == [60.0, 120.0, 180.0]
+    with pytest.raises(InputError, match="--from takes s from the epoch, or UTC"):
+        instants_of(samples, "soon", None)

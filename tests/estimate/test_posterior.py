@@ -18,6 +18,7 @@ from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
 from sunspin.estimate.posterior.verdict import Found, sigmas, verdict
+from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -122,6 +123,24 @@ def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
 
 
 @pytest.mark.long
+def test_a_wheel_whose_speed_nothing_tells_leaves_nothing_decided(cube, telemetry):
+    craft = replace(cube, wheels=(ss.Wheel("fly", [0, 0, 1], 1e-4),))
+    standing = ss.posterior(craft, telemetry, SMALL, seed=0, draws=300, workers=1)
+    read = telemetry.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((telemetry.sizes["time"], 1))))
+    measured = ss.posterior(craft, read, SMALL, seed=0, draws=300, workers=1)
+    assert "nothing tells the speed of wheel fly" in standing.attrs["verdict"] and not standing["passes"]["decided"].values[0]
+    assert measured.attrs["verdict_word"] == "unique" and measured["passes"]["decided"].values[0]
+
+
+def test_wheels_turn_at_first_as_the_telemetry_says(cube, telemetry):
+    craft = replace(cube, wheels=(ss.Wheel("a", [0, 0, 1], 1e-4, speed_rad_s=7.0), ss.Wheel("b", [1, 0, 0], 1e-4)))
+    speed = np.stack([100 + telemetry["time"].values, np.full(telemetry.sizes["time"], np.nan)], axis=1)
+    read = telemetry.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
+    assert [wheel.speed_rad_s for wheel in as_measured(craft, read, 30.0).wheels] == [130.0, 0.0]
+    assert as_measured(craft, telemetry, 30.0) is craft
+    assert untold(craft, read) == untold(craft, telemetry) == ["b"]
+
+
 def test_a_prior_that_excludes_the_truth_is_an_answer_and_no_defect(cube, telemetry):
     found = ss.posterior(cube, telemetry.isel(time=slice(0, 8)), SMALL | {"max_rate_rad_s": 0.1}, seed=0, draws=500, workers=2)
     assert found.attrs["verdict_word"] in ("not explained", "not sure"), found.attrs["verdict"]

@@ -86,6 +86,7 @@ def test_a_wheel_of_untold_speed_leaves_nothing_decided():
     measured = ss.rates(replace(CUBE, wheels=(wheel,)), read, max_rate_rad_s=0.05)
     assert [bool(one["decided"].values[0]) for one in (stands, untold, measured)] == [True, False, True]
     assert "NOTHING TELLS THE SPEED OF WHEEL reaction-y" in untold.attrs["verdict"]
+    assert "nothing tells the speed of wheel reaction-y: give speed_rad_s" in str(untold["why_not_decided"].values[0])
     assert all("THE SPEED OF" not in one.attrs["verdict"] for one in (stands, measured))
 
 

@@ -28,6 +28,7 @@ def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
         ({"misfits": SOUND | {"gyro": Misfit(40, 0.5, 1.0)}}, "FITS BADLY (gyro)"),
         ({"explained": False}, "FITS BADLY"),
         ({"search_complete": False}, "search not complete"),
+        ({"search_complete": False, "cure": "give more effort"}, "search not complete (give more effort)"),
     ],
 )
 def test_one_no_is_enough(change, why):

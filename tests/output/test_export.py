@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.export import LOCAL_FRAME, attitude_of, write_cf, write_parquet
+from sunspin.output.export import LOCAL_FRAME, attitude_of, read_results, write_cf, write_parquet
 from sunspin.output.export.aem import write_aem
 from sunspin.output.export.ck import ephemeris_time, kernel_rates, write_ck
 from sunspin.vehicle import Vehicle
@@ -74,11 +74,33 @@ def test_another_library_reads_the_message(form, result, tmp_path):
 
 
 def test_a_celestial_frame_is_refused_without_a_second_direction(result):
-    with pytest.raises(ss.InputError, match="turn about the Sun line"):
+    with pytest.raises(ss.InputError, match="axes are those of the body at the start of the run"):
         attitude_of(result, "EME2000")
+    with pytest.raises(ss.InputError, match="turn about it is arbitrary.*an orbit and a magnetometer"):
+        attitude_of(result.assign_attrs(frame_N="sun_z_local"), "EME2000")
     known = result.assign_attrs(celestial_frame="EME2000")
     assert attitude_of(known, "EME2000").frame == "EME2000"
     assert attitude_of(known).frame == "EME2000"
+
+
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+def test_what_is_said_of_a_local_frame_is_so(result, form, tmp_path):
+    said = write_aem(tmp_path / "a", attitude_of(result), form).read_text()
+    assert "those of the body at the start" in said and "Sun" not in said  # which stands at (0, 0.6, 0.8) of it
+    assert np.allclose(body_from_n(result)[0], np.eye(3), rtol=0, atol=1e-12)
+    assert "z axis points to the Sun" in attitude_of(result.assign_attrs(frame_N="sun_z_local")).stands
+    assert "magnetic field" in attitude_of(result.assign_attrs(frame_N="field_z_local")).stands
+
+
+def test_a_motion_simulated_backward_is_exported_in_the_order_of_time(result, tmp_path):
+    run = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, -np.arange(0, 100, 2.5))
+    assert not np.signbit(run["time"].values[0])  # zero, which would else be printed as -0
+    run.to_netcdf(tmp_path / "trajectory.nc", engine="h5netcdf")
+    data, _ = read_results(tmp_path)
+    back = attitude_of(data, epoch_utc="2026-01-01T00:00:00Z")
+    assert back.t_s[0] == -97.5 and np.array_equal(back.omega_B[-1], run["omega_B"].values[0])
+    with xr.open_dataset(write_cf(tmp_path / "a.nc", data, back)) as written:
+        assert np.array_equal(written["omega_B"].values, back.omega_B)
 
 
 @pytest.mark.evidence("export", "validated", "NAIF's SPICE reads the kernels back")

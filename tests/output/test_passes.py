@@ -8,6 +8,8 @@ import xarray as xr
 from sunspin.estimate.passes import PassMotions, table
 from sunspin.estimate.verdict import Misfit, answers
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
+from sunspin.output.kinds.rate_words import RateAt
+from sunspin.output.text import number_text, size_text, with_sigma
 from sunspin.vehicle.timeline import utc_after
 
 COLUMNS = [
@@ -57,3 +59,10 @@ def test_the_summary_has_the_same_names(found):
     told = pass_numbers(found, 0) | motion_numbers(found, 0, 1)
     assert set(COLUMNS) <= set(told) and told["omega_x"] == 0.2 and told["omega_x_deg_s"] == pytest.approx(11.459, abs=1e-3)
     assert told["decided"] is False and told["why_not_decided"] == "several motions; informed: x z only"
+
+
+def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():
+    assert number_text([-0.0, -1e-9]) == "(0, -1e-09)" and with_sigma(-0.0004, 0.1).startswith("0.00 ")
+    at = RateAt(1.0, 1.0, 1.0, 0.0, np.array([-0.001, 0.2, 1.0]), np.full(3, 0.1))
+    assert at.components == "(0.00, 0.20, 1.00) +- (0.10, 0.10, 0.10)"
+    assert [size_text(n) for n in (12, 34_000, 5_200_000)] == ["0.1 kB", "34.0 kB", "5.2 MB"]

@@ -16,11 +16,11 @@ CUBE = Vehicle(
 )  # fmt: skip
 
 
-def telemetry(value, time=None, flag=None):
+def telemetry(value, time=None, flag=None, vehicle=CUBE):
     n = len(value)
     return xr.Dataset(
         {"current_A": (("time", "panel"), value), "flag": ("time", np.zeros(n, np.uint8) if flag is None else flag)},
-        {"time": np.arange(n) * 30.0 if time is None else time, "panel": list(CUBE.panel_names)},
+        {"time": np.arange(n) * 30.0 if time is None else time, "panel": list(vehicle.panel_names)},
     )
 
 
@@ -98,6 +98,24 @@ def test_spikes_stale_late_and_empty_frames_are_said():
     assert np.isfinite(quality["sigma"].values[3, 0])  # the others of that sample still count
     assert "stale" in why[6] and "no panel has a number" in why[8] and "late or repeated" in why[9]
     assert quality["use"].values[[3, 6, 8, 9]].tolist() == [DOWNWEIGHTED, DROPPED, DROPPED, DROPPED]
+
+
+@pytest.mark.parametrize("told", ["stated", "below zero", "cut to zero"])
+def test_noise_in_the_shadow_is_no_sun_that_stands_aside(told):
+    """Four sides see nothing of a Sun along z, so noise on them looks like one; in the dark nothing but noise is read."""
+    sides = Vehicle(
+        "sides", gain_unit="A", panels=[Panel(f"p{k}", n, 0.5) for k, n in enumerate(NORMALS[[0, 1, 3, 4]])],
+        telemetry=TelemetryForm(quantity="current_A", noise=0.015 if told == "stated" else None),
+    )  # fmt: skip
+    rng = np.random.default_rng(2)
+    sun = rng.normal(size=(200, 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    lit = np.arange(200) < 100
+    value = ss.panel_power(sides, sun) * lit[:, None] + 0.015 * rng.normal(size=(200, 4))
+    value = np.maximum(value, 0.0) if told == "cut to zero" else value
+    use = panel_quality(sides, telemetry(value, vehicle=sides))["use"].values
+    seen = np.hypot(sun[:, 0], sun[:, 1]) > 0.35
+    assert (use[~lit] == DROPPED).all() and (use[lit & seen] == USED).all()
 
 
 def test_a_body_at_rest_is_not_stale():

@@ -30,6 +30,7 @@ def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
     """
     from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
     from sunspin.output.folder import results_folder
+    from sunspin.output.text import counted
 
     data, source = read_results(folder)
     attitude = attitude_of(data, frame, epoch)
@@ -51,7 +52,6 @@ def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
         "from": str(source), "frame": attitude.frame, "samples": len(attitude.t_s), "segments": len(attitude.parts()),
         "files": [str(path) for path in paths],
     }  # fmt: skip
-    local = "LOCAL" in attitude.frame.upper()
-    why = "; its z axis points to the Sun, the turn about it is arbitrary and another in each pass" if local else ""
-    lines = [f"{len(attitude.t_s)} attitudes in {len(attitude.parts())} segments, frame {attitude.frame}{why}"]
-    report(summary, [*lines, *(f"  {path}" for path in paths)], as_json, quiet)
+    frame = attitude.frame + (f"; {attitude.stands}" if attitude.stands else "")
+    line = f"{counted(len(attitude.t_s), 'attitude')} in {counted(len(attitude.parts()), 'segment')}, frame {frame}"
+    report(summary, [line, *(f"  {path}" for path in paths)], as_json, quiet)

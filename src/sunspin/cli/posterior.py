@@ -17,7 +17,7 @@ from sunspin.cli.common import (
     store_option,
     wheel_mode_option,
 )
-from sunspin.cli.values import field, observation, period_option, periods_of, prior, times
+from sunspin.cli.values import field, instants_of, observation, period_option, periods_of, prior, times
 
 BLOW = ("body.mass_kg", "leg", "collision")
 """What only predictions beyond a collision use."""
@@ -26,8 +26,8 @@ BLOW = ("body.mass_kg", "leg", "collision")
 @click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
-@click.option("--from", "begin", type=float, help="Use samples from this time on, s from the epoch.")
-@click.option("--to", "end", type=float, help="Use samples up to this time, s from the epoch.")
+@click.option("--from", "begin", help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.")
+@click.option("--to", "end", help="Use samples up to this time, likewise.")
 @click.option("--phase", help="Use the samples of this phase of the file.")
 @click.option("--prior", "priors", multiple=True, help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
               "friction, gain, noise, scale; tilt, tilt_common (rad); also time_s, max_rate_rad_s, steady_torque (deg by which "
@@ -75,9 +75,10 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     seen += [field(text) for text in fields]
     asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
     evidence = periods_of(periods, samples)
+    first_s, last_s = instants_of(samples, begin, end)
     claim(out, "posterior")
     tree = run(
-        craft, samples, dict(prior(text) for text in priors), seed, begin_s=begin, end_s=end, phase=phase, observations=seen,
+        craft, samples, dict(prior(text) for text in priors), seed, begin_s=first_s, end_s=last_s, phase=phase, observations=seen,
         wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet), device=device,
         periods=evidence,
     )  # fmt: skip

@@ -22,7 +22,8 @@ def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
       sunspin report rates
     """
     from sunspin.output.report import write_report
+    from sunspin.output.text import size_text
 
     target = write_report(folder, figures=True)
     size = target.stat().st_size
-    report({"report": str(target), "bytes": size}, [f"Report: {target} ({size / 1e6:.1f} MB)"], as_json, quiet)
+    report({"report": str(target), "bytes": size}, [f"Report: {target} ({size_text(size)})"], as_json, quiet)

@@ -19,14 +19,14 @@ from sunspin.cli.common import (
     store_option,
     wheel_mode_option,
 )
-from sunspin.cli.values import grid, numbers
+from sunspin.cli.values import grid, instants_of, numbers
 
 
 @click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.argument("telemetry")
-@click.option("--from", "begin", type=float, default=None, help="First time to use, s of the file's clock.")
-@click.option("--to", "end", type=float, default=None, help="Last time to use, s of the file's clock.")
+@click.option("--from", "begin", help="First time to use: UTC, or s from the epoch.")
+@click.option("--to", "end", help="Last time to use, likewise.")
 @click.option("--omega-x", default="-0.5:1:0.015", show_default=True, help="Grid of omega_x, rad/s (0.1 rad/s: 5.73 "
               "deg/s): low:high:step, or values with commas.")
 @click.option("--omega-y", default="-0.5:1:0.015", show_default=True, help="Grid of omega_y, rad/s.")
@@ -76,7 +76,7 @@ def scan(vehicle, telemetry, begin, end, omega_x, omega_y, omega_z, wheel_speed,
     if craft.telemetry.lit_threshold and not craft.channels:  # then directions do not depend on the noise, only their sigmas do
         say_idle(craft.changes, ("telemetry.noise",))
     samples = read_telemetry(find_telemetry(telemetry, data), craft)
-    track = directions_within(craft, samples, begin, end)
+    track = directions_within(craft, samples, *instants_of(samples, begin, end))
     speeds = numbers(wheel_speed, "--wheel-speed") if wheel_speed else [wheel.speed_rad_s for wheel in craft.wheels]
     if metric == "E" and made.assumptions.changes:
         raise InputError(sentence("mask and target weights are those of EMD", got="--metric E", do="leave one of them out"))

@@ -177,16 +177,20 @@ def between(samples: Any, begin: str | None, end: str | None) -> Any:
 
     from sunspin.vehicle.timeline import utc_after
 
-    inside = np.ones(samples.sizes["time"], dtype=bool)
-    if begin is not None:
-        inside &= samples["time"].values >= instant(begin, "--from", samples.attrs["epoch_utc"])
-    if end is not None:
-        inside &= samples["time"].values <= instant(end, "--to", samples.attrs["epoch_utc"])
+    first, last = instants_of(samples, begin, end)
+    t = samples["time"].values
+    inside = (t >= (-np.inf if first is None else first)) & (t <= (np.inf if last is None else last))
     if not inside.any():
-        first, last = (utc_after(float(t), samples.attrs["epoch_utc"]) for t in samples["time"].values[[0, -1]])
+        there = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
         got = f"{begin or 'the beginning'} to {end or 'the end'}"
-        raise InputError(sentence("no samples lie between --from and --to", got=got, do=f"the file has {first} to {last}"))
+        raise InputError(sentence("no samples lie between --from and --to", got=got, do=f"the file has {there}"))
     return samples.isel(time=np.flatnonzero(inside))
+
+
+def instants_of(samples: Any, begin: str | None, end: str | None) -> tuple[float | None, float | None]:
+    """Seconds from the epoch of --from and --to, None where they are not given."""
+    epoch = samples.attrs["epoch_utc"]
+    return (None if begin is None else instant(begin, "--from", epoch), None if end is None else instant(end, "--to", epoch))
 
 
 def instant(text: str, option: str, epoch_utc: str) -> float:

@@ -164,7 +164,7 @@ def propagate(
 
 
 def _times(t_s: npt.ArrayLike) -> np.ndarray:
-    t = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
+    t = np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + 0.0  # no minus zero
     steps = np.diff(t)
     if t.ndim != 1 or t.size == 0 or not np.all(np.isfinite(t)) or not (np.all(steps > 0) or np.all(steps < 0)):
         raise MotionError(sentence("t_s must be finite times that all increase, or all decrease", got=f"shape {t.shape}"))
@@ -275,7 +275,7 @@ def _piece(run: _Run, ta, t_stop: float):
         if state.watch_from is not None:
             target = max(target, state.watch_from) if run.backward else min(target, state.watch_from)
     if target == run.t:
-        raise MotionError(sentence(f"the body turns too fast to be followed at t = {run.t:g} s", do="check the rates' unit"))
+        raise MotionError(sentence(f"the body turns too fast to be followed at t = {run.t:zg} s", do="check the rates' unit"))
     ta.pars[:] = values
     ta.state[:] = run.y
     ta.time = run.t
@@ -285,14 +285,14 @@ def _piece(run: _Run, ta, t_stop: float):
     run.pending = -outcome - 1 if -2 * len(run.wheels) <= outcome < 0 else None
     run.t = float(ta.time if run.pending is not None else target)
     if not np.all(np.isfinite(run.y)):
-        raise MotionError(sentence(f"the motion left the range of numbers at t = {run.t:g} s", do="check the rates' unit"))
+        raise MotionError(sentence(f"the motion left the range of numbers at t = {run.t:zg} s", do="check the rates' unit"))
     return dense
 
 
 def _change_modes(run: _Run, ta) -> None:
     """Handle what ended the piece: an event of a wheel, or the known stop of a stuck wheel on the way back."""
     if len(run.events) > MAX_EVENTS:
-        raise MotionError(sentence(f"more than {MAX_EVENTS} wheel events by t = {run.t:g} s: the wheel chatters"))
+        raise MotionError(sentence(f"more than {MAX_EVENTS} wheel events by t = {run.t:zg} s: the wheel chatters"))
     if run.pending is not None:
         wheel, is_breakaway = divmod(run.pending, 2)
         _breakaway(run, wheel) if is_breakaway else _stop(run, wheel)
@@ -350,7 +350,7 @@ def _breakaway(run: _Run, i: int) -> None:
     if run.backward:
         raise MotionError(
             sentence(
-                f"wheel {run.vehicle.wheels[i].name!r} cannot have been stuck before t = {run.t:.6g} s: friction was too weak",
+                f"wheel {run.vehicle.wheels[i].name!r} cannot have been stuck before t = {run.t:z.6g} s: friction was too weak",
                 do="give the time it stopped as stopped_at_s, or begin later",
             )
         )
@@ -377,7 +377,7 @@ def _require_known_past(run: _Run, i: int) -> None:
     if state.turning is m.Turning.STUCK and stopped is None:
         raise MotionError(
             sentence(
-                f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t + 0.0:.6g} s and a wheel that "
+                f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t:z.6g} s and a wheel that "
                 "sticks forgets its past",
                 do="give the time it stopped as stopped_at_s",
             )
@@ -385,7 +385,7 @@ def _require_known_past(run: _Run, i: int) -> None:
     if state.turning is m.Turning.STUCK and stopped is not None and stopped >= run.t:
         if stopped > run.t:
             raise MotionError(
-                sentence(f"stopped_at_s = {stopped:g} s lies after t = {run.t:g} s, at which the wheel is already at rest")
+                sentence(f"stopped_at_s = {stopped:g} s lies after t = {run.t:zg} s, at which the wheel is already at rest")
             )
         _release_backward(run, i)
 

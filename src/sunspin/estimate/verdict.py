@@ -51,13 +51,14 @@ class Misfit(NamedTuple):
 
 class Answers(NamedTuple):
     """The three answers for one pass or posterior, and whether the search left nothing out; `informed` (3) by component, `wrong`
-    the sensors that do not agree with the motion."""
+    the sensors that do not agree with the motion, `cure` what may have been left out and what would help."""
 
     unique: bool
     informed: tuple[bool, bool, bool]
     fits: bool
     search_complete: bool
     wrong: tuple[str, ...] = ()
+    cure: str = ""
 
     @property
     def decided(self) -> bool:
@@ -76,12 +77,13 @@ class Answers(NamedTuple):
         if len(known) < 3:
             reasons.append(f"informed: {' '.join(known)} only" if known else "NOT INFORMED, the prior is given back")
         if not self.search_complete:
-            reasons.append("search not complete")
+            reasons.append("search not complete" + (f" ({self.cure})" if self.cure else ""))
         return "; ".join(reasons)
 
 
 def answers(
-    unique: bool, sigma: np.ndarray, prior_sigma: float, misfits: Mapping[str, Misfit], explained: bool, search_complete: bool
+    unique: bool, sigma: np.ndarray, prior_sigma: float, misfits: Mapping[str, Misfit], explained: bool, search_complete: bool,
+    cure: str = "",
 ) -> Answers:
     """The answers for one motion.
 
@@ -90,7 +92,7 @@ def answers(
     """
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
     x, y, z = (bool(one < NARROWER * prior_sigma) for one in np.asarray(sigma))  # NaN is not informed
-    return Answers(bool(unique), (x, y, z), bool(explained and not wrong), bool(search_complete), wrong)
+    return Answers(bool(unique), (x, y, z), bool(explained and not wrong), bool(search_complete), wrong, cure)
 
 
 def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:

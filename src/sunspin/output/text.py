@@ -22,7 +22,7 @@ def number_text(value: Any, digits: int = 5) -> str:
     if isinstance(value, dict):
         return "; ".join(f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items())
     if isinstance(value, float):
-        return f"{value:.{digits}g}" if np.isfinite(value) else "none"
+        return f"{value:z.{digits}g}" if np.isfinite(value) else "none"
     return "none" if value is None else str(value)
 
 
@@ -43,13 +43,18 @@ def with_sigma(value: float, sigma: float) -> str:
     if not (np.isfinite(sigma) and sigma > 0):
         return f"{value:.3f} ± {sigma:.3g}"
     decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
-    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+    return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"
 
 
 def turn_text(rate_rad_s: float) -> str:
     """The time of one turn: seconds below two minutes, else minutes."""
     seconds = 2 * np.pi / abs(rate_rad_s)
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
+
+
+def size_text(size: int) -> str:
+    """The size of a file of so many bytes, in MB or where it is small in kB."""
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{max(size / 1e3, 0.1):.1f} kB"
 
 
 def capital(text: str) -> str:

@@ -13,6 +13,7 @@ import xarray as xr
 
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
+from sunspin.telemetry.noise import dark_noise
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.silent import lost
 from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, signals
@@ -22,6 +23,14 @@ from sunspin.vehicle.response.protocol import sphere
 
 DEAD_FRACTION = 0.05
 """A panel that never exceeds this fraction of its gain, in a file that is long enough, is taken as dead."""
+
+DARK_SIGMAS = 4.0
+"""Without a reading of so many sigma of noise a sample tells of no Sun: in the shadow noise makes one of six panels read as much in
+2 of 10,000 samples, and at three sigma in one of 120, which panels on some sides only would take for a Sun that stands aside."""
+
+UNTOLD_NOISE = 0.03
+"""Noise that neither the vehicle file nor readings below zero tell is hardly more than this share of full Sun; what panels that
+face away read beyond it is the Earth's."""
 
 DEAD_SAMPLES = 20
 """Samples with some panel lit before a panel may be called dead."""
@@ -126,6 +135,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
     bright = brightness(vehicle, use_value)
     dark = bright < DEAD_FRACTION * full
+    dark |= ~_beyond_noise(vehicle, value, use_value, float(noise), full * _albedo(vehicle, relative[sound & ~dark] / full)[0])
     idle = good & ~dark & (bright < IDLE_FRACTION * full)
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
     level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
@@ -237,6 +247,14 @@ def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     if not len(bright) or bright.max() <= 0:
         return 1.0, "nothing: no panel is lit"
     return float(np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)), "the brighter samples of the file"
+
+
+def _beyond_noise(vehicle: Vehicle, value: np.ndarray, light: np.ndarray, noise: float, away: float) -> np.ndarray:
+    """Which samples (n) have a reading of `light` (n, n_panel) that noise does not make: noise as stated, else what readings below
+    zero of all `value` tell, else up to a bound what panels that face away from the Sun read, `away` (of the gain)."""
+    told = noise if vehicle.telemetry.noise is not None else dark_noise(value)
+    made = max(noise, told) if told is not None else min(away, UNTOLD_NOISE) * vehicle.input_gains
+    return np.asarray((light > DARK_SIGMAS * made).any(axis=1))
 
 
 def _dead(relative: np.ndarray, full: float) -> np.ndarray:

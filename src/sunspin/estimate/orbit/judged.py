@@ -60,7 +60,7 @@ def drifting(found: OrbitCheck) -> str:
     """How the shift changes, in words, where the telemetry has shown it."""
     if found.made is None:
         return ""
-    return f" in the middle of the file, {found.drift_s_day:+.1f} +- {found.drift_sigma_s_day:.1f} s a day"
+    return f" in the middle of the file, {found.drift_s_day:+z.1f} +- {found.drift_sigma_s_day:.1f} s a day"
 
 
 def clock_off(found: OrbitCheck) -> str:
@@ -84,7 +84,7 @@ def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple
         return None, found, f"the orbit is NOT USED: {why}{clock} (`sunspin check` with the same elements says more)"
     if found.verdict is Verdict.UNDECIDED:
         sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-        along = f"{orbit.shift_s:+.0f} +- {sigma:.0f} s along the track"
+        along = f"{orbit.shift_s:+z.0f} +- {sigma:.0f} s along the track"
         return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it{sign}"
     # the shift found is that of place and clock together, of which the data determine the sum
     rest = float(np.sqrt(max(found.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
@@ -92,5 +92,5 @@ def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple
         orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s),
         drift_s_day=found.drift_s_day, drift_sigma_s_day=found.drift_sigma_s_day,
     )  # fmt: skip
-    shift = f"{found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s along the track{drifting(found)}"
+    shift = f"{found.shift_s:+z.0f} +- {found.shift_sigma_s:.0f} s along the track{drifting(found)}"
     return known, found, f"the orbit is used: its elements fit, {shift}{sign}"

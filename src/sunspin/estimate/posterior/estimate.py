@@ -45,6 +45,7 @@ from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import COUNTS, TOO_FEW, Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
+from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-5
@@ -153,6 +154,9 @@ def posterior(
     _whole(seed, draws)
     k.require_device(device)
     data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
+    unsure = ", ".join(untold(vehicle, telemetry))
+    if not {"wheel_off_s", "wheel_off"} & set(priors or {}):  # else the vehicle's speeds are those of an earlier instant
+        vehicle = as_measured(vehicle, telemetry, start_s)
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
     unknown = under(replace(unknown, device=device), acting(torques, environment, start_s))
@@ -183,6 +187,9 @@ def posterior(
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
     if edge > 0.01:
         modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
+    if unsure:
+        cure = "give speed_rad_s or a speed_column, or leave out a wheel that stands"
+        modes = replace(modes, notes=(*modes.notes, f"nothing tells the speed of wheel {unsure}, taken for standing: {cure}"))
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
     tree.attrs["prior_widths"] = json.dumps({"word": word_of(found), "told": prior_widths(there, drawn, found)})

@@ -119,8 +119,7 @@ def _not_explained(found: Found) -> str:
         side = "more" if found.noise_sigmas > 0 else "less"
         text = "not explained: no motion fits unless the noise is far "
         text += f"{side} than was assumed, from the vehicle file or from the readings ({found.noise_sigmas:+.1f} sigma)"
-    if found.spoilt:
-        text += "; " + "; ".join(found.spoilt)
+    text = "; ".join([text, *found.spoilt, *found.doubts])
     return f"{text}; the vehicle, the window or the state of the wheels is not what was assumed, or a panel is shadowed or dead"
 
 

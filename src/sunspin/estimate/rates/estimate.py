@@ -32,7 +32,7 @@ from sunspin.estimate.rates.motion import Body, load, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, Task, choose, evidence_of_noises, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
-from sunspin.estimate.rates.result import SUSPECTED, believed, dataset_of, in_space, in_the_field, verdict
+from sunspin.estimate.rates.result import SUSPECTED, believed, cures, dataset_of, in_space, in_the_field, verdict
 from sunspin.estimate.rates.rough import roughly
 from sunspin.estimate.rates.side_by_side import each, processes
 from sunspin.estimate.rates.smooth import cost_limit
@@ -216,7 +216,7 @@ def rates(
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
     result = result.assign_coords(pass_id=ids).assign(
-        believed(o, found, motion, missed | cut | unmet | (result.attrs["wheels_untold"] != ""), telemetry.attrs.get("epoch_utc"))
+        believed(o, found, motion, cures(cut, missed, unmet, result.attrs["wheels_untold"]), telemetry.attrs.get("epoch_utc"))
     )
     result = result.assign(without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),

@@ -18,11 +18,11 @@ from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.images import either_side, images_of
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Observations
-from sunspin.estimate.rates.wheels import untold
 from sunspin.estimate.terms.earth_light import faint
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.verdict import NARROWER, answers, misfit
+from sunspin.estimate.wheel_speeds import untold
 
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
@@ -119,11 +119,23 @@ def in_the_field(result: xr.Dataset) -> xr.Dataset:
     ).assign_attrs(frame_N=FIELD_Z_LOCAL, field_used=1)  # fmt: skip
 
 
-def believed(o: Observations, found: list[Pass], motion: Motion, missed: list[bool], epoch_utc: str | None) -> dict[str, Any]:
-    """What may be believed of each pass, and its motions at the sample nearest to its middle."""
+def cures(cut: np.ndarray, coarse: np.ndarray, unmet: np.ndarray, wheels: str) -> list[str]:
+    """Of each pass what the search may have left out and what would help, in words; empty where nothing. `cut` (n), `coarse` (n)
+    and `unmet` (n): where it was cut short, was coarse, or may not have met the motion; `wheels` whose speed nothing tells."""
+    every = {
+        "cut short: give more effort, `--effort 10`": cut,
+        "coarse: give a smaller largest rate if you know one": coarse,
+        "torques as strong as no satellite has, or the body is no sphere: give its inertia": unmet,
+        f"nothing tells the speed of wheel {wheels}: give speed_rad_s or a speed_column": np.full(len(cut), wheels != ""),
+    }
+    return ["; ".join(words for words, which in every.items() if which[k]) for k in range(len(cut))]
+
+
+def believed(o: Observations, found: list[Pass], motion: Motion, cure: list[str], epoch_utc: str | None) -> dict[str, Any]:
+    """What may be believed of each pass, and its motions at the sample nearest to its middle; `cure` as `cures` has it."""
     rows, names = [], sorted({name for p in found for name in p.residual})
     misfits = {name: np.full((len(found), 3), np.nan) for name in names}
-    for k, (p, is_missed) in enumerate(zip(found, missed, strict=True)):
+    for k, (p, missed) in enumerate(zip(found, cure, strict=True)):
         t = o.t_s[p.index]
         at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
         omega, covariance = p.track.omega[:, at], p.track.covariance[:, at, 3:, 3:]
@@ -134,7 +146,7 @@ def believed(o: Observations, found: list[Pass], motion: Motion, missed: list[bo
         explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
         one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
         unique = bool(p.weight[one].sum() >= DECIDED)
-        said = answers(unique, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not is_missed)
+        said = answers(unique, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not missed, missed)
         row = PassMotions(
             len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
             UNCHECKED if list(told) == ["Sun"] else AS_STATED,

@@ -11,6 +11,7 @@ import xarray as xr
 
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.estimate.rates.motion import mean_moment
+from sunspin.estimate.wheel_speeds import filled
 from sunspin.vehicle import Vehicle
 
 MEASURED = "measured"
@@ -29,7 +30,7 @@ def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarr
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
         return {"none": none}
     if "wheel_speed_rad_s" in telemetry:
-        return {MEASURED: _momentum(vehicle, _filled(t, telemetry["wheel_speed_rad_s"].values, vehicle))}
+        return {MEASURED: _momentum(vehicle, filled(t, telemetry, vehicle))}
     nominal = np.array([wheel.speed_rad_s for wheel in vehicle.wheels])
     found = {HELD: _momentum(vehicle, np.broadcast_to(nominal, (len(t), len(nominal))))}
     if np.any(nominal):
@@ -45,23 +46,6 @@ def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarr
     return found
 
 
-def untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
-    """Names of wheels of whose speed neither the vehicle file nor the telemetry says anything: taken for standing."""
-    if vehicle.inertia_kg_m2 is None or "wheel_speed_rad_s" in telemetry:
-        return []
-    return [wheel.name for wheel in vehicle.wheels if wheel.speed_rad_s == 0]
-
-
 def _momentum(vehicle: Vehicle, speed: np.ndarray) -> np.ndarray:
     axes = np.array([wheel.inertia_kg_m2 * np.asarray(wheel.axis_B) for wheel in vehicle.wheels])
     return speed @ axes / mean_moment(vehicle)
-
-
-def _filled(t: np.ndarray, speed: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Speeds (n, n_wheel) with gaps bridged linearly; a wheel never read keeps its nominal speed."""
-    full = np.empty(speed.shape)
-    for k, wheel in enumerate(vehicle.wheels):
-        known = np.flatnonzero(np.isfinite(speed[:, k]))
-        known = known[np.argsort(t[known], kind="stable")]
-        full[:, k] = np.interp(t, t[known], speed[known, k]) if len(known) else wheel.speed_rad_s
-    return full

@@ -86,11 +86,11 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
         return [*lines, "  no sample shows a field, the Sun or the dark"]
     lines.append(f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)")
     if found.turn_times > 1.05:
-        turn = f"with the node turned by {np.degrees(found.turn_rad):+.0f} deg"
+        turn = f"with the node turned by {np.degrees(found.turn_rad):+z.0f} deg"
         lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
     both = " (with the clock: of both, the data determine the sum)"
-    lines.append(f"  shift along the track {found.shift_s:+.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}")
+    lines.append(f"  shift along the track {found.shift_s:+z.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}")
     if np.isfinite(found.strength_residual_T):
         angle = np.degrees(found.angle_residual_rad)
         sun = f", of its angle to the Sun {angle:.1f} deg" if np.isfinite(angle) else ""

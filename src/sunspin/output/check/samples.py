@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
-from sunspin.telemetry.quality import panel_quality, reasons
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.quality import SURELY_LIT, panel_quality, reasons
+from sunspin.telemetry.sun import LIT_SIGMAS, signals
 from sunspin.telemetry.units import wrong_units
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import line_of, vehicle_text
@@ -89,7 +89,8 @@ def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[s
 
 def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
     """How many faces (n) are lit, panels of one face counting once; with channels how many inputs."""
-    floor = 2 * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
+    light = SURELY_LIT * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
+    floor = np.maximum(light, LIT_SIGMAS * quality.attrs["noise"])
     lit = np.nan_to_num(signals(samples)) > floor
     if craft.channels:
         return lit.sum(axis=1)

@@ -18,11 +18,18 @@ from sunspin.base.errors import InputError, OutputError, sentence
 from sunspin.base.netcdf import read_netcdf
 from sunspin.base.untrusted import is_own
 from sunspin.dynamics.propagate import MAX_RATE
-from sunspin.environment.frames import J2000
+from sunspin.environment.frames import BODY_AT_START, FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.output.folder import write_netcdf, write_whole
 
 LOCAL_FRAME = "SUNSPIN_LOCAL"
-"""Name of a frame that is fixed in inertial space, but nobody knows how."""
+"""Name of a frame of which nobody knows how it stands in space."""
+
+STANDS = {
+    SUN_Z_LOCAL: "its z axis points to the Sun, the turn about it is arbitrary and another in each pass",
+    FIELD_Z_LOCAL: "its z axis follows the magnetic field, the turn about it is arbitrary and another in each pass",
+    BODY_AT_START: "its axes are those of the body at the start of the run",
+}
+"""How a local frame stands, by what the results call it."""
 
 LONGEST_S = 1e10
 """Three centuries: what is farther from the epoch is no time of a mission."""
@@ -35,7 +42,8 @@ SOURCES = ("rates.nc", "trajectory.nc")
 
 class Attitude(NamedTuple):
     """What is exported: times (n) in s from `epoch`, quaternions B_from_N (n, 4) scalar last, rates (n, 3) rad/s in B,
-    the number of the pass of each sample (n), the object's name, the frame of N, whether the telemetry was synthetic."""
+    the number of the pass of each sample (n), the object's name, the frame of N, whether the telemetry was synthetic,
+    and how N `stands`, in words, where it is local."""
 
     t_s: np.ndarray
     epoch: datetime
@@ -45,6 +53,7 @@ class Attitude(NamedTuple):
     name: str
     frame: str
     synthetic: bool
+    stands: str
 
     def utc(self, i: int) -> str:
         """Time of sample `i`, ISO-8601 UTC to the microsecond, without a zone."""
@@ -63,11 +72,17 @@ def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
             raise InputError(sentence("this is a link, and a results folder has files of its own", do="copy the file here",
                                       where=str(path)))  # fmt: skip
         if is_own(path):
-            return read_netcdf(path, str(path), InputError), path
+            return _forward(read_netcdf(path, str(path), InputError)), path
     raise InputError(
         sentence("no attitude here", got="neither " + " nor ".join(SOURCES), where=str(folder),
                  do="write one with `sunspin rates ... --out DIR` or `sunspin simulate ... --out DIR`")
     )  # fmt: skip
+
+
+def _forward(data: xr.Dataset) -> xr.Dataset:
+    """Of a motion that was simulated backward the samples in the order of time."""
+    t = data["time"].values if "time" in data.variables else np.zeros(0)
+    return data.isel(time=slice(None, None, -1)) if t.ndim == 1 and len(t) > 1 and np.all(np.diff(t) < 0) else data
 
 
 def attitude_of(data: xr.Dataset, frame: str | None = None, epoch_utc: str | None = None) -> Attitude:
@@ -77,15 +92,15 @@ def attitude_of(data: xr.Dataset, frame: str | None = None, epoch_utc: str | Non
     contains LOCAL) may be written; a result of an orbit that is known (``frame_N`` J2000), or whose attrs name a
     ``celestial_frame``, may be written in that one. `epoch_utc`: UTC of time zero, where the result has none.
     """
-    known = data.attrs.get("celestial_frame", J2000 if data.attrs.get("frame_N") == J2000 else None)
+    frame_N = data.attrs.get("frame_N")
+    known = data.attrs.get("celestial_frame", J2000 if frame_N == J2000 else None)
     wanted = frame or known or LOCAL_FRAME
-    if wanted != known and "LOCAL" not in wanted.upper():
-        raise InputError(
-            sentence(
-                "the Sun alone does not tell the turn about the Sun line, so this attitude is not known in a celestial frame",
-                got=wanted, do=f"export in {LOCAL_FRAME}, or give a second direction (a calibrated magnetometer, a star)",
-            )
-        )  # fmt: skip
+    local = "LOCAL" in wanted.upper()
+    stands = STANDS.get(str(frame_N), "nobody knows how it stands in space")
+    if wanted != known and not local:
+        more = "" if frame_N == BODY_AT_START else ", or give `rates` an orbit and a magnetometer"
+        what = f"this attitude is not known in a celestial frame, but in a local one: {stands}"
+        raise InputError(sentence(what, got=wanted, do=f"export in {LOCAL_FRAME}{more}"))
     missing = [name for name in ("B_from_N", "omega_B", "time") if name not in data.variables]
     if missing:
         raise InputError(sentence(f"the results have no {', '.join(missing)}"))
@@ -105,7 +120,7 @@ def attitude_of(data: xr.Dataset, frame: str | None = None, epoch_utc: str | Non
     return Attitude(
         t, _epoch(epoch_utc or data.attrs.get("epoch_utc")), quaternion / size[:, None],
         omega, part, str(data.attrs.get("vehicle", "UNKNOWN")), wanted,
-        bool(data.attrs.get("synthetic", 0)),
+        bool(data.attrs.get("synthetic", 0)), stands if local else "",
     )  # fmt: skip
 
 

@@ -34,8 +34,7 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
 
 
 def _comments(attitude: Attitude) -> list[str]:
-    lines = [f"{attitude.frame} is fixed in inertial space, its z axis points to the Sun; its turn about z is arbitrary,",
-             "and another in each segment"] if "LOCAL" in attitude.frame.upper() else []  # fmt: skip
+    lines = [f"{attitude.frame}: {attitude.stands}"] if attitude.stands else []
     return [*lines, "made from synthetic telemetry"] if attitude.synthetic else lines
 
 

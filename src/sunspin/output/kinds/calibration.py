@@ -35,8 +35,8 @@ def calibration_summary(found: Any) -> Summary:
             lines[-1] += f"; of its angle to the Sun {was:.1f} deg before, {now:.1f} deg after"
         names = ("shift_s", "shift_sigma_s", "drift_s_day", "drift_sigma_s_day")
         shift, sigma, drift, drift_sigma = (found.attrs[name] for name in names)
-        each_day = f"drifting by {drift:+.1f} +- {drift_sigma:.1f} s a day"
-        lines.append(f"Shift along the track {shift:+.1f} +- {sigma:.1f} s in the middle of the file, {each_day}")
+        each_day = f"drifting by {drift:+z.1f} +- {drift_sigma:.1f} s a day"
+        lines.append(f"Shift along the track {shift:+z.1f} +- {sigma:.1f} s in the middle of the file, {each_day}")
         about = (*names, "field_residual_before_T", "field_residual_after_T",
                  "sun_field_residual_before_rad", "sun_field_residual_after_rad", "field_noise_T")  # fmt: skip
         numbers |= {name: float(found.attrs[name]) for name in about}

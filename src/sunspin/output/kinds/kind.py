@@ -77,4 +77,4 @@ def synthetic_words(synthetic: Any) -> str:
 
 
 def vector(values: Iterable[float]) -> str:
-    return "[" + ", ".join(f"{value:.5g}" for value in values) + "]"
+    return "[" + ", ".join(f"{value:z.5g}" for value in values) + "]"

@@ -20,10 +20,10 @@ def trajectory_summary(run: Any) -> Summary:
     parts = (run["event_time_s"].values, run["event_wheel"].values, run["event_what"].values)
     events = [{"t_s": float(at), "wheel": str(name), "what": str(what)} for at, name, what in zip(*parts, strict=True)]
     state = {name: end[name].values.tolist() for name in ("omega_B", "sun_B", "wheel_speed_rad_s")}
+    wheels = f", wheels {vector(state['wheel_speed_rad_s'])} rad/s" if state["wheel_speed_rad_s"] else ""
     lines = [
-        f"at t = {t[-1]:g} s: rate {rate_text(state['omega_B'])}, Sun {vector(state['sun_B'])}, "
-        f"wheels {vector(state['wheel_speed_rad_s'])} rad/s",
-        *(f"  {event['wheel']} {event['what']} at {event['t_s']:.3f} s" for event in events[:MOST_EVENTS]),
+        f"at t = {t[-1]:zg} s: rate {rate_text(state['omega_B'])}, Sun {vector(state['sun_B'])}{wheels}",
+        *(f"  {event['wheel']} {event['what']} at {event['t_s']:z.3f} s" for event in events[:MOST_EVENTS]),
     ]
     if len(events) > MOST_EVENTS:
         lines.append(f"  and {len(events) - MOST_EVENTS} more wheel events")

@@ -39,7 +39,7 @@ def posterior_summary(tree: Any) -> Summary:
     for mode in numbers["modes"][:MOST_MODES]:
         known = mode["sigma"] is not None
         digits = digits_of(np.degrees(mode["sigma"])) if known else 2
-        omega, sigma = (", ".join(f"{x:.{digits}f}" for x in np.degrees(mode[key] or ())) for key in ("omega_B", "sigma"))
+        omega, sigma = (", ".join(f"{x:z.{digits}f}" for x in np.degrees(mode[key] or ())) for key in ("omega_B", "sigma"))
         error = f"+- ({sigma}) deg/s" if known else "deg/s, too few draws for a sigma"
         lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) {error}  chi-square {mode['chi_square']:.0f}")
     worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"

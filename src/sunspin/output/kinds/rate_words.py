@@ -34,7 +34,7 @@ class RateAt(NamedTuple):
     def components(self) -> str:
         """(1.1, -1.7, 2.9) +- (0.1, 0.1, 0.1)"""
         digits = digits_of(self.sigma)
-        omega, sigma = (", ".join(f"{value:.{digits}f}" for value in values) for values in (self.omega, self.sigma))
+        omega, sigma = (", ".join(f"{value:z.{digits}f}" for value in values) for values in (self.omega, self.sigma))
         return f"({omega}) +- ({sigma})"
 
 
@@ -53,4 +53,4 @@ def rate_at(result: Any, k: int) -> RateAt:
 def clock_of(result: Any, seconds: float) -> str:
     """A time of the result: UTC, or s where its epoch is not known."""
     epoch = result.attrs.get("epoch_utc")
-    return f"{seconds:.0f} s" if not epoch else utc_after(seconds, str(epoch))
+    return f"{seconds:z.0f} s" if not epoch else utc_after(seconds, str(epoch))

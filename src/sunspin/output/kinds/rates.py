@@ -96,7 +96,7 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
     if numbers.get("model", AS_STATED) != AS_STATED:
         best += f"  likeliest: {numbers['model']} (weight {numbers['model_weight']:.2f})"
-    return numbers, f"  {t[0]:10.0f} s  {len(at):3d} samples  {best}"
+    return numbers, f"  {t[0]:z10.0f} s  {len(at):3d} samples  {best}"
 
 
 def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:

@@ -26,14 +26,14 @@ def section(results: Results) -> Section | None:
 
 def _rows(found: dict[str, Any]) -> list[tuple[str, str | bool]]:
     age = _number(found, "age_days", "{:.1f}")
-    shift, sigma = _number(found, "shift_s", "{:+.0f}"), _number(found, "shift_sigma_s", "{:.0f}")
-    drift, drift_sigma = _number(found, "drift_s_day", "{:+.1f}"), _number(found, "drift_sigma_s_day", "{:.1f}")
+    shift, sigma = _number(found, "shift_s", "{:+z.0f}"), _number(found, "shift_sigma_s", "{:.0f}")
+    drift, drift_sigma = _number(found, "drift_s_day", "{:+z.1f}"), _number(found, "drift_sigma_s_day", "{:.1f}")
     better, copies = _number(found, "better_copies", "{:.0f}"), _number(found, "copies", "{:.0f}")
-    turn, times = _number(found, "node_turn_rad", "{:+.0f}", DEGREE), _number(found, "node_turn_times", "{:.2f}")
+    turn, times = _number(found, "node_turn_rad", "{:+z.0f}", DEGREE), _number(found, "node_turn_times", "{:.2f}")
     shadow, seen = _number(found, "in_shadow", "{:.0f}"), _number(found, "in_shadow_with_sun", "{:.0f}")
     field = _number(found, "field_residual_T", "{:.2f} uT", 1e6)
     angle = _number(found, "sun_field_residual_rad", "{:.1f} deg", DEGREE)
-    hours, samples = _number(found, "clock_behind_s", "{:+.0f}", 1 / 3600), found.get("samples")
+    hours, samples = _number(found, "clock_behind_s", "{:+z.0f}", 1 / 3600), found.get("samples")
     compared = ", ".join(f"{what} of {n}" for what, n in samples.items()) if isinstance(samples, dict) else ""
     notes = found.get("notes")
     return [

@@ -130,7 +130,7 @@ def utc_text(seconds: float, epoch_utc: str | None, date: bool = False) -> str:
     """15:34:04 of the day, or the seconds where no epoch is known."""
     zero = epoch_ms(epoch_utc)
     if zero is None or not np.isfinite(seconds):
-        return f"{seconds:.1f} s"
+        return f"{seconds:z.1f} s"
     moment = datetime.fromtimestamp(round(zero / 1000.0 + float(seconds)), UTC)
     return moment.strftime("%Y-%m-%d %H:%M:%S" if date else "%H:%M:%S")
 
