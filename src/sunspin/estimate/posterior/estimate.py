@@ -45,6 +45,7 @@ from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import COUNTS, TOO_FEW, Found, believed, refused, spoilt_panels, verdict, word_of
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
+from sunspin.solve.weights import effective_draws
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-5
@@ -310,7 +311,7 @@ def _listed(drawn: Mixed) -> int:
 def _effective(drawn: Mixed, region: int) -> float:
     """How many draws of equal weight those of a region are worth."""
     own = drawn.log_weight[drawn.region == region]
-    return float(1 / np.sum(np.exp(own - logsumexp(own)) ** 2))
+    return effective_draws(np.exp(own - logsumexp(own)))
 
 
 def _modes(drawn: Mixed) -> xr.Dataset:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
@@ -22,6 +21,7 @@ from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.modes import Modes, standing
 from sunspin.estimate.posterior.turns import drawn_turns, rest_of, with_turns, without_turns
+from sunspin.solve.weights import effective_draws, pareto_tail
 
 ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
 """Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round."""
@@ -65,9 +65,6 @@ that left out all that fits. Were there such a mode, the fits under three of the
 
 ON_RIDGE = 9.0
 """Squared distance for each dimension, in sigmas, up to which a mode lies on the ridge of another."""
-
-TAIL_LEAST = 30
-"""Weights that a tail must have to be fitted."""
 
 BLOCK = 2_000
 """Draws whose densities under all components are worked on at once."""
@@ -237,8 +234,7 @@ def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, 
     weight = np.where(np.isnan(weight), -np.inf, weight)
     if not np.isfinite(weight.max()):  # no draw is possible
         return _Round(state, proposed, weight, known, parts, density, 0.0, np.inf, -np.inf)
-    share = np.exp(weight - weight.max())
-    effective = float(share.sum() ** 2 / np.sum(share**2))
+    effective = effective_draws(np.exp(weight - weight.max()))
     evidence = float(logsumexp(weight) - np.log(n))
     return _Round(state, proposed, weight, known, parts, density, effective, pareto_tail(weight), evidence)
 
@@ -246,34 +242,6 @@ def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, 
 def _blocks(n: int) -> list[slice]:
     """Draws to be worked on at once, so that what is made of many draws and components stays small."""
     return [slice(low, min(low + BLOCK, n)) for low in range(0, n, BLOCK)]
-
-
-def pareto_tail(log_weight: np.ndarray) -> float:
-    """Shape k of the generalised Pareto law of the largest weights (Vehtari et al. 2024): errors shrink as expected below 0.7."""
-    weight = np.sort(np.exp(log_weight - log_weight.max()))
-    count = int(min(0.2 * len(weight), 3 * np.sqrt(len(weight))))
-    if count < TAIL_LEAST or weight[-count - 1] <= 0:
-        return np.inf
-    beyond = weight[-count:] - weight[-count - 1]
-    if beyond[-1] <= 0 or beyond.mean() < 1e-12 * weight[-1]:
-        return -1.0  # all alike
-    return _shape(beyond / beyond.mean())
-
-
-def _shape(x: np.ndarray) -> float:
-    """Shape k of the likeliest generalised Pareto law: with t = k / scale, k = mean log(1 + t x), which leaves t alone
-    to be sought (Grimshaw 1993)."""
-
-    def cost(at: float) -> float:
-        t = np.expm1(at) / x.max()
-        k = float(np.mean(np.log1p(t * x)))
-        return k + (np.log(k / t) if abs(at) > 1e-9 else float(np.log(x.mean())))
-
-    steps = np.concatenate([-np.geomspace(5.0, 1e-3, 40), np.geomspace(1e-3, 8.0, 40)])
-    best = int(np.argmin([cost(at) for at in steps]))
-    around = steps[max(best - 1, 0)], steps[min(best + 1, len(steps) - 1)]
-    at = minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-6}).x
-    return float(np.mean(np.log1p(np.expm1(at) / x.max() * x)))
 
 
 def _first(
@@ -424,7 +392,7 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     for alike, x in mixture.charts(made.proposed, used):
         for i in np.searchsorted(used, alike):
             part = share[:, used[i]] / share[:, used[i]].sum()
-            keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
+            keep = min(1.0, effective_draws(part) / (4.0 * x.shape[1]))  # few draws move little
             mean[i] = keep * (part @ x) + (1 - keep) * mean[i]
             spread = (part[:, None] * (x - mean[i])).T @ (x - mean[i])
             learnt[i] = keep * spread + (1 - keep) * learnt[i]
