@@ -13,7 +13,6 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior import estimate, hypotheses
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.importance import _shape, pareto_tail
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
@@ -21,6 +20,7 @@ from sunspin.estimate.posterior.verdict import Found, sigmas, verdict
 from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.solve.rotations import moved
+from sunspin.solve.weights import _shape, effective_draws, pareto_tail
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
@@ -219,6 +219,7 @@ def test_derivatives_are_those_of_another_step(reached):
 
 def test_heavy_tails_are_noticed():
     rng = np.random.default_rng(0)
+    assert effective_draws(np.array([3.0, 3.0, 0.0])) == pytest.approx(2.0)
     assert pareto_tail(np.zeros(2000)) < 0
     assert pareto_tail(0.3 * rng.standard_normal(5000)) < 0.5
     assert pareto_tail(rng.exponential(1.0, 5000)) > 0.8  # weights with a Pareto tail of shape one

@@ -7,6 +7,7 @@ import pytest
 
 import strange_twins
 import sunspin as ss
+from sunspin.estimate.posterior import cells
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, apart, coordinates, denser, joined, same_mode
@@ -219,3 +220,21 @@ def test_hopeless_hypotheses_keep_a_cost_for_the_best_of_them_to_go_on():
     plain = Fit(Likelihood(unknown, data), start, levels, normal=True)(np.arange(5))
     assert np.isfinite(none["cost"]).all() and none["normal"].shape == every["normal"].shape
     assert all(np.array_equal(every[name], plain[name]) for name in plain)
+
+
+def test_a_start_settles_by_the_derivatives_of_what_it_sees():
+    rng = np.random.default_rng(3)
+    quaternions = np.array([0.1, -0.3, 0.2, 0.9]) + 0.2 * rng.standard_normal((8, 2, 4))
+    frame, x, q = np.linalg.qr(rng.standard_normal((3, 3)))[0], np.array([0.3, 0.6, 0.2]), np.empty((4, 4))
+
+    def seen(x, sun):
+        r, column = np.empty(3), np.empty((5, 3))
+        cells._there(quaternions, 2, x, sun, frame, r, column, q)
+        return r, column
+
+    here, column = seen(x, frame[0])
+    step = 1e-6
+    for i in range(3):
+        np.testing.assert_allclose((seen(x + step * np.eye(3)[i], frame[0])[0] - here) / step, column[i], atol=1e-5)
+    for i in range(2):
+        np.testing.assert_allclose(seen(x, frame[0] + step * frame[1 + i])[0] - here, step * column[3 + i], atol=1e-11)

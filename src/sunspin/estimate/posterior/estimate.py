@@ -46,6 +46,7 @@ from sunspin.estimate.posterior.verdict import COUNTS, TOO_FEW, Found, believed,
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.estimate.wheel_speeds import as_measured, untold
+from sunspin.solve.weights import effective_draws
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-5
@@ -317,7 +318,7 @@ def _listed(drawn: Mixed) -> int:
 def _effective(drawn: Mixed, region: int) -> float:
     """How many draws of equal weight those of a region are worth."""
     own = drawn.log_weight[drawn.region == region]
-    return float(1 / np.sum(np.exp(own - logsumexp(own)) ** 2))
+    return effective_draws(np.exp(own - logsumexp(own)))
 
 
 def _modes(drawn: Mixed) -> xr.Dataset:

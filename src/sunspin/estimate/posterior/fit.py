@@ -23,7 +23,7 @@ FILES = (
     "estimate/terms/steady_torque.py",
     "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
     "estimate/terms/sun_direction.py",
-    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "estimate/posterior/tilt.py",
+    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "solve/weights.py", "estimate/posterior/tilt.py",
     "estimate/posterior/turns.py", "estimate/posterior/family.py",
 )  # fmt: skip
 """Files whose text decides what the rows of a posterior give."""

@@ -17,11 +17,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from sunspin.dynamics.torques.acting import OWN, PER_DIRECTION, needed
-from sunspin.estimate.posterior.importance import Sample, pareto_tail
+from sunspin.estimate.posterior.importance import Sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, pushed
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, distinct, within
 from sunspin.estimate.terms.steady_torque import WORDS
+from sunspin.solve.weights import effective_draws, pareto_tail
 
 STATED = "as stated"
 
@@ -233,7 +234,7 @@ def mixed(tried: list[Sampled]) -> Mixed:
     return Mixed(
         tuple(tried), weight, np.repeat(np.arange(len(tried)), sizes), np.concatenate([np.arange(n) for n in sizes]), log_weight,
         np.concatenate([one.drawn.log_likelihood for one in tried]), rank[label], by_region[order], starts[order],
-        float(1 / np.sum(share**2)), pareto_tail(log_weight), float(logsumexp(log_weight)),
+        effective_draws(share), pareto_tail(log_weight), float(logsumexp(log_weight)),
     )  # fmt: skip
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
@@ -22,6 +21,7 @@ from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.modes import Modes, standing
 from sunspin.estimate.posterior.turns import drawn_turns, rest_of, with_turns, without_turns
+from sunspin.solve.weights import effective_draws, pareto_tail
 
 ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
 """Rounds in which the mixture learns at most, their draws, and the least and most draws of the last round."""
@@ -49,6 +49,10 @@ DEFENCE = 0.15
 LOCAL, LOCAL_SHRINK = 24, 0.6
 """Where learning stalls: components put on draws of the posterior, and their covariance as a part of the whole region's."""
 
+BENT_ANEW, FEW_TO_BEND, ONE_REGION, LEAST_TAUGHT = 2, 3.0, 0.99, 1e-9
+"""Where learning does not succeed: rounds with a bend of draws, effective draws for each of its coefficients that it needs, the
+part of the weight in one region, and the part of the largest weight that a draw has at least to teach it."""
+
 MOST_BENT = 12
 """Modes whose ridges are followed, the best."""
 
@@ -65,9 +69,6 @@ that left out all that fits. Were there such a mode, the fits under three of the
 
 ON_RIDGE = 9.0
 """Squared distance for each dimension, in sigmas, up to which a mode lies on the ridge of another."""
-
-TAIL_LEAST = 30
-"""Weights that a tail must have to be fitted."""
 
 BLOCK = 2_000
 """Draws whose densities under all components are worked on at once."""
@@ -149,10 +150,13 @@ def sample(
     if not worth.any():
         return None
     if last is None:
-        blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
+        parts = [track.mixture for track in tracks]
+        anew, share, more = _bent_anew(likelihood, Blend.by(parts, worth), tracks[best].first, seed, run, chunk, part)
+        if anew is not None:
+            parts, worth = [*parts, anew], np.append(worth, share)
         count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
-        last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
-        trace.append([last.evidence, last.effective / count, last.tail])
+        last = _round(likelihood, Blend.by(parts, worth), count, seed, len(SOFTS) * ROUNDS, run, chunk)
+        trace += [*more, [last.evidence, last.effective / count, last.tail]]
     label, of_component = regions(last.log_weight, last.parts, last.density)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
@@ -199,6 +203,57 @@ def _taught(
     return _Track(pooled(tried) if good is None and share else mixture, of_mode, share, trace, first, good)
 
 
+def _bent_anew(
+    likelihood: Likelihood, blend: Blend, first: Mixture, seed: int, run: Any, chunk: int, part: float
+) -> tuple[Mixture | None, float, list[list[float]]]:
+    """A mixture bent as the draws of `blend` are, about one of the `first` components; what its draws are worth, and the trace.
+    None where draws are few, or lie in several regions.
+
+    A ridge is followed about the best motion; a broad sheet goes on otherwise, and hundreds of draws tell how.
+    """
+    count, begin = int(part * DRAWS), len(SOFTS) * ROUNDS + 1
+    made, trace, best, share = _round(likelihood, blend, count, seed, begin, run, chunk), [], None, 0.0
+    for turn in range(BENT_ANEW):
+        label = regions(made.log_weight, made.parts, made.density)[0]
+        alone = np.exp(logsumexp(made.log_weight[label == 0]) - logsumexp(made.log_weight)) if made.effective else 0.0
+        if made.effective < FEW_TO_BEND * first.sheet.terms or alone < ONE_REGION:
+            break
+        mixture = _rebent(made, first)
+        made = _round(likelihood, mixture, count, seed, begin + 1 + turn, run, chunk)
+        trace.append([made.evidence, made.effective / count, made.tail])
+        if made.effective / count > share:
+            best, share = mixture, made.effective / count
+    return best, share, trace
+
+
+def _rebent(made: _Round, first: Mixture) -> Mixture:
+    """The `first` components and, about the one that is likeliest to have made the weighted draws, their own bend and moments."""
+    weight = _cut(made.log_weight)
+    used = np.flatnonzero(weight > LEAST_TAUGHT * weight.max())
+    weight, draws = weight[used] / weight[used].sum(), made.proposed.take(used)
+    one = first.take(np.array([np.argmax(weight @ first.log_densities(draws))]))
+    x = one.coordinates(draws, 0)
+    terms = monomials(x, one.sheet)
+    middle = weight @ terms
+    spread = np.sqrt(weight @ (terms - middle) ** 2)
+    unit = (terms - middle) / spread
+    told = (weight[:, None] * unit).T @ unit + np.eye(len(spread)) / effective_draws(weight)  # a draw's worth of no bend besides
+    answer = np.linalg.solve(told, (weight[:, None] * unit).T @ x[:, one.sheet.stiff]) / spread[:, None]
+    bent = replace(one, bend=one.bend + answer)
+    x = bent.coordinates(draws, 0)
+    mean = weight @ x
+    covariance = (weight[:, None] * (x - mean)).T @ (x - mean)
+    taught = replace(bent, mean=mean[None], covariance=covariance[None], weight=np.full(1, 1 - DEFENCE))
+    return Mixture.joined([replace(first, covariance=2.0 * first.covariance, weight=DEFENCE * first.weight), taught])
+
+
+def _cut(log_weight: np.ndarray) -> np.ndarray:
+    """Weights (n) that add to one of which none counts for more than a root of their number."""
+    weight = log_weight - log_weight.max()
+    weight = np.exp(np.minimum(weight, logsumexp(weight) - np.log(len(weight)) / 2))
+    return weight / weight.sum()
+
+
 def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
     """The mixtures of all rounds, by what their draws were worth: none of them may be trusted to cover the posterior alone."""
     total = sum(share for share, _ in tried)
@@ -237,8 +292,7 @@ def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, 
     weight = np.where(np.isnan(weight), -np.inf, weight)
     if not np.isfinite(weight.max()):  # no draw is possible
         return _Round(state, proposed, weight, known, parts, density, 0.0, np.inf, -np.inf)
-    share = np.exp(weight - weight.max())
-    effective = float(share.sum() ** 2 / np.sum(share**2))
+    effective = effective_draws(np.exp(weight - weight.max()))
     evidence = float(logsumexp(weight) - np.log(n))
     return _Round(state, proposed, weight, known, parts, density, effective, pareto_tail(weight), evidence)
 
@@ -246,34 +300,6 @@ def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, 
 def _blocks(n: int) -> list[slice]:
     """Draws to be worked on at once, so that what is made of many draws and components stays small."""
     return [slice(low, min(low + BLOCK, n)) for low in range(0, n, BLOCK)]
-
-
-def pareto_tail(log_weight: np.ndarray) -> float:
-    """Shape k of the generalised Pareto law of the largest weights (Vehtari et al. 2024): errors shrink as expected below 0.7."""
-    weight = np.sort(np.exp(log_weight - log_weight.max()))
-    count = int(min(0.2 * len(weight), 3 * np.sqrt(len(weight))))
-    if count < TAIL_LEAST or weight[-count - 1] <= 0:
-        return np.inf
-    beyond = weight[-count:] - weight[-count - 1]
-    if beyond[-1] <= 0 or beyond.mean() < 1e-12 * weight[-1]:
-        return -1.0  # all alike
-    return _shape(beyond / beyond.mean())
-
-
-def _shape(x: np.ndarray) -> float:
-    """Shape k of the likeliest generalised Pareto law: with t = k / scale, k = mean log(1 + t x), which leaves t alone
-    to be sought (Grimshaw 1993)."""
-
-    def cost(at: float) -> float:
-        t = np.expm1(at) / x.max()
-        k = float(np.mean(np.log1p(t * x)))
-        return k + (np.log(k / t) if abs(at) > 1e-9 else float(np.log(x.mean())))
-
-    steps = np.concatenate([-np.geomspace(5.0, 1e-3, 40), np.geomspace(1e-3, 8.0, 40)])
-    best = int(np.argmin([cost(at) for at in steps]))
-    around = steps[max(best - 1, 0)], steps[min(best + 1, len(steps) - 1)]
-    at = minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-6}).x
-    return float(np.mean(np.log1p(np.expm1(at) / x.max() * x)))
 
 
 def _first(
@@ -415,22 +441,20 @@ def _follow_ridge(
 
 def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np.random.Generator) -> Mixture:
     """The mixture with the moments of the weighted draws, each draw shared out among the components that may have made it."""
-    weight = made.log_weight - made.log_weight.max()
-    cut = logsumexp(weight) - np.log(len(weight)) / 2  # no draw counts for more than a root of their number
-    weight = np.exp(np.minimum(weight, cut))
-    share = np.exp(made.parts - made.density[:, None]) * (weight / weight.sum())[:, None]
+    weight = _cut(made.log_weight)
+    share = np.exp(made.parts - made.density[:, None]) * weight[:, None]
     used = np.flatnonzero(share.sum(axis=0) > 1e-4)
     mean, learnt = mixture.mean[used], mixture.covariance[used]
     for alike, x in mixture.charts(made.proposed, used):
         for i in np.searchsorted(used, alike):
             part = share[:, used[i]] / share[:, used[i]].sum()
-            keep = min(1.0, 1.0 / np.sum(part**2) / (4.0 * x.shape[1]))  # few draws move little
+            keep = min(1.0, effective_draws(part) / (4.0 * x.shape[1]))  # few draws move little
             mean[i] = keep * (part @ x) + (1 - keep) * mean[i]
             spread = (part[:, None] * (x - mean[i])).T @ (x - mean[i])
             learnt[i] = keep * spread + (1 - keep) * learnt[i]
     origin, shares = used, share[:, used].sum(axis=0) / share[:, used].sum()
     if local:
-        pick = rng.choice(len(weight), LOCAL, p=weight / weight.sum())
+        pick = rng.choice(len(weight), LOCAL, p=weight)
         owner = np.argmax(share[np.ix_(pick, used)], axis=1)
         points = [mixture.coordinates(made.proposed.take(pick[[i]]), int(used[o]))[0] for i, o in enumerate(owner)]
         origin, mean = np.concatenate([used, used[owner]]), np.concatenate([mean, points])

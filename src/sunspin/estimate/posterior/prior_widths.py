@@ -13,10 +13,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from sunspin.estimate.posterior.hypotheses import Mixed
-from sunspin.estimate.posterior.importance import pareto_tail
 from sunspin.estimate.posterior.model import Model
 from sunspin.estimate.posterior.verdict import Found, word_of
 from sunspin.estimate.verdict import LEAST_DRAWS
+from sunspin.solve.weights import effective_draws, pareto_tail
 
 FACTORS = (0.5, 2.0)
 
@@ -52,7 +52,7 @@ def _one(model: Model, drawn: Mixed, found: Found, key: str, factor: float) -> d
     if not np.any(np.isfinite(log_weight)):
         return said | {"effective": 0.0}
     before, after = (np.exp(x - logsumexp(x)) for x in (drawn.log_weight, log_weight))
-    effective = float(1 / np.sum(after**2))
+    effective = effective_draws(after)
     if effective < LEAST_DRAWS or pareto_tail(log_weight[np.isfinite(log_weight)]) > LARGEST_TAIL:
         return said | {"effective": effective}
     (old, was), (new, now) = (_moments(weight, drawn.state.omega) for weight in (before, after))

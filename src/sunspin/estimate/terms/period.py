@@ -16,6 +16,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.estimate.verdict import LEAST_DRAWS
+from sunspin.solve.weights import effective_draws
 
 READINGS = ("precession", "spin", "sum")
 
@@ -113,7 +114,7 @@ def evidence(seen: Sequence[Period], periods: Sequence[np.ndarray], weight: np.n
         return Evidence(density, weight, np.zeros((len(seen), 3)), nearest, 0.0)
     after = weight * density / total
     shares = [(after[:, None] * one / np.maximum(one.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0) for one in each]
-    return Evidence(density, after, np.array(shares), nearest, float(1 / np.sum(after**2)))
+    return Evidence(density, after, np.array(shares), nearest, effective_draws(after))
 
 
 def unheard(nearest_sigmas: float, effective: float, whose: str) -> str | None:

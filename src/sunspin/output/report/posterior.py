@@ -13,6 +13,7 @@ from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import COLOURS, SYMBOLS, Plot, Section, Table, camera, packed, thin, utc_text
 from sunspin.output.text import with_sigma
+from sunspin.solve.weights import effective_draws
 
 MOST = 4000
 SHOWN = 7
@@ -94,7 +95,7 @@ def _effective(omega: np.ndarray, weight: np.ndarray) -> float:
     """How many different draws (n, 3) of equal weight these are worth: some stand there several times."""
     _, which = np.unique(omega, axis=0, return_inverse=True)
     each = np.bincount(which.ravel(), weight)
-    return round(float(each.sum() ** 2 / (each**2).sum()), 6) if each.any() else 0.0
+    return round(effective_draws(each), 6) if each.any() else 0.0
 
 
 ASKED = {

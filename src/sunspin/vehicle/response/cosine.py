@@ -38,16 +38,11 @@ class Flat:
 
     def cosines(self, sun_B: np.ndarray, tilt: np.ndarray | None) -> np.ndarray:
         """Of the angles (..., n_panel) between the Sun and normals turned by `tilt`."""
-        if tilt is None:
-            return sun_B @ self.normals_B.T
-        normals = self.turned(tilt)
-        if normals.shape[-3:-2] == (1,):  # alike for many directions
-            return sun_B @ np.swapaxes(normals[..., 0, :, :], -1, -2)
-        return np.einsum("...i,...pi->...p", sun_B, normals)
+        return along_normals(sun_B, self.turned(tilt))
 
-    def turned(self, tilt: np.ndarray) -> np.ndarray:
+    def turned(self, tilt: np.ndarray | None) -> np.ndarray:
         """Normals (..., n_panel, 3) turned by rotation vectors of that shape."""
-        return seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+        return self.normals_B if tilt is None else seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
 
     def strengths(self, gain: np.ndarray | None) -> np.ndarray:
         """Gains (..., n_panel) with their factors."""
@@ -59,6 +54,15 @@ def blurred(power, sun_B: np.ndarray, blur_rad: float) -> np.ndarray:
     flat = sun_B.reshape(-1, 3)
     each = [moved(flat, np.broadcast_to(blur_rad * node, (len(flat), 2))).reshape(sun_B.shape) for node in BLUR_NODES]
     return np.einsum("m,m...->...", BLUR_WEIGHTS, np.stack([power(sun) for sun in each]))
+
+
+def along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Components (..., n_panel) of vectors (..., 3) along normals (..., n_panel, 3), or those (n_panel, 3) of all."""
+    if normals.ndim == 2:
+        return vector_B @ normals.T
+    if normals.shape[-3] == 1:  # alike for many directions
+        return vector_B @ np.swapaxes(normals[..., 0, :, :], -1, -2)
+    return np.einsum("...i,...pi->...p", vector_B, normals)
 
 
 class Places(NamedTuple):
@@ -132,8 +136,8 @@ class Cosine(Flat):
         return self.strengths(gain) * np.maximum(0.0, self.cosines(sun_B, tilt))
 
     def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
-        cosine, strength = self.cosines(sun_B, tilt), self.strengths(gain)
-        normals = self.normals_B if tilt is None else self.turned(tilt)
+        normals, strength = self.turned(tilt), self.strengths(gain)
+        cosine = along_normals(sun_B, normals)
         sun = sun_B[..., None, :]
         lit = (strength * (cosine >= 0))[..., None]
         to_sun = lit * (normals - cosine[..., None] * sun)
@@ -143,8 +147,9 @@ class Cosine(Flat):
     def along(
         self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> list[np.ndarray]:
-        lit, strength = self.cosines(sun_B, tilt) > 0, self.strengths(gain)
-        return [strength * np.where(lit, self.cosines(step, tilt), 0.0) for step in steps]
+        normals, strength = self.turned(tilt), self.strengths(gain)
+        lit = along_normals(sun_B, normals) > 0
+        return [strength * np.where(lit, along_normals(step, normals), 0.0) for step in steps]
 
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         rows = self._rows / unit
