@@ -47,6 +47,18 @@ def test_same_bits_for_any_workers_and_chunks_and_for_single_rows(case):
     assert other["contact_speed"][0] != whole["contact_speed"][3]
 
 
+def test_a_candidate_drawn_often_flies_once_to_its_collision_and_as_if_drawn_alone(case, monkeypatch):
+    rows = rows_of(case)
+    rows = replace(rows, candidates=candidates_of(case.vehicle, published_candidates(case)[:3], rows.scenario))
+    alone = [rows(np.array([i])) for i in range(12)]
+    flown, to_collision = [], OutcomeRows._to_collision
+    monkeypatch.setattr(OutcomeRows, "_to_collision", lambda self, start: flown.append(len(start)) or to_collision(self, start))
+    together = rows(np.arange(12))
+    assert flown == [3]
+    for name in ("candidate", "omega_before_B", "momentum_before"):
+        assert together[name].tobytes() == b"".join(one[name].tobytes() for one in alone), name
+
+
 def test_a_store_resumes_and_refuses_another_seed(case, tmp_path):
     options = {"scenario": sc.case_scenario(case), "chunk": 8, "store": tmp_path / "s"}
     first = ss.outcomes(case.vehicle, [[0.1, 0.2, 0.1]], "off", 16, 0, **options)

@@ -145,20 +145,12 @@ class OutcomeRows:
         return {**code(*CODE), **{name: plain(getattr(self, name)) for name in parts}}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        s, draw = self.scenario, sc.draws(self.seed, index)
+        draw = sc.draws(self.seed, index)
         out = {name: np.full((len(index), *shape), _nothing(dtype), dtype) for name, (dtype, shape) in self.outputs.items()}
         out["candidate"][:] = self.candidates.pick(draw["candidate"])
-        start = self.candidates.rows(out["candidate"])
-        flown = ((-np.inf, mode_before(start.wheel_speed_rad_s)),)
-        back = fly(self.vehicle, start, flown, s.lead_s, np.array([0.0])) if s.lead_s > 0 else None
-        bad = np.zeros(len(index), dtype=np.int64) if back is None else back.outcome
-        touchdown = start if back is None else _healthy(back.at(0), start, bad)
-        if s.collision_s > 0:
-            track = fly(self.vehicle, touchdown, self.strategy.schedule, 0.0, np.array([s.collision_s]))
-            bad = np.where(bad == 0, track.outcome, bad)
-            before = _healthy(track.at(0), start, bad)
-        else:
-            before = touchdown
+        drawn, run_of = np.unique(out["candidate"], return_inverse=True)
+        (touchdown, before), bad = self._to_collision(self.candidates.rows(drawn))
+        touchdown, before, bad = touchdown.take(run_of), before.take(run_of), bad[run_of]
         after, impulse_B = self._collide(before, draw, out) if self.collides else (before, None)
         if self.collides:
             out["omega_before_B"][:], out["omega_after_B"][:] = before.omega_B, after.omega_B
@@ -173,6 +165,20 @@ class OutcomeRows:
             out["change_to_sun"][:], out["change_about_sun"][:] = angle_about(impulse_B, before.sun_B, fixed[0])
         bad = self._after(after, momenta[2], fixed, draw, out, bad)
         return _without(out, bad)
+
+    def _to_collision(self, start: k.Rows) -> tuple[tuple[k.Rows, k.Rows], np.ndarray]:
+        """States at the touchdown and just before the collision of candidates (n), each run once however often it is drawn;
+        the outcome (n)."""
+        s = self.scenario
+        flown = ((-np.inf, mode_before(start.wheel_speed_rad_s)),)
+        back = fly(self.vehicle, start, flown, s.lead_s, np.array([0.0])) if s.lead_s > 0 else None
+        bad = np.zeros(len(start), dtype=np.int64) if back is None else back.outcome
+        touchdown = start if back is None else _healthy(back.at(0), start, bad)
+        if s.collision_s == 0:
+            return (touchdown, touchdown), bad
+        track = fly(self.vehicle, touchdown, self.strategy.schedule, 0.0, np.array([s.collision_s]))
+        bad = np.where(bad == 0, track.outcome, bad)
+        return (touchdown, _healthy(track.at(0), start, bad)), bad
 
     def _collide(
         self, before: k.Rows, draw: dict[str, np.ndarray], out: dict[str, np.ndarray]
