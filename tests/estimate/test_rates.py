@@ -77,6 +77,20 @@ def test_a_wheel_is_part_of_the_motion():
     assert "NO motion fits" in without.attrs["verdict"] and "NO motion" not in result.attrs["verdict"]
 
 
+def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
+    """Half a turn of the rate between samples, forward or back: both signs fit some motion, one of them far worse."""
+    wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=40.0)
+    craft, turned = (replace(CUBE, wheels=(replace(wheel, speed_rad_s=speed),)) for speed in (40.0, -40.0))
+    data, run = twin(craft, [0.02, 0.03, -0.01], np.arange(20) * 10.0, np.random.default_rng(2), albedo=0.0, speed=[40.0])
+    right, wrong = (ss.rates(one, data, max_rate_rad_s=0.06) for one in (craft, turned))
+    assert right["decided"].values.all() and np.abs(errors(right, run)).max() < 5.0
+    assert "sign" not in right["why_not_decided"].values[0] and "wiring_doubt" not in right.attrs
+    assert np.abs(errors(wrong, run)).max() > 5.0  # what was decided before
+    assert not wrong["decided"].values.any() and wrong["wiring"].values[0] == "doubtful"
+    assert "the sign of a wheel" in wrong["why_not_decided"].values[0]
+    assert "0 of 1" in wrong.attrs["verdict"] and "wheel reaction-y turning the other way" in wrong.attrs["verdict"]
+
+
 def test_a_wheel_of_untold_speed_leaves_nothing_decided():
     data, _ = twin(CUBE, [0.01, 0.012, -0.01], irregular(np.random.default_rng(5), 12, 10.0), np.random.default_rng(5))
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4)

@@ -38,6 +38,7 @@ from sunspin.estimate.rates.side_by_side import each, processes
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.rates.wheel_signs import Anew, Reversed, doubted_signs, reversed_momenta
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
@@ -56,8 +57,9 @@ NOISE_RANGE = (1e-9, 1.0)
 DEFAULT_MAX_RATE = 1.0
 """rad/s; the search goes no farther unless told, however dense the samples: every sixth of a turn more is another start."""
 
-NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE = 0.3, 0.75, 0.4
-"""Of the effort: as far as the choice of the torques' strength may go, and the search of all passes; beside it, for wirings."""
+NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE, SIGN_SHARE = 0.3, 0.75, 0.4, 0.6
+"""Of the effort: as far as the choice of the torques' strength may go, and the search of all passes; beside it, for wirings and for
+wheels that turn the other way."""
 
 MUCH_MORE = 1.5
 """A search that was cut short begins anew where it may take so many times more."""
@@ -184,10 +186,9 @@ def rates(
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
     parts = [parts[k] for k in ids]
-    sensors = vehicle.sensors
-    rate_max = _rate_max(sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
+    rate_max = _rate_max(vehicle.sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
     given = _known_noise(vehicle, o, acceleration_noise)
-    body = Body.of(vehicle, sensors.disturbance.dipole, torques_known=given is not None, acting=forces)
+    body = Body.of(vehicle, vehicle.sensors.disturbance.dipole, torques_known=given is not None, acting=forces)
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
@@ -206,9 +207,11 @@ def rates(
             spent.doing("errors in common")
             if given is None:
                 motion = replace(motion, noise=refined(ready, motion))
-            clock, late = _clock(sensors.clock, ready, motion)
+            clock, late = _clock(vehicle.sensors.clock, ready, motion)
             others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
             modes, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others, pool)
+        turned = _other_signs(o, reversed_momenta(vehicle, telemetry, wheels, o), list(zip(wholes, parts, modes, strict=True)),
+                              noise, Anew(body, rate_max, given, clock, others, more), spent.most, pool)  # fmt: skip
     found, walk, period_attrs = _linked(o, modes, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
     missed, unmet = _doubted(o, parts, motion, rate_max, given)
@@ -225,14 +228,14 @@ def rates(
     )  # fmt: skip
     if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
-    if wirings and not result["fits"].values.all():
+    if wirings and turned is None and not result["fits"].values.all():
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
             result = _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques)
             if "wiring_doubt" not in result.attrs and may_go_on():
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
-    return _judged(result, vehicle, telemetry)
+    return _judged(_not_decided(result, turned), vehicle, telemetry)
 
 
 def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
@@ -330,6 +333,26 @@ def _linked(
         return *link(o, each, motion), {}
     each, said = weighted(o, each, motion, periods)
     return *link(o, each, motion), {"periods": json.dumps([{**one, "pass": int(ids[one["pass"]])} for one in said])}
+
+
+def _other_signs(
+    o: Observations, momenta: dict[str, np.ndarray], passes: list[tuple[np.ndarray, np.ndarray, Pass]], noise: float, anew: Anew,
+    most: float, pool: Executor | None,
+) -> Reversed | None:  # fmt: skip
+    """The wheels whose sign the data doubt, as far as a share of the effort goes."""
+    with Effort(SIGN_SHARE * most) as spent:
+        found = doubted_signs(o, momenta, passes, noise, anew, partial(_evidences, spent, spent, pool))
+    spent.close()
+    return found
+
+
+def _not_decided(result: xr.Dataset, turned: Reversed | None) -> xr.Dataset:
+    """The result with nothing decided where the sign of a wheel is in doubt."""
+    if turned is None:
+        return result
+    why = ["; ".join(filter(None, (str(one), "the sign of a wheel"))) for one in result["why_not_decided"].values]
+    doubted = {name: ("pass_id", np.full(len(why), one)) for name, one in (("decided", False), ("wiring", DOUBTFUL))}
+    return result.assign(doubted | {"why_not_decided": ("pass_id", why)}).assign_attrs(wiring_doubt=turned.words)
 
 
 def _odd_sensor(

@@ -1,0 +1,186 @@
+"""Whether the wheels turn the way the file says: the signs of a wheel's axis and speed are conventions, so the other is tried.
+
+A wheel turns the rate of the body round. Half a turn forward and half a turn back between two samples end alike, so that a wheel
+of the wrong sign may fit as well, with another motion. A reversed wheel is named where its evidence is no worse than that of the
+wheel as stated, and its motion is one that the sigmas as stated leave out: one too weak to be seen is not accused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.effort import may_go_on
+from sunspin.estimate.rates.alternatives import Others
+from sunspin.estimate.rates.common_errors import Clock
+from sunspin.estimate.rates.finish import Pass, finished, leading
+from sunspin.estimate.rates.motion import Body, nutation
+from sunspin.estimate.rates.noise import NOISE_LADDER, Task, refined
+from sunspin.estimate.rates.state import Motion, Observations
+from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.terms.magnetic_torque import MagneticTorque
+from sunspin.estimate.terms.term import Term
+from sunspin.estimate.wiring import CLEARLY
+from sunspin.vehicle import Vehicle
+
+LOOKED_AT = 2
+"""Passes, those with the most samples, that are asked."""
+
+FAR = 20.0
+"""Log evidence by which reversed wheels must be worse, in a search that holds the inertia fast, to be out of the question."""
+
+WEAK_RAD = 0.05
+"""Wheels that turn a rate round by less than this in the whole file are not asked for."""
+
+AS_WELL = 1.0
+"""Log evidence by which they may be worse in the end and fit as well."""
+
+OTHER_SIGMAS = 3.0
+"""A motion is another one where its rates are so many sigmas of the stated one from it, at half of the samples."""
+
+
+Run = Callable[[Sequence[Task]], list[np.ndarray]]
+"""What :func:`evidence_of_noises` makes of each of some tasks."""
+
+
+class Anew(NamedTuple):
+    """What a pass is estimated with a second time: its body, the largest rate (rad/s), the acceleration noise if it is `given`,
+    the clock, other models; `more`: terms that go with the noise, and come anew with another."""
+
+    body: Body
+    rate_max: float
+    given: float | None
+    clock: Clock | None
+    others: Others
+    more: tuple[Term, ...]
+
+    def bare(self, o: Observations) -> Observations:
+        """Without what a search does not know."""
+        return replace(o, terms=tuple(term for term in o.terms if not any(term is one for one in self.more)))
+
+    def estimated(self, o: Observations, whole: np.ndarray, part: np.ndarray, noise: float) -> Pass:
+        """The pass of all samples `whole`, searched on `part` under a noise."""
+        motion = Motion(self.body, noise, self.rate_max / 2)
+        bare = self.bare(o)
+        track = leading(bare.take(part), motion, self.rate_max)
+        if self.more:
+            o = replace(bare, terms=(*bare.terms, MagneticTorque.beside(noise, bare.freed().field_N)))
+        if self.given is None:
+            motion = replace(motion, noise=refined([(o.take(part).freed(), track)], motion))
+        return finished(o, whole, part, track, motion, self.clock, self.rate_max, noise, self.others)
+
+
+class Reversed(NamedTuple):
+    """Wheels that may turn the other way, and by how much log evidence that fits better."""
+
+    wheels: str
+    gain: float
+
+    @property
+    def words(self) -> str:
+        """For the verdict."""
+        found = f"the data fit better with wheel {self.wheels} turning the other way (log evidence better by {self.gain:.0f})"
+        if self.gain < CLEARLY:
+            found = f"the data fit as well with wheel {self.wheels} turning the other way, and then the motion is another one"
+        check = "CHECK THE SIGNS of its axis_B, speed_rad_s and speed_scale_rad_s; if they are right, a gyro decides"
+        return f"{found}: nothing is decided; {check}"
+
+
+def reversed_momenta(vehicle: Vehicle, telemetry: xr.Dataset, doing: str, o: Observations) -> dict[str, np.ndarray]:
+    """The wheels' momenta (n, 3) as they would be with each of them reversed, and with all, by the names of those reversed;
+    `doing`: what they do (:func:`wheel_momenta`). None of one so slow that it hardly turns the rate round."""
+    body, found = Body.of(vehicle), {}
+    count = len(vehicle.wheels) if np.any(o.momentum) else 0
+    for which in dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))][: None if count else 0]):
+        wheels = tuple(replace(w, axis_B=-np.asarray(w.axis_B)) if k in which else w for k, w in enumerate(vehicle.wheels))
+        other = wheel_momenta(replace(vehicle, wheels=wheels), telemetry)
+        momentum = next(one for name, one in other.items() if doing.split(" (evidence")[0] == name)
+        turns = nutation(body, (momentum - o.momentum) / 2) * np.ptp(o.t_s)
+        if turns.max(initial=0.0) > WEAK_RAD:
+            found[", ".join(vehicle.wheels[k].name for k in which)] = momentum
+    return found
+
+
+def _near(
+    o: Observations, part: np.ndarray, noise: float, anew: Anew, momenta: dict[str, np.ndarray], run: Run
+) -> dict[str, tuple[Observations, float]]:
+    """Which reversed wheels are not out of the question for a pass: what is observed with them, and the acceleration noise
+    (rad/s^1.5) that they want."""
+    rungs = NOISE_LADDER if anew.given is None else (anew.given,)
+    others = {names: replace(o, momentum=momentum) for names, momentum in momenta.items()}
+    each = [(o, (noise,)), *((other, rungs) for other in others.values())]
+    stated, *found = run([(anew.bare(one).take(part), anew.body, noises, anew.rate_max) for one, noises in each])
+    near = [one.max() > stated[0] - FAR for one in found]
+    levels = [rungs[int(np.argmax(one))] for one in found]
+    return {names: (other, level) for (names, other), level, is_near in zip(others.items(), levels, near, strict=True) if is_near}
+
+
+def doubted_signs(
+    o: Observations, momenta: dict[str, np.ndarray], passes: list[tuple[np.ndarray, np.ndarray, Pass]], noise: float, anew: Anew,
+    run: Run,
+) -> Reversed | None:  # fmt: skip
+    """The wheels whose sign the data doubt; None where they do not, or cannot.
+
+    `momenta` (n, 3): with wheels reversed, by their names; `passes`: all samples of each, those searched, and what was found under
+    the `noise` of the search; `run`: what evidence each of some tasks has.
+    """
+    if not momenta:
+        return None
+    longest = sorted(passes, key=lambda one: -len(one[1]))[:LOOKED_AT]
+    found: list[Reversed] = []
+    for names, (other, level) in _near(o, longest[0][1], noise, anew, momenta, run).items():
+        gain, another = 0.0, False
+        for whole, part, stated in longest:
+            one = _gained(o, other, whole, part, stated, (noise, level), anew) if may_go_on() else OUT
+            gain, another = gain + one.gain, another or one.another
+            if gain < -AS_WELL:
+                break
+        else:
+            found += [Reversed(names, gain)] if another else []
+    return max(found, key=lambda one: one.gain) if found else None
+
+
+class Gained(NamedTuple):
+    """What reversed wheels gain of a pass, in log evidence, and whether they leave another motion."""
+
+    gain: float
+    another: bool
+
+
+OUT = Gained(-np.inf, False)
+"""Where no motion is found with them."""
+
+
+def _gained(
+    o: Observations, other: Observations, whole: np.ndarray, part: np.ndarray, stated: Pass, noises: tuple[float, float], anew: Anew
+) -> Gained:
+    """Of one pass, under the noises (rad/s^1.5) that the wheels as stated and the others want, each tried under both where that
+    decides: held fast, an inertia that is a little off passes for torques, and its noise is too strong."""
+    noise, level = noises
+    try:
+        turned = anew.estimated(other, whole, part, level)
+        gain = _evidence(turned) - _evidence(stated)
+        if -FAR < gain < -AS_WELL and level != noise:
+            again = anew.estimated(other, whole, part, noise)
+            turned, gain = max((turned, gain), (again, _evidence(again) - _evidence(stated)), key=lambda one: one[1])
+        if gain > -AS_WELL and level != noise:
+            gain = min(gain, _evidence(turned) - _evidence(anew.estimated(o, whole, part, level)))
+    except InputError:
+        return OUT
+    return Gained(gain, _another(stated, turned))
+
+
+def _evidence(found: Pass) -> float:
+    return float(np.logaddexp.reduce(found.track.log_weight))
+
+
+def _another(stated: Pass, turned: Pass) -> bool:
+    """Whether the best motion of the second is none that the first allows."""
+    sigma = np.sqrt(np.einsum("nii->ni", stated.track.covariance[0, :, 3:, 3:]))
+    off = np.abs(turned.track.omega[0] - stated.track.omega[0]) / sigma
+    return bool(np.median(off.max(axis=1)) > OTHER_SIGMAS)
