@@ -171,9 +171,11 @@ def test_a_landing_too_slow_for_its_flight_is_not_told():
 
 def test_what_cannot_be_computed_or_told_is_one_sentence(case):
     """No traceback where every run fails, no silence where momentum and Sun are parallel, no best delay without a wheel."""
-    back = sc.Scenario((0.36, 0.48, 0.8), (0.0,), 600.0, lead_s=30.0)
+    wheel = case.vehicle.wheels[0]
+    two = replace(case.vehicle, wheels=(wheel, replace(wheel, name="other", axis_B=[1.0, 0.0, 0.0])))
+    back = sc.Scenario((0.36, 0.48, 0.8), (865.0, 0.0), 600.0, lead_s=30.0)
     with pytest.raises(ss.InputError, match="no run of the strategy 'off' could be computed .*its past is not determined"):
-        compare(case.vehicle, [[0.1, 0.0, 0.2]], ["off"], 4, 0, back)
+        compare(two, [[0.1, 0.0, 0.2]], ["off"], 4, 0, back)
     along = sc.Scenario((0.0, 0.0, 1.0), (), 600.0)
     runs = ss.outcomes(box_with_feet(), [[0.0, 0.0, 0.2], [0.1, 0.0, 0.2]], "off", 20, 0, scenario=along)
     parallel = int(np.sum(runs["candidate"].values == 0))
