@@ -142,8 +142,7 @@ def _row(a: dict[str, Any], b: dict[str, Any]) -> Moved:
     if known:
         error, of = max(float(np.max(np.abs(high - low))) / 2 for low, high in ends), "half of the wider interval"
         moved = max((_largest(ends[1][k] - ends[0][k]) for k in range(2)), key=abs)
-        of_value = all(_inside(one, low, high) for one, (low, high) in zip(ours, ends, strict=True))
-        change = max(change, moved, key=abs) if of_value else moved
+        change = max(change, moved, key=abs) if _beyond_ends(ours, ends) else moved
     elif isinstance(a.get("tolerance"), int | float) and a["tolerance"] > 0:
         error, of = float(a["tolerance"]), "tolerance of the row"
     words = [] if a.get("agrees") == b.get("agrees") else [f"{_agreement(a)}, now {_agreement(b)}"]
@@ -153,10 +152,16 @@ def _row(a: dict[str, Any], b: dict[str, Any]) -> Moved:
     return _moved(str(a.get("id")), str(a.get("what")), texts, _unit(a), change, error, of, ours, words)
 
 
-def _inside(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
-    """Whether an interval may be that of a value. What the few motions nearest to the telemetry give may lie outside of what the
-    candidates give, and then scatters by other amounts than the interval's width."""
-    return value.shape == low.shape and bool(np.all((low <= value) & (value <= high)))
+def _beyond_ends(ours: list[np.ndarray], ends: list[list[np.ndarray]]) -> bool:
+    """Whether the value of each result lies in its own interval, and one outside of the other's: only then has the value moved.
+
+    What the few motions nearest to the telemetry give may lie outside of what the candidates give, and then scatters by other
+    amounts than the interval's width; so does a best delay among many that are as good.
+    """
+    if any(one.shape != low.shape for one, (low, _) in zip(ours, ends, strict=True)):
+        return False
+    inside = [[bool(np.all((low <= one) & (one <= high))) for low, high in ends] for one in ours]
+    return inside[0][0] and inside[1][1] and not (inside[0][1] and inside[1][0])
 
 
 def _agreement(row: dict[str, Any]) -> str:

@@ -82,10 +82,15 @@ class Reversed(NamedTuple):
     gain: float
 
     @property
+    def clearly(self) -> bool:
+        """Whether the data say so; else they leave it open, which is worth a word only where something would be decided."""
+        return self.gain >= CLEARLY
+
+    @property
     def words(self) -> str:
         """For the verdict."""
         found = f"the data fit better with wheel {self.wheels} turning the other way (log evidence better by {self.gain:.0f})"
-        if self.gain < CLEARLY:
+        if not self.clearly:
             found = f"the data fit as well with wheel {self.wheels} turning the other way, and then the motion is another one"
         check = "CHECK THE SIGNS of its axis_B, speed_rad_s and speed_scale_rad_s; if they are right, a gyro decides"
         return f"{found}: nothing is decided; {check}"
