@@ -226,8 +226,6 @@ def rates(
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL,
         no_sphere=int(unmet.any() or _far_from_sphere(body, noise)),
     )  # fmt: skip
-    if turned is not None and not turned.clearly and not result["decided"].values.any():
-        turned = None
     if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
     if wirings and turned is None and not result["fits"].values.all():

@@ -21,6 +21,7 @@ from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading
 from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.noise import NOISE_LADDER, Task, refined
+from sunspin.estimate.rates.result import DECIDED
 from sunspin.estimate.rates.state import Motion, Observations
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
@@ -147,7 +148,9 @@ def doubted_signs(
                 break
         else:
             found += [Reversed(names, gain)] if another else []
-    return max(found, key=lambda one: one.gain) if found else None
+    best = max(found, key=lambda one: one.gain, default=None)
+    open_yet = best is not None and not best.clearly and all(_best_weight(stated) < DECIDED for *_, stated in passes)
+    return None if open_yet else best
 
 
 class Gained(NamedTuple):
@@ -182,6 +185,10 @@ def _gained(
 
 def _evidence(found: Pass) -> float:
     return float(np.logaddexp.reduce(found.track.log_weight))
+
+
+def _best_weight(found: Pass) -> float:
+    return float(np.exp(found.track.log_weight.max() - np.logaddexp.reduce(found.track.log_weight)))
 
 
 def _another(stated: Pass, turned: Pass) -> bool:
