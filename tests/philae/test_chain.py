@@ -145,7 +145,7 @@ def test_candidates_from_a_table(tmp_path, quick):
     one = chain_of(None, str(path), coarser=20)
     assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
     assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
-    for text, said in (("a,b\n1,2\n", "columns omega_x"), ("omega_x,omega_y,omega_z\n1,x,2\n", "columns omega_x"),
+    for text, said in (("a,b\n1,2\n", "columns omega_x"), ("omega_x,omega_y,omega_z\n1,x,2\n", "finite rates"),
                        ("omega_x,omega_y,omega_z\n1,inf,2\n", "finite rates")):  # fmt: skip
         path.write_text(text, "utf-8")
         with pytest.raises(InputError, match=said):

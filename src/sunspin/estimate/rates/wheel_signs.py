@@ -1,8 +1,9 @@
 """Whether the wheels turn the way the file says: the signs of a wheel's axis and speed are conventions, so the other is tried.
 
 A wheel turns the rate of the body round. Half a turn forward and half a turn back between two samples end alike, so that a wheel
-of the wrong sign may fit as well, with another motion. A reversed wheel is named where its evidence is no worse than that of the
-wheel as stated, and its motion is one that the sigmas as stated leave out: one too weak to be seen is not accused.
+of the wrong sign may fit as well, with another motion. A reversed wheel is named where it clearly fits better than the wheel as
+stated, and its motion is one that the sigmas as stated leave out: one too weak to be seen is not accused. Where both signs fit
+alike the file is believed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading
 from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.noise import NOISE_LADDER, Task, refined
-from sunspin.estimate.rates.result import DECIDED
 from sunspin.estimate.rates.state import Motion, Observations
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
@@ -39,7 +39,7 @@ WEAK_RAD = 0.05
 """Wheels that turn a rate round by less than this in the whole file are not asked for."""
 
 AS_WELL = 1.0
-"""Log evidence by which they may be worse in the end and fit as well."""
+"""Log evidence by which they may be worse in one pass and are looked at on."""
 
 OTHER_SIGMAS = 3.0
 """A motion is another one where its rates are so many sigmas of the stated one from it, at half of the samples."""
@@ -83,16 +83,9 @@ class Reversed(NamedTuple):
     gain: float
 
     @property
-    def clearly(self) -> bool:
-        """Whether the data say so; else they leave it open, which is worth a word only where something would be decided."""
-        return self.gain >= CLEARLY
-
-    @property
     def words(self) -> str:
         """For the verdict."""
         found = f"the data fit better with wheel {self.wheels} turning the other way (log evidence better by {self.gain:.0f})"
-        if not self.clearly:
-            found = f"the data fit as well with wheel {self.wheels} turning the other way, and then the motion is another one"
         check = "CHECK THE SIGNS of its axis_B, speed_rad_s and speed_scale_rad_s; if they are right, a gyro decides"
         return f"{found}: nothing is decided; {check}"
 
@@ -147,10 +140,8 @@ def doubted_signs(
             if gain < -AS_WELL:
                 break
         else:
-            found += [Reversed(names, gain)] if another else []
-    best = max(found, key=lambda one: one.gain, default=None)
-    open_yet = best is not None and not best.clearly and all(_best_weight(stated) < DECIDED for *_, stated in passes)
-    return None if open_yet else best
+            found += [Reversed(names, gain)] if another and gain >= CLEARLY else []
+    return max(found, key=lambda one: one.gain, default=None)
 
 
 class Gained(NamedTuple):
@@ -185,10 +176,6 @@ def _gained(
 
 def _evidence(found: Pass) -> float:
     return float(np.logaddexp.reduce(found.track.log_weight))
-
-
-def _best_weight(found: Pass) -> float:
-    return float(np.exp(found.track.log_weight.max() - np.logaddexp.reduce(found.track.log_weight)))
 
 
 def _another(stated: Pass, turned: Pass) -> bool:
