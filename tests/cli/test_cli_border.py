@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -225,6 +226,24 @@ def test_interruption_is_one_sentence_and_130(kind, tmp_path):
         os.killpg(process.pid, 0)
     assert complaint.count("\n") == 1 and "interrupted" in complaint and printed == ""
     assert not [path.name for path in out.iterdir() if path.name.endswith((".part", ".html"))]
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_a_library_that_stumbles_over_an_interruption_is_no_fault_of_ours(sunspin, monkeypatch, stopped):
+    """Ctrl-C in the middle of an import may be caught there, and end in another error."""
+
+    def stumble(**_):
+        try:
+            if stopped:
+                cli._stop()
+        except KeyboardInterrupt:
+            pass
+        raise AttributeError("module 'half' has no attribute 'there'")
+
+    monkeypatch.setattr(cli, "_STOPPED", threading.Event())
+    monkeypatch.setattr(cli.cli, "main", stumble)
+    code, _, said = sunspin()
+    assert (code, "interrupted" in said, "defect" in said) == ((130, True, False) if stopped else (1, False, True))
 
 
 def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):

@@ -19,6 +19,8 @@ LONGEST = 1200
 """Characters of one sentence: names from outside may have any number."""
 
 
+INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
+
 NUMBERS = {"float": "is not a number such as -1.5e-3", "integer": "is not a whole number"}
 """What is wrong with the value of an option, by click's name of its type."""
 
@@ -49,7 +51,7 @@ def main() -> None:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
     except (click.Abort, KeyboardInterrupt) as stop:  # before the others: Interrupted is an error of sunspin too
-        code = _say(str(stop) or "interrupted; nothing half-written was left behind, run the same command again", 130)
+        code = _say(str(stop) or INTERRUPTED, 130)
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
     except click.ClickException as error:
@@ -65,18 +67,34 @@ def main() -> None:
         do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
         code = _say(f"error: {what} cannot be used ({error.strerror or error}); {do}", 2)
     except Exception as error:
-        if os.environ.get("SUNSPIN_TRACEBACK"):
-            raise
-        code = _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
+        code = _unexpected(error)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _unexpected(error: Exception) -> int:
+    """What nobody foresaw: a fault of ours, or of a library that catches an interruption and stumbles over what it left undone."""
+    if _STOPPED.is_set():
+        return _say(INTERRUPTED, 130)
+    if os.environ.get("SUNSPIN_TRACEBACK"):
+        raise error
+    return _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
+
+
+_STOPPED = threading.Event()
+"""Set once somebody has asked the process to end."""
+
+
+def _stop(*_: object) -> None:
+    _STOPPED.set()
+    raise KeyboardInterrupt
 
 
 def _heed_the_end() -> None:
     """End as by Ctrl-C where somebody ends the process or closes its terminal: without a word, its copies would compute on."""
     if threading.current_thread() is threading.main_thread():
-        for kind in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            if signal.getsignal(kind) == signal.SIG_DFL:  # under nohup it is ignored, and stays so
-                signal.signal(kind, signal.default_int_handler)
+        for kind in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            if signal.getsignal(kind) in (signal.SIG_DFL, signal.default_int_handler):  # under nohup it is ignored, and stays so
+                signal.signal(kind, _stop)
 
 
 def _say(text: str, code: int) -> int:
