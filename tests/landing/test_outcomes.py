@@ -55,8 +55,8 @@ def test_a_candidate_drawn_often_flies_once_to_its_collision_and_as_if_drawn_alo
     monkeypatch.setattr(OutcomeRows, "_to_collision", lambda self, start: flown.append(len(start)) or to_collision(self, start))
     together = rows(np.arange(12))
     assert flown == [3]
-    for name in ("candidate", "omega_before_B", "momentum_before"):
-        assert together[name].tobytes() == b"".join(one[name].tobytes() for one in alone), name
+    for name, values in together.items():
+        assert values.tobytes() == b"".join(one[name].tobytes() for one in alone), name
 
 
 def test_a_store_resumes_and_refuses_another_seed(case, tmp_path):

@@ -26,6 +26,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.dynamics.gyrostat import free_inertia
 from sunspin.dynamics.wheel_modes import COMMANDS
+from sunspin.solve.linear import each_row
 from sunspin.solve.rotations import cross_matrix
 from sunspin.vehicle import Vehicle
 
@@ -92,9 +93,9 @@ def impact(
             raise InputError(sentence(f"{name} must be a share between 0 and 1", got=value))
     impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip, damper)
     impulse = impulse if restitution == 0 else (1 + restitution) * impulse
-    kick = np.cross(tip, impulse) @ inverse
-    turned = [np.zeros(kick.shape[:-1]) if h else -kick @ w.axis_B for w, h in zip(vehicle.wheels, held, strict=True)]
-    speeds_after = speeds + (np.stack(turned, axis=-1) if turned else 0.0)
+    kick = each_row(np.cross(tip, impulse), inverse)
+    turned = [np.zeros(3) if h else -np.asarray(w.axis_B) for w, h in zip(vehicle.wheels, held, strict=True)]
+    speeds_after = speeds + (each_row(kick, np.stack(turned, axis=-1)) if turned else 0.0)
     return _dataset(vehicle, batch, omega + kick, velocity + impulse / vehicle.require_mass(), impulse, speeds_after)
 
 
