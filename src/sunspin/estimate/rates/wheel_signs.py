@@ -38,6 +38,9 @@ FAR = 20.0
 WEAK_RAD = 0.05
 """Wheels that turn a rate round by less than this in the whole file are not asked for."""
 
+WRAPPED_RAD = 10.0
+"""Nor wheels that turn it round by more than this from sample to sample: at 42 rad one of five right files was accused."""
+
 AS_WELL = 1.0
 """Log evidence by which they may be worse in one pass and are looked at on."""
 
@@ -92,15 +95,16 @@ class Reversed(NamedTuple):
 
 def reversed_momenta(vehicle: Vehicle, telemetry: xr.Dataset, doing: str, o: Observations) -> dict[str, np.ndarray]:
     """The wheels' momenta (n, 3) as they would be with each of them reversed, and with all, by the names of those reversed;
-    `doing`: what they do (:func:`wheel_momenta`). None of one so slow that it hardly turns the rate round."""
+    `doing`: what they do (:func:`wheel_momenta`). None of one so slow that it hardly turns the rate round, or so
+    fast that it wraps."""
     body, found = Body.of(vehicle), {}
     count = len(vehicle.wheels) if np.any(o.momentum) else 0
     for which in dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))][: None if count else 0]):
         wheels = tuple(replace(w, axis_B=-np.asarray(w.axis_B)) if k in which else w for k, w in enumerate(vehicle.wheels))
         other = wheel_momenta(replace(vehicle, wheels=wheels), telemetry)
         momentum = next(one for name, one in other.items() if doing.split(" (evidence")[0] == name)
-        turns = nutation(body, (momentum - o.momentum) / 2) * np.ptp(o.t_s)
-        if turns.max(initial=0.0) > WEAK_RAD:
+        rate = nutation(body, (momentum - o.momentum) / 2).max(initial=0.0)
+        if rate * np.ptp(o.t_s) > WEAK_RAD and rate * np.median(np.diff(o.t_s)) < WRAPPED_RAD:
             found[", ".join(vehicle.wheels[k].name for k in which)] = momentum
     return found
 
