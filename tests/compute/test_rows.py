@@ -30,6 +30,21 @@ def test_the_cut_changes_no_bit(workers, chunk):
     assert same(ensemble(ROWS, workers=workers, chunk=chunk), ROWS(np.arange(1000)))
 
 
+@pytest.mark.parametrize(
+    ("rows", "workers", "chunk", "most"), [(1000, 4, 8192, 250), (1000, 1, 8192, 1000), (100, 8, 50, 50), (90, 8, 8192, 64)]
+)
+def test_no_worker_is_left_without_work_for_want_of_chunks(rows, workers, chunk, most):
+    sizes = []
+
+    class Counted(Waves):
+        def __call__(self, index):
+            sizes.append(len(index))
+            return super().__call__(index)
+
+    ensemble(Counted(n_rows=rows), workers=workers, chunk=chunk)
+    assert max(sizes) == most and sum(sizes) == rows
+
+
 def test_rows_alone_are_the_rows_of_the_whole():
     whole = ensemble(ROWS)
     for index in (999, [3], [17, 5, 5, 998], np.arange(0, 1000, 3, dtype=np.uint16), []):

@@ -25,6 +25,9 @@ from sunspin.compute.pieces import Piece, Place, RowFunction, Values, run_piece
 CHUNK = 8192
 """Rows per chunk: large against a block of lanes (little padding), small against a second of work."""
 
+LEAST_CHUNK = 64
+"""Chunks are not made smaller than this so that all workers have one: two blocks of lanes."""
+
 SLOTS = 2
 """Pieces in flight for each worker: the next one is there when one ends."""
 
@@ -64,8 +67,8 @@ def ensemble(
     workers : int, optional
         Threads on this machine, worker processes of a "local" cluster, or workers that an executor has; default one per core.
     chunk : int
-        Rows per call of the function. A new store is cut into pieces of this size too, and keeps that size: it is what an
-        interruption can cost, per worker.
+        Rows per call of the function, at most: fewer where some workers would have none. A new store is cut into pieces of this
+        size too, and keeps that size: it is what an interruption can cost, per worker.
     store : path, optional
         A folder (a Zarr group) in which finished chunks are kept. The same call resumes there after any interruption, be it
         kill -9 or a power failure; once complete it is simply read. The folder must be new, empty or of the same
@@ -96,6 +99,7 @@ def ensemble(
         raise InputError(sentence("single rows are not kept in a store", do="leave out either index or store"))
     n = function.n_rows if rows is None else len(rows)
     _check_memory(n, function.outputs)
+    chunk = min(chunk, max(LEAST_CHUNK, -(-n // n_workers)))
     out = {name: np.zeros((n, *shape), dtype) for name, (dtype, shape) in function.outputs.items()}
     taker = _Taker(function, out, store)
     try:

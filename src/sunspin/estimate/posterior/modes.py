@@ -96,9 +96,6 @@ BEYOND = 40
 SIZES_FITTED = (1, 3, 5)
 """Which of the sigmas of a steady torque fits are under, one after the other; what lies between is near enough."""
 
-LEAST_CHUNK = 64
-"""Rows that are worth a thread."""
-
 INSIDE = 0.95
 """Part of the largest rate at which modes begin that lie beyond it: draws about them stay inside."""
 
@@ -235,7 +232,6 @@ class Search:
         """All rows of a function, kept in a folder of its own."""
         store = None if self.store is None else self.store / f"{self.stage:02d}-{label.replace(' ', '-')}"
         self.stage += 1
-        chunk = min(chunk, max(LEAST_CHUNK, -(-function.n_rows // worker_count(self.workers))))  # work for all
         return ensemble(function, workers=self.workers, chunk=chunk, store=store, progress=self.progress, label=label)
 
     def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -29,7 +30,7 @@ REDRAWN = {
 """Figures of the study that the page has in another form, most of them to be turned; the files stay in the folder."""
 
 
-TURNS = {at: f"\\u{at:04x}" for at in (0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))}
+TURNS = re.compile("[\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u2069]")
 """Characters that turn the direction of the text after them, by which names from outside could show what they are not."""
 
 
@@ -52,7 +53,7 @@ def write_report(folder: str | Path, ours: bool = False, figures: bool = False) 
         style=Markup(_asset("page.css")), data=Markup(_json(data)), licence=_licence() if turned else "",
         scripts=[Markup(_script(text)) for text in (*([_plotly()] if turned else []), _asset("page.js"), _asset("lander.js"))],
     )  # fmt: skip
-    text = text.translate(TURNS)
+    text = TURNS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
     return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
 
 
