@@ -105,6 +105,24 @@ def test_passes_in_common_are_compared_in_sigmas_of_both(tmp_path):
     assert found.sel(row="pass 1 omega_x")["size"] == pytest.approx(0.3 / np.hypot(0.1, 0.1))
     assert "pass 2 omega_x" not in found["row"].values  # given for another instant
     assert "decided yes, now no" in str(found.sel(row="pass 2 speed")["words"].values)
+    assert found.sel(row="pass 1 speed")["a"] == "1.1 (1 to 1.2)"
+
+
+@pytest.mark.parametrize(("decided", "beyond"), [(True, True), (False, False)])
+def test_which_of_several_motions_is_likeliest_is_no_move(tmp_path, decided, beyond):
+    """Two motions 8 deg/s apart, each known to 0.1, whose weights of 0.5 and 0.4 change places."""
+    one, other = (a_pass(0, 1, x)["modes"][0] for x in (1.0, 9.0))
+    folders = [folder(tmp_path / name, "rates", passes=[a_pass(0, 1, 0.0, decided=decided, modes=[first | {"weight": 0.5}, second |
+               {"weight": 0.4}])]) for name, first, second in (("a", one, other), ("b", other, one))]  # fmt: skip
+    found = ss.compare(*folders)
+    assert {bool(found.sel(row=f"pass 0 {what}")["beyond"]) for what in ("omega_x", "speed")} == {beyond}
+
+
+def test_a_figure_put_in_has_no_error_to_be_counted_in(tmp_path):
+    figures = [[row("cone", value, tolerance=1e-6, kind="put_in")] for value in (30.0, 33.0)]
+    a, b = (folder(tmp_path / name, "reproduce", figures=one) for name, one in zip("ab", figures, strict=True))
+    found = ss.compare(a, b).sel(row="cone")
+    assert not np.isfinite(found["error"]) and found["size"] == pytest.approx(3 / 33) and found["beyond"]
 
 
 def test_medians_of_two_posteriors_in_sigmas(tmp_path):

@@ -143,7 +143,7 @@ def _row(a: dict[str, Any], b: dict[str, Any]) -> Moved:
         error, of = max(float(np.max(np.abs(high - low))) / 2 for low, high in ends), "half of the wider interval"
         moved = max((_largest(ends[1][k] - ends[0][k]) for k in range(2)), key=abs)
         change = max(change, moved, key=abs) if _beyond_ends(ours, ends) else moved
-    elif isinstance(a.get("tolerance"), int | float) and a["tolerance"] > 0:
+    elif a.get("kind") != "put_in" and isinstance(a.get("tolerance"), int | float) and a["tolerance"] > 0:
         error, of = float(a["tolerance"]), "tolerance of the row"
     words = [] if a.get("agrees") == b.get("agrees") else [f"{_agreement(a)}, now {_agreement(b)}"]
     if not same and a.get("ours") != b.get("ours"):
@@ -201,27 +201,50 @@ def _overlap(a: dict[str, Any], b: dict[str, Any]) -> float:
 
 
 def _pass(a: dict[str, Any], b: dict[str, Any]) -> Iterator[Moved]:
-    """The likeliest motion of each, where both are given for one instant; else their speeds alone."""
+    """Rates of both, where they are given for one instant; else their speeds alone."""
     name, best = f"pass {a.get('pass_id')}", [_list(one, "modes")[0] for one in (a, b) if _list(one, "modes")]
     if len(best) < 2:
         return
+    held = [_held(one) for one in (a, b)]
+    of = "the likeliest motion" if all(len(modes) == 1 for modes in held) else "the likeliest motion, or all where not decided"
     words = [_changed(key, a, b) for key in ("decided", "wiring", "utc_at")]
     words += [f"{len(_list(a, 'modes'))} motions, now {len(_list(b, 'modes'))}"] if _counts(a, b) else []
     words = [word for word in words if word]
     if a.get("utc_at") == b.get("utc_at"):
         for axis in "xyz":
-            values = [float(one[f"omega_{axis}_deg_s"]) for one in best]
-            sigma = _together([float(one[f"sigma_{axis}_deg_s"]) for one in best])
-            yield _sigmas(f"{name} omega_{axis}", f"rate about {axis} at {a.get('utc_at')}", values, "deg/s", sigma, words)
+            found = [_mixed(modes, f"omega_{axis}_deg_s", [float(one[f"sigma_{axis}_deg_s"]) for one in modes]) for modes in held]
+            what = f"rate about {axis} at {a.get('utc_at')}: {of}"
+            yield _sigmas(f"{name} omega_{axis}", what, [one for one, _ in found], "deg/s", _together([s for _, s in found]), words)
             words = []
-    values = [float(one["speed_median_deg_s"]) for one in best]
-    half = _together([(float(one["speed_high_deg_s"]) - float(one["speed_low_deg_s"])) / 2 for one in best])
-    yield _sigmas(f"{name} speed", "angular speed of the likeliest motion", values, "deg/s", half / INTERVAL_SIGMAS, words)
+    ends = [[[float(one[f"speed_{end}_deg_s"]) for one in modes] for end in ("low", "high")] for modes in held]
+    found = [
+        _mixed(modes, "speed_median_deg_s", (np.array(high) - low) / 2 / INTERVAL_SIGMAS)
+        for modes, (low, high) in zip(held, ends, strict=True)
+    ]
+    moved = _sigmas(
+        f"{name} speed", f"angular speed: {of}", [one for one, _ in found], "deg/s", _together([s for _, s in found]), words
+    )
+    texts = [f"{number_text(min(low), 4)} to {number_text(max(high), 4)}" for low, high in ends]
+    yield moved._replace(a=f"{moved.a} ({texts[0]})", b=f"{moved.b} ({texts[1]})")
     weights = [float(one["weight"]) for one in best]
     yield _moved(
         f"{name} weight", "weight of the likeliest motion", [f"{w:.3f}" for w in weights], "", weights[1] - weights[0],
         float("nan"), "none known", [np.array([w]) for w in weights], [],
     )  # fmt: skip
+
+
+def _held(one: dict[str, Any]) -> list[dict[str, Any]]:
+    """What is known of a pass: its likeliest motion, or where it is not decided all, as which of them is likeliest is chance."""
+    modes = _list(one, "modes")
+    return modes if one.get("decided") is False else modes[:1]
+
+
+def _mixed(modes: list[dict[str, Any]], key: str, sigmas: Any) -> tuple[float, float]:
+    """Mean of `key` over motions by their weights, and its sigma: theirs and their spread."""
+    weight, value = (np.array([float(mode[name]) for mode in modes]) for name in ("weight", key))
+    share = weight / weight.sum()
+    mean = float(share @ value)
+    return mean, float(np.sqrt(share @ (np.square(sigmas) + (value - mean) ** 2)))
 
 
 def _counts(a: dict[str, Any], b: dict[str, Any]) -> bool:

@@ -172,10 +172,11 @@ def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
     text = ""
     if sides := int((one & (result["weight"].values[:, 0] < DECIDED)).sum()):
         text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
-    if several.any() and "alike" in result.attrs:
-        return f"{text}; in the others several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
-    if several.any():
-        text += "; in the others several motions fit, mostly whole turns more or less between samples, and all are listed"
+    count = int(several.sum())
+    if count and "alike" in result.attrs:
+        return f"{text}; in {count} several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
+    if count:
+        text += f"; in {count} several motions fit, mostly whole turns more or less between samples, and all are listed"
     return text
 
 
