@@ -16,7 +16,7 @@ from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
-from sunspin.estimate.posterior.verdict import Found, sigmas, verdict
+from sunspin.estimate.posterior.verdict import Found, dark_stretch, sigmas, verdict
 from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.solve.rotations import moved
@@ -243,6 +243,7 @@ def _found(**changes):
         ({}, "unique", "one region"),
         ({"p": 1e-4}, "not explained", "no motion fits"),
         ({"noise_sigmas": 5.0}, "not explained", "more than was assumed"),
+        ({"p": 1e-4, "dark": "no panel was lit"}, "not explained", "in shadow then, leave that out with --from and --to"),
         ({"tail": 0.9}, "not sure", "rough"),
         ({"doubts": ["only rates up to 11.5 deg/s could be searched"]}, "not sure", "only rates"),
         ({"length": np.array([0.3])}, "line", "a line"),
@@ -253,6 +254,21 @@ def _found(**changes):
 def test_the_verdict_in_words(changes, word, part):
     got, text = verdict(_found(**changes))
     assert got == word and part in text
+
+
+def test_a_stretch_without_light_is_named_by_its_times():
+    t_s, lit = 100.0 + 20.0 * np.arange(10), np.ones(10, dtype=bool)
+    lit[[1, 2, 5]] = False
+    assert dark_stretch(t_s, lit) == ""
+    lit[6:9] = False
+    assert dark_stretch(t_s, lit) == "no panel was lit in 4 samples in a row, from 200 to 260 s"
+
+
+def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemetry):
+    shadow = telemetry.copy(deep=True)
+    shadow["current_A"][-6:] = 1e-3 * shadow["current_A"][:6].values
+    said = ss.posterior(cube, shadow, PRIORS, draws=200).attrs["verdict"]
+    assert "not explained" in said and "no panel was lit in 6 samples in a row" in said and "--from" in said and "dead" not in said
 
 
 @pytest.mark.parametrize(

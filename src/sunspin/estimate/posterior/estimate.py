@@ -42,7 +42,17 @@ from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
 from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, beyond_all, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
-from sunspin.estimate.posterior.verdict import COUNTS, TOO_FEW, Found, believed, refused, spoilt_panels, verdict, word_of
+from sunspin.estimate.posterior.verdict import (
+    COUNTS,
+    TOO_FEW,
+    Found,
+    believed,
+    dark_stretch,
+    refused,
+    spoilt_panels,
+    verdict,
+    word_of,
+)
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
 from sunspin.estimate.wheel_speeds import as_measured, untold
@@ -51,6 +61,9 @@ from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-5
 """Error of directions (rad) in the likelihood."""
+
+SURELY_LIT = 5.0
+"""Sigmas of noise above which a reading is sunlight."""
 
 EDGE = 0.97
 """Draws beyond this part of the largest rate searched say that the truth may be outside."""
@@ -381,12 +394,15 @@ def _judge(
     told = regions["weight"].values >= 0.01
     if np.any(regions["starts"].values[told] == 1):
         doubts.append("a region of weight was reached from one start only, so others may have been missed")
-    spoilt = spoilt_panels(vehicle.input_names, checked.outliers, data.lit)
+    bright = data.used & (data.value > max(data.threshold, SURELY_LIT * data.sigma))
+    awake = bright.any(axis=1)  # where nothing is lit the vehicle may have been in shadow, which is no panel's fault
+    spoilt = spoilt_panels(vehicle.input_names, checked.outliers[awake], data.lit[awake])
     rate, covariance = regions["omega_B"].values, regions["omega_cov_B"].values
     found = Found(
         regions["weight"].values, rate, np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)), regions["starts"].values,
         float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
         drawn.effective, doubts, np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
+        dark_stretch(tree.attrs["t_first_s"] + data.t_s, awake),
     )  # fmt: skip
     word, text = verdict(found)
     if word != "not explained" and (alike := alike_motions(vehicle)):

@@ -32,12 +32,15 @@ LINE_TURN, LINE_REGIONS = 0.15, 25
 PANEL_SHARE = 0.4
 """A panel with this part of its readings spoilt, and at least three of them, is named."""
 
+DARK_RUN = 3
+"""So many samples in a row without any lit panel may be a shadow, which no motion explains."""
+
 
 @dataclass(frozen=True)
 class Found:
     """What the verdict is made of: regions' weights, rates (r, 3), longest sigma of each (rad/s), starts that led to each, interval
     of the samples (s), check, tail, effective draws, remarks that put the search in doubt; `speed` (r), rad/s, root mean square:
-    a region's draws turn faster than its mean rate."""
+    a region's draws turn faster than its mean rate; `dark`: the stretch in which nothing was lit, in words."""
 
     weight: np.ndarray
     rate: np.ndarray
@@ -51,6 +54,7 @@ class Found:
     effective: float
     doubts: list[str]
     speed: np.ndarray
+    dark: str = ""
 
     @property
     def rough(self) -> bool:
@@ -120,7 +124,22 @@ def _not_explained(found: Found) -> str:
         text = "not explained: no motion fits unless the noise is far "
         text += f"{side} than was assumed, from the vehicle file or from the readings ({found.noise_sigmas:+.1f} sigma)"
     text = "; ".join([text, *found.spoilt, *found.doubts])
+    if found.dark:
+        return f"{text}; {found.dark}: if the vehicle was in shadow then, leave that out with --from and --to (begin_s, end_s)"
     return f"{text}; the vehicle, the window or the state of the wheels is not what was assumed, or a panel is shadowed or dead"
+
+
+def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
+    """When no panel was lit for `DARK_RUN` samples or more, the longest such time; empty where there is none.
+
+    `t_s` (K) from the epoch; `lit` (K), whether any panel was lit.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], lit, [True]]).astype(int)))
+    begin, end = edges[::2], edges[1::2]
+    if not len(begin) or (count := int((end - begin).max())) < DARK_RUN:
+        return ""
+    k = int(np.argmax(end - begin))
+    return f"no panel was lit in {count} samples in a row, from {t_s[begin[k]]:.6g} to {t_s[end[k] - 1]:.6g} s"
 
 
 def spoilt_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
