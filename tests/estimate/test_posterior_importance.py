@@ -9,7 +9,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.importance import BLOCK, DEFENCE, _rebent, _Round, pooled, regions, sample
+from sunspin.estimate.posterior.importance import BLOCK, DEFENCE, pooled, regions, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import State, model
@@ -106,20 +106,6 @@ def test_bends_are_lent_to_a_model_with_more_unknowns_and_to_one_that_counts_the
     units, state = np.array([1.0, 5.0, 0.5, 2.0]), narrow.draw(30, rng)
     other, counted = narrow.counted_in(units), replace(state, u=state.u / units)
     np.testing.assert_allclose(other.log_densities(counted), narrow.log_densities(state) + np.log(units.prod()), rtol=1e-9)
-
-
-def test_weighted_draws_teach_another_bend():
-    """Draws of a bent sheet teach one that is not bent: the mixture made of it is nearer to them, and keeps its defence."""
-    first = mixture(9, 2)
-    one = first.take(np.array([1]))
-    true = replace(one, bend=one.bend + np.random.default_rng(10).normal(0, 0.3, one.bend.shape), weight=np.ones(1))
-    draws, other = (true.draw(4000, np.random.default_rng(seed)) for seed in (11, 12))
-    none = np.zeros(len(draws))
-    made = _Round(draws, draws, none, none, none[:, None], none, 4000.0, -1.0, 0.0)
-    taught = _rebent(made, first)
-    np.testing.assert_allclose(taught.weight[:2], DEFENCE * first.weight, rtol=1e-12)
-    at_best, before, after = (np.log(density(of, other)).mean() for of in (true, first, taught))
-    assert before < at_best - 4 and after > at_best - 2  # moments of Student draws are wider than what they were drawn with
 
 
 def test_components_that_share_draws_are_one_region():

@@ -49,10 +49,6 @@ DEFENCE = 0.15
 LOCAL, LOCAL_SHRINK = 24, 0.6
 """Where learning stalls: components put on draws of the posterior, and their covariance as a part of the whole region's."""
 
-BENT_ANEW, FEW_TO_BEND, ONE_REGION, LEAST_TAUGHT = 2, 3.0, 0.99, 1e-9
-"""Where learning does not succeed: rounds with a bend of draws, effective draws for each of its coefficients that it needs, the
-part of the weight in one region, and the part of the largest weight that a draw has at least to teach it."""
-
 MOST_BENT = 12
 """Modes whose ridges are followed, the best."""
 
@@ -150,13 +146,10 @@ def sample(
     if not worth.any():
         return None
     if last is None:
-        parts = [track.mixture for track in tracks]
-        anew, share, more = _bent_anew(likelihood, Blend.by(parts, worth), tracks[best].first, seed, run, chunk, part)
-        if anew is not None:
-            parts, worth = [*parts, anew], np.append(worth, share)
+        blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
         count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
-        last = _round(likelihood, Blend.by(parts, worth), count, seed, len(SOFTS) * ROUNDS, run, chunk)
-        trace += [*more, [last.evidence, last.effective / count, last.tail]]
+        last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
+        trace.append([last.evidence, last.effective / count, last.tail])
     label, of_component = regions(last.log_weight, last.parts, last.density)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
@@ -201,57 +194,6 @@ def _taught(
             mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
     share = max(share for share, _ in tried)
     return _Track(pooled(tried) if good is None and share else mixture, of_mode, share, trace, first, good)
-
-
-def _bent_anew(
-    likelihood: Likelihood, blend: Blend, first: Mixture, seed: int, run: Any, chunk: int, part: float
-) -> tuple[Mixture | None, float, list[list[float]]]:
-    """A mixture bent as the draws of `blend` are, about one of the `first` components; what its draws are worth, and the trace.
-    None where draws are few, or lie in several regions.
-
-    A ridge is followed about the best motion; a broad sheet goes on otherwise, and hundreds of draws tell how.
-    """
-    count, begin = int(part * DRAWS), len(SOFTS) * ROUNDS + 1
-    made, trace, best, share = _round(likelihood, blend, count, seed, begin, run, chunk), [], None, 0.0
-    for turn in range(BENT_ANEW):
-        label = regions(made.log_weight, made.parts, made.density)[0]
-        alone = np.exp(logsumexp(made.log_weight[label == 0]) - logsumexp(made.log_weight)) if made.effective else 0.0
-        if made.effective < FEW_TO_BEND * first.sheet.terms or alone < ONE_REGION:
-            break
-        mixture = _rebent(made, first)
-        made = _round(likelihood, mixture, count, seed, begin + 1 + turn, run, chunk)
-        trace.append([made.evidence, made.effective / count, made.tail])
-        if made.effective / count > share:
-            best, share = mixture, made.effective / count
-    return best, share, trace
-
-
-def _rebent(made: _Round, first: Mixture) -> Mixture:
-    """The `first` components and, about the one that is likeliest to have made the weighted draws, their own bend and moments."""
-    weight = _cut(made.log_weight)
-    used = np.flatnonzero(weight > LEAST_TAUGHT * weight.max())
-    weight, draws = weight[used] / weight[used].sum(), made.proposed.take(used)
-    one = first.take(np.array([np.argmax(weight @ first.log_densities(draws))]))
-    x = one.coordinates(draws, 0)
-    terms = monomials(x, one.sheet)
-    middle = weight @ terms
-    spread = np.sqrt(weight @ (terms - middle) ** 2)
-    unit = (terms - middle) / spread
-    told = (weight[:, None] * unit).T @ unit + np.eye(len(spread)) / effective_draws(weight)  # a draw's worth of no bend besides
-    answer = np.linalg.solve(told, (weight[:, None] * unit).T @ x[:, one.sheet.stiff]) / spread[:, None]
-    bent = replace(one, bend=one.bend + answer)
-    x = bent.coordinates(draws, 0)
-    mean = weight @ x
-    covariance = (weight[:, None] * (x - mean)).T @ (x - mean)
-    taught = replace(bent, mean=mean[None], covariance=covariance[None], weight=np.full(1, 1 - DEFENCE))
-    return Mixture.joined([replace(first, covariance=2.0 * first.covariance, weight=DEFENCE * first.weight), taught])
-
-
-def _cut(log_weight: np.ndarray) -> np.ndarray:
-    """Weights (n) that add to one of which none counts for more than a root of their number."""
-    weight = log_weight - log_weight.max()
-    weight = np.exp(np.minimum(weight, logsumexp(weight) - np.log(len(weight)) / 2))
-    return weight / weight.sum()
 
 
 def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
@@ -441,8 +383,10 @@ def _follow_ridge(
 
 def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np.random.Generator) -> Mixture:
     """The mixture with the moments of the weighted draws, each draw shared out among the components that may have made it."""
-    weight = _cut(made.log_weight)
-    share = np.exp(made.parts - made.density[:, None]) * weight[:, None]
+    weight = made.log_weight - made.log_weight.max()
+    cut = logsumexp(weight) - np.log(len(weight)) / 2  # no draw counts for more than a root of their number
+    weight = np.exp(np.minimum(weight, cut))
+    share = np.exp(made.parts - made.density[:, None]) * (weight / weight.sum())[:, None]
     used = np.flatnonzero(share.sum(axis=0) > 1e-4)
     mean, learnt = mixture.mean[used], mixture.covariance[used]
     for alike, x in mixture.charts(made.proposed, used):
@@ -454,7 +398,7 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
             learnt[i] = keep * spread + (1 - keep) * learnt[i]
     origin, shares = used, share[:, used].sum(axis=0) / share[:, used].sum()
     if local:
-        pick = rng.choice(len(weight), LOCAL, p=weight)
+        pick = rng.choice(len(weight), LOCAL, p=weight / weight.sum())
         owner = np.argmax(share[np.ix_(pick, used)], axis=1)
         points = [mixture.coordinates(made.proposed.take(pick[[i]]), int(used[o]))[0] for i, o in enumerate(owner)]
         origin, mean = np.concatenate([used, used[owner]]), np.concatenate([mean, points])

@@ -160,11 +160,6 @@ class Blend:
     parts: tuple[Mixture, ...]
     share: np.ndarray
 
-    @classmethod
-    def by(cls, parts: list[Mixture], worth: np.ndarray) -> Blend:
-        """Mixtures in shares as what each is worth."""
-        return cls(tuple(parts), worth / worth.sum())
-
     def draw(self, n: int, rng: np.random.Generator) -> State:
         """n draws, each part's share of them."""
         counts = np.diff(np.round(np.cumsum([0.0, *self.share]) * n).astype(int))
