@@ -97,6 +97,10 @@ def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
     assert same(ensemble(ROWS, store=store))
 
 
+LONGEST_NEWS_S = 30.0
+"""How long the news of a lost result may take; after that the test fails and does not wait for ever."""
+
+
 def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypatch):
     """The result is here and its state is not asked for yet: Dask's own executor takes the state that follows for the outcome."""
     gather, states = distributed.Client._gather, []
@@ -111,13 +115,14 @@ def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypa
                 (task,) = futures
                 (holder,) = (worker for worker in cluster.workers.values() if task.key in worker.data)
                 await holder.close()
-                while task.status == "finished":
+                until = time.monotonic() + LONGEST_NEWS_S
+                while task.status == "finished" and time.monotonic() < until:
                     await asyncio.sleep(0)
                 states.append(task.status)
             return result
 
         monkeypatch.setattr(distributed.Client, "_gather", die_after)
-        rows = Waves(n_rows=1000, seconds_per_row=2e-4)  # longer than the news of a loss takes
+        rows = Waves(n_rows=1000, seconds_per_row=2e-3)  # longer than the news of a loss takes, on a busy machine too
         assert same(ensemble(rows, scheduler=client, chunk=500))
     assert states == ["lost"]
 
