@@ -18,8 +18,9 @@ ELSEWHERE = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, [Path(sunspin._
 
 
 def heed_interrupts() -> None:
-    """Before a child process begins: one that was started in the background of a shell would ignore Ctrl-C."""
+    """Before a child process begins: one begun in the background of a shell would ignore Ctrl-C, and under nohup a hang-up."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @dataclass(frozen=True)
