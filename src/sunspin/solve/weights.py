@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 TAIL_LEAST = 30
 """Weights that a tail must have to be fitted."""
@@ -29,6 +28,7 @@ def pareto_tail(log_weight: np.ndarray) -> float:
 def _shape(x: np.ndarray) -> float:
     """Shape k of the likeliest generalised Pareto law: with t = k / scale, k = mean log(1 + t x), which leaves t alone
     to be sought (Grimshaw 1993)."""
+    from scipy.optimize import minimize_scalar  # 0.1 s that nobody else needs at the start of an estimate
 
     def cost(at: float) -> float:
         t = np.expm1(at) / x.max()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -34,11 +34,11 @@ from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
 from sunspin.estimate.rates.result import SUSPECTED, believed, cures, dataset_of, in_space, in_the_field, verdict
 from sunspin.estimate.rates.rough import roughly
-from sunspin.estimate.rates.side_by_side import each, processes
+from sunspin.estimate.rates.side_by_side import begun, each, processes
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.rates.wheel_signs import Anew, Reversed, doubted_signs, reversed_momenta
+from sunspin.estimate.rates.wheel_signs import Anew, Reversed, doubted_signs, reversed_momenta, tasks
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
@@ -193,15 +193,15 @@ def rates(
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
     load(body)
-    with processes(_useful(workers, parts, momenta, forces.torques)) as pool:
+    with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
         spent = Effort(allowed(effort), "rates" if progress else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
             noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_evidences, spent, judged, pool))
+        signs = _signs(o, parts, reversed_momenta(vehicle, telemetry, wheels, o), noise, body, rate_max, given, spent, pool)
         motion = Motion(body, noise, rate_max / 2)
         wholes = [np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts]
         tracks, cut = _searched(o, parts, motion, rate_max, spent, pool)
-        more = () if _torque_told(vehicle, o) else (MagneticTorque.beside(noise, o.freed().field_N),)
-        o = replace(o, terms=(*o.terms, *more))
+        o, more = _with_magnetic_torque(vehicle, o, noise)
         ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
         with spent:
             spent.doing("errors in common")
@@ -210,8 +210,7 @@ def rates(
             clock, late = _clock(vehicle.sensors.clock, ready, motion)
             others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
             modes, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others, pool)
-        turned = _other_signs(o, reversed_momenta(vehicle, telemetry, wheels, o), list(zip(wholes, parts, modes, strict=True)),
-                              noise, Anew(body, rate_max, given, clock, others, more), spent.most, pool)  # fmt: skip
+        turned = signs(o, list(zip(wholes, parts, modes, strict=True)), Anew(body, rate_max, given, clock, others, more))
     found, walk, period_attrs = _linked(o, modes, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
     missed, unmet = _doubted(o, parts, motion, rate_max, given)
@@ -269,9 +268,11 @@ def _far_from_sphere(body: Body, noise: float) -> bool:
     return body.spherical and noise >= HIGHER_NOISES[0]
 
 
-def _useful(workers: int, parts: list[np.ndarray], momenta: dict[str, np.ndarray], torques: Sequence[Torque]) -> int:
-    """Processes of use, and none where torques bring an environment, which stays in this one."""
-    tasks = max(len(parts), len(momenta)) if may_copy() else len(parts) // PASSES_EACH
+def _useful(
+    workers: int, parts: list[np.ndarray], momenta: dict[str, np.ndarray], vehicle: Vehicle, torques: Sequence[Torque]
+) -> int:
+    """Processes of use, as the signs of wheels are asked in them; none where torques bring an environment: it stays in this one."""
+    tasks = max(len(parts), len(momenta), 2 * bool(vehicle.wheels)) if may_copy() else len(parts) // PASSES_EACH
     return 1 if torques else min(worker_count(workers), tasks)
 
 
@@ -335,15 +336,25 @@ def _linked(
     return *link(o, each, motion), {"periods": json.dumps([{**one, "pass": int(ids[one["pass"]])} for one in said])}
 
 
-def _other_signs(
-    o: Observations, momenta: dict[str, np.ndarray], passes: list[tuple[np.ndarray, np.ndarray, Pass]], noise: float, anew: Anew,
-    most: float, pool: Executor | None,
-) -> Reversed | None:  # fmt: skip
-    """The wheels whose sign the data doubt, as far as a share of the effort goes."""
-    with Effort(SIGN_SHARE * most) as spent:
-        found = doubted_signs(o, momenta, passes, noise, anew, partial(_evidences, spent, spent, pool))
-    spent.close()
-    return found
+Doubts = Callable[[Observations, list[tuple[np.ndarray, np.ndarray, Pass]], Anew], Reversed | None]
+"""Of what is observed, the passes as :func:`doubted_signs` has them, and what they are estimated with: the wheels whose sign the
+data doubt."""
+
+
+def _signs(
+    o: Observations, parts: list[np.ndarray], momenta: dict[str, np.ndarray], noise: float, body: Body, rate_max: float,
+    given: float | None, spent: Effort, pool: Executor | None,
+) -> Doubts:  # fmt: skip
+    """What tells the wheels whose sign the data doubt, as far as a share of the effort goes, once passes are found with the signs
+    as stated. What does not hang on these other processes begin with now."""
+    asked, most = tasks(o, parts, body, noise, given, rate_max, momenta), SIGN_SHARE * spent.most
+    evidences = begun(evidence_of_noises, asked, most / max(len(asked), 1), pool)
+
+    def doubted(o: Observations, passes: list[tuple[np.ndarray, np.ndarray, Pass]], anew: Anew) -> Reversed | None:
+        with Effort(most) as own:
+            return doubted_signs(o, momenta, passes, noise, anew, [evidence for (evidence, _), _ in evidences(own)])
+
+    return doubted
 
 
 def _not_decided(result: xr.Dataset, turned: Reversed | None) -> xr.Dataset:
@@ -446,6 +457,14 @@ def _known_noise(vehicle: Vehicle, o: Observations, asked: float | None) -> floa
         low, high = NOISE_RANGE
         raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
     return given
+
+
+def _with_magnetic_torque(
+    vehicle: Vehicle, o: Observations, noise: float
+) -> tuple[Observations, tuple[MagneticTorque, ...]]:
+    """What is observed, with an unknown magnetic torque where the file does not tell it; and that."""
+    more = () if _torque_told(vehicle, o) else (MagneticTorque.beside(noise, o.freed().field_N),)
+    return replace(o, terms=(*o.terms, *more)), more
 
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:

@@ -21,7 +21,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.estimate.terms.term import SUN_N
-from sunspin.solve.linear import each_row
+from sunspin.solve.linear import each_row, symmetric_inverse
 from sunspin.solve.rotations import cross, matrix_of, turn, turn_between
 from sunspin.vehicle import Vehicle
 
@@ -190,7 +190,7 @@ def _runge_kutta(
     q = y[:, -4:]
     lost = ~np.isfinite(y).all(axis=1) | ~np.any(q, axis=1)
     y[lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
-    p = g.Parameters(tuple(g.inverse_elements(body.inertia)), tuple(held_end.T), ())
+    p = g.Parameters(tuple(symmetric_inverse(body.inertia)), tuple(held_end.T), ())
     rate = np.stack(g.body_rate(y[:, :3].T, (), p), axis=-1)
     return matrix_of(q).reshape(*omega.shape, 3), rate.reshape(omega.shape)
 

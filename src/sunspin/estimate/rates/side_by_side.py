@@ -6,8 +6,9 @@ Each may spend so much, counted by itself; what was spent is added up in the ord
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import active_children, get_context
 from typing import Any
 
@@ -40,17 +41,39 @@ def each(
     work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort, pool: Executor | None
 ) -> Iterator[tuple[Any, bool]]:
     """What `work` makes of each task, in order, and whether it was cut short, each having a `share` of the effort to spend."""
-    if pool is None or len(tasks) == 1:
-        for task in tasks:
-            with spent.part(share, alone=True) as own:
-                made = work(*task)
-            yield made, own.cut
-        return
-    try:
-        for future in [pool.submit(_counted, work, task, share) for task in tasks]:
+    return begun(work, tasks, share, pool if len(tasks) > 1 else None)(spent)
+
+
+def begun(
+    work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, pool: Executor | None
+) -> Callable[[Effort], Iterator[tuple[Any, bool]]]:
+    """The same of tasks that other processes, where there are some, begin with now: taken later, by the effort that counts them."""
+    if pool is None:
+        return partial(_here, work, tasks, share)
+    with _whole():
+        return partial(_taken, [pool.submit(_counted, work, task, share) for task in tasks])
+
+
+def _here(work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort) -> Iterator[tuple[Any, bool]]:
+    for task in tasks:
+        with spent.part(share, alone=True) as own:
+            made = work(*task)
+        yield made, own.cut
+
+
+def _taken(futures: Sequence[Future], spent: Effort) -> Iterator[tuple[Any, bool]]:
+    with _whole():
+        for future in futures:
             made, count, cut = future.result()
             spent.spend(count)
             yield made, cut
+
+
+@contextmanager
+def _whole() -> Generator[None]:
+    """While processes are asked: a sentence where one is no more."""
+    try:
+        yield
     except BrokenExecutor:
         raise InputError(sentence("a process that estimated a pass was ended from outside, for lack of memory perhaps",
                                   do="give a smaller number of workers, 1 say")) from None  # fmt: skip

@@ -8,7 +8,7 @@ alike the file is believed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -46,10 +46,6 @@ AS_WELL = 1.0
 
 OTHER_SIGMAS = 3.0
 """A motion is another one where its rates are so many sigmas of the stated one from it, at half of the samples."""
-
-
-Run = Callable[[Sequence[Task]], list[np.ndarray]]
-"""What :func:`evidence_of_noises` makes of each of some tasks."""
 
 
 class Anew(NamedTuple):
@@ -109,34 +105,51 @@ def reversed_momenta(vehicle: Vehicle, telemetry: xr.Dataset, doing: str, o: Obs
     return found
 
 
+def tasks(
+    o: Observations, parts: Sequence[np.ndarray], body: Body, noise: float, given: float | None, rate_max: float,
+    momenta: dict[str, np.ndarray],
+) -> list[Task]:  # fmt: skip
+    """Of which the evidence says which reversed wheels are not out of the question for the longest pass: the wheels as stated
+    under the `noise` of the search, then the reversed ones. What is observed is as a search takes it."""
+    part = parts[_longest_first(parts)[0]]
+    others = [(replace(o, momentum=momentum), rungs_of(given)) for momentum in momenta.values()]
+    return [(one.take(part), body, noises, rate_max) for one, noises in [(o, (noise,)), *others]] if others else []
+
+
+def rungs_of(given: float | None) -> tuple[float, ...]:
+    """Noises (rad/s^1.5) tried of reversed wheels, where none or one is `given`."""
+    return NOISE_LADDER if given is None else (given,)
+
+
 def _near(
-    o: Observations, part: np.ndarray, noise: float, anew: Anew, momenta: dict[str, np.ndarray], run: Run
+    o: Observations, momenta: dict[str, np.ndarray], rungs: tuple[float, ...], evidence: Sequence[np.ndarray]
 ) -> dict[str, tuple[Observations, float]]:
-    """Which reversed wheels are not out of the question for a pass: what is observed with them, and the acceleration noise
-    (rad/s^1.5) that they want."""
-    rungs = NOISE_LADDER if anew.given is None else (anew.given,)
-    others = {names: replace(o, momentum=momentum) for names, momentum in momenta.items()}
-    each = [(o, (noise,)), *((other, rungs) for other in others.values())]
-    stated, *found = run([(anew.bare(one).take(part), anew.body, noises, anew.rate_max) for one, noises in each])
-    near = [one.max() > stated[0] - FAR for one in found]
-    levels = [rungs[int(np.argmax(one))] for one in found]
-    return {names: (other, level) for (names, other), level, is_near in zip(others.items(), levels, near, strict=True) if is_near}
+    """Which reversed wheels are not out of the question by the evidence of their :func:`tasks`: what is observed with them, and the
+    acceleration noise (rad/s^1.5) that they want."""
+    stated, *found = evidence
+    levels = {names: rungs[int(np.argmax(one))] for names, one in zip(momenta, found, strict=True) if one.max() > stated[0] - FAR}
+    return {names: (replace(o, momentum=momenta[names]), level) for names, level in levels.items()}
+
+
+def _longest_first(parts: Sequence[np.ndarray]) -> list[int]:
+    """Numbers of the passes (samples of each) that are asked."""
+    return sorted(range(len(parts)), key=lambda k: -len(parts[k]))[:LOOKED_AT]
 
 
 def doubted_signs(
     o: Observations, momenta: dict[str, np.ndarray], passes: list[tuple[np.ndarray, np.ndarray, Pass]], noise: float, anew: Anew,
-    run: Run,
+    evidence: Sequence[np.ndarray],
 ) -> Reversed | None:  # fmt: skip
     """The wheels whose sign the data doubt; None where they do not, or cannot.
 
     `momenta` (n, 3): with wheels reversed, by their names; `passes`: all samples of each, those searched, and what was found under
-    the `noise` of the search; `run`: what evidence each of some tasks has.
+    the `noise` of the search; `evidence`: of the :func:`tasks` of the longest pass.
     """
     if not momenta:
         return None
-    longest = sorted(passes, key=lambda one: -len(one[1]))[:LOOKED_AT]
+    longest = [passes[k] for k in _longest_first([part for _, part, _ in passes])]
     found: list[Reversed] = []
-    for names, (other, level) in _near(o, longest[0][1], noise, anew, momenta, run).items():
+    for names, (other, level) in _near(o, momenta, rungs_of(anew.given), evidence).items():
         gain, another = 0.0, False
         for whole, part, stated in longest:
             one = _gained(o, other, whole, part, stated, (noise, level), anew) if may_go_on() else OUT
