@@ -12,6 +12,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.dynamics import gyrostat as g
 from sunspin.philae import rebound
+from sunspin.solve.linear import symmetric_inverse
 
 AXES = ("omega_x", "omega_y", "omega_z")
 SEED = 1
@@ -97,7 +98,7 @@ class Problem:
             wheel.friction.coulomb_N_m,
             wheel.friction.viscous_N_m_s,
         )
-        return g.Parameters(tuple(g.inverse_elements(g.free_inertia(self.vehicle, [free])).tolist()), (0.0, 0.0, 0.0), (turning,))
+        return g.Parameters(tuple(symmetric_inverse(g.free_inertia(self.vehicle, [free])).tolist()), (0.0, 0.0, 0.0), (turning,))
 
 
 @cache

@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 
 from sunspin.solve.least_squares import Stop, least_squares, shortened
-from sunspin.solve.linear import Bordered, Dense, bordered, dense, extreme_eigenvalues, spread
+from sunspin.solve.linear import (
+    Bordered,
+    Dense,
+    bordered,
+    dense,
+    extreme_eigenvalues,
+    spread,
+    symmetric_inverse,
+    symmetric_product,
+)
 
 MISRA1A = np.array([
     [10.07, 77.6], [14.73, 114.9], [17.94, 141.1], [23.93, 190.8], [29.61, 239.9], [35.18, 289.0], [40.02, 332.8], [44.82, 378.4],
@@ -244,3 +253,18 @@ def test_extreme_eigenvalues_are_those_of_lapack():
         expected = np.linalg.eigvalsh(matrix)
         for found, wanted in zip(extreme_eigenvalues(matrix), (expected[:, 0], expected[:, 2]), strict=True):
             assert np.abs(found - wanted).max() <= allowed * max(np.abs(expected).max(), 1e-300)
+
+
+def test_symmetric_inverses_are_those_of_lapack():
+    """Bodies whose moments differ by up to a thousand, in any axes; and a product with the inverse undoes the matrix."""
+    rng = np.random.default_rng(6)
+    axes, moments = np.linalg.qr(rng.normal(size=(2, 500, 3, 3)))[0], 10.0 ** rng.uniform(-1.5, 1.5, (2, 500, 3))
+    matrix = axes * moments[:, :, None] @ axes.swapaxes(-1, -2)
+    inverse = symmetric_inverse(matrix)
+    whole = inverse[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    worst = moments.max(axis=-1) / moments.min(axis=-1) ** 2
+    assert inverse.shape == (2, 500, 6)
+    assert np.all(np.abs(whole - np.linalg.inv(matrix)).max(axis=(-1, -2)) < 1e-13 * worst)
+    vector = rng.normal(size=(2, 500, 3))
+    back = symmetric_product(inverse, (matrix @ vector[..., None])[..., 0])
+    assert np.all(np.abs(back - vector).max(axis=-1) < 1e-12 * moments.max(axis=-1) / moments.min(axis=-1))

@@ -195,12 +195,6 @@ def free_inertia(vehicle: Vehicle | Bodies, free: Sequence[bool]) -> np.ndarray:
     return tensor
 
 
-def inverse_elements(tensor: np.ndarray) -> np.ndarray:
-    """The inverse of symmetric tensors (..., 3, 3) as (xx, xy, xz, yy, yz, zz) (..., 6)."""
-    inverse = np.linalg.inv(tensor)
-    return np.stack([inverse[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=-1)
-
-
 def total_momentum(vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
     """H = Theta omega + sum J W u (..., 3) in N m s, from omega_B (..., 3) and wheel speeds (..., n_wheel)."""
     bodies = Bodies.of(vehicle)

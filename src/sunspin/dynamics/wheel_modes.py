@@ -15,6 +15,7 @@ import numpy as np
 
 from sunspin.base.errors import MotionError, sentence
 from sunspin.dynamics import gyrostat as g
+from sunspin.solve.linear import symmetric_inverse
 from sunspin.vehicle import Vehicle, Wheel
 
 COMMANDS = ("coast", "hold", "brake")
@@ -145,7 +146,7 @@ def parameters(
                 wheel.friction.viscous_N_m_s,
             )
         )
-    inverse = tuple(g.inverse_elements(g.free_inertia(vehicle, free)).tolist())
+    inverse = tuple(symmetric_inverse(g.free_inertia(vehicle, free)).tolist())
     return g.Parameters(inverse, tuple(held.tolist()), tuple(wheels), outside)
 
 

@@ -176,3 +176,19 @@ def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cube = np.where(spread > 0, spread, 1.0) ** 3
     angle = np.arccos(np.clip(determinant / (2 * cube), -1, 1)) / 3
     return mean + 2 * spread * np.cos(angle + 2 * np.pi / 3), mean + 2 * spread * np.cos(angle)
+
+
+def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
+    """The inverse of symmetric matrices (..., 3, 3) as (xx, xy, xz, yy, yz, zz) (..., 6), by cofactors: many times as fast as
+    LAPACK's, and good to rounding times the ratio of the eigenvalues."""
+    (a, d, e), (b, f), c = ([matrix[..., i, j] for j in range(i, 3)] if i < 2 else matrix[..., 2, 2] for i in range(3))
+    xx, xy, xz = b * c - f * f, e * f - c * d, d * f - b * e
+    inverse = np.stack([xx, xy, xz, a * c - e * e, d * e - a * f, a * b - d * d], axis=-1)
+    return inverse / (a * xx + d * xy + e * xz)[..., None]
+
+
+def symmetric_product(elements: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Symmetric matrices, given as (xx, xy, xz, yy, yz, zz) (..., 6), times vectors (..., 3)."""
+    xx, xy, xz, yy, yz, zz = np.moveaxis(elements, -1, 0)
+    x, y, z = np.moveaxis(vector, -1, 0)
+    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=-1)

@@ -17,6 +17,7 @@ from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.codegen import assignments
 from sunspin.dynamics.ensemble.compiled import compiler, kept_text, module_of, template
 from sunspin.dynamics.torques.acting import Torque, directions_of, n_carried, n_parameters, outside
+from sunspin.solve.linear import symmetric_inverse
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -99,7 +100,7 @@ def carry(
         and the parameters of the torques, whose own unit is N m.
     """
     inertia, dipole, unit, more = numbers
-    given = np.concatenate([g.inverse_elements(inertia), np.ravel(inertia), dipole, np.ravel(unit), np.ravel(more)])
+    given = np.concatenate([symmetric_inverse(inertia), np.ravel(inertia), dipole, np.ravel(unit), np.ravel(more)])
     ends = [np.ascontiguousarray(part, dtype=np.float64) for part in (*held, *(field or held))]
     moved = np.array(states, dtype=np.float64, order="C")
     run = attitude_kernel(torques, bool(field))

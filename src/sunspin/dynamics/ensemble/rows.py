@@ -15,6 +15,7 @@ from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import principal
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import needed, needed_around, spun
+from sunspin.solve.linear import extreme_eigenvalues, symmetric_inverse
 from sunspin.vehicle import Vehicle
 
 
@@ -62,8 +63,8 @@ def common_spin(free: np.ndarray) -> np.ndarray:
 
     `free` is the inertia A (..., 3, 3).
     """
-    moments = np.linalg.eigvalsh(free)
-    return 0.5 * (1.0 / moments[..., 0] + 1.0 / moments[..., -1])
+    smallest, largest = extreme_eigenvalues(free)
+    return 0.5 * (1.0 / smallest + 1.0 / largest)
 
 
 def mode_table(vehicle: Vehicle, bodies: Bodies, with_frames: bool = True) -> np.ndarray:
@@ -82,7 +83,7 @@ def mode_table(vehicle: Vehicle, bodies: Bodies, with_frames: bool = True) -> np
 
 def _mode_table(vehicle: Vehicle, bodies: Bodies, with_frames: bool) -> np.ndarray:
     free = principal.free_inertias(bodies)
-    parts = [common_spin(free)[..., None], g.inverse_elements(free)]
+    parts = [common_spin(free)[..., None], symmetric_inverse(free)]
     if with_frames:
         frame = principal.frames(vehicle, bodies)
         parts += [frame.inverse, frame.axes.reshape(*frame.axes.shape[:-2], 9)]

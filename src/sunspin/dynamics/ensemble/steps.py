@@ -24,7 +24,7 @@ from sunspin.dynamics.ensemble.tolerance import MIN_WAYS, NODE_ANGLE, Accuracy
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import spun
-from sunspin.solve.linear import extreme_eigenvalues
+from sunspin.solve.linear import extreme_eigenvalues, symmetric_inverse, symmetric_product
 from sunspin.vehicle import Vehicle
 
 MAX_STEPS = 2_000_000
@@ -81,7 +81,7 @@ class Scales:
     @cached_property
     def turning(self) -> tuple[np.ndarray, np.ndarray]:
         """How fast each row turns (n), rad/s: at the beginning, and once the wheels' momentum is the body's."""
-        later = np.linalg.solve(self.rows.bodies_of(self.vehicle).inertia_kg_m2, self.momentum[..., None])[..., 0]
+        later = symmetric_product(symmetric_inverse(self.rows.bodies_of(self.vehicle).inertia_kg_m2), self.momentum)
         return np.linalg.norm(self.rows.omega_B, axis=1), np.linalg.norm(later, axis=1)
 
     @property
@@ -125,8 +125,9 @@ class Scales:
     @cached_property
     def responses(self) -> list[np.ndarray]:
         """What a unit of each wheel's momentum makes of omega at most (n_wheel; n or 1), 1/(kg m2)."""
-        axes = [np.broadcast_to(axis[:, None], (*self.inertias.shape[:-1], 1)) for axis in self.rows.bodies_of(self.vehicle).axes_B]
-        return [np.linalg.norm(np.linalg.solve(self.inertias, axis)[..., 0], axis=-1).max(axis=0) for axis in axes]
+        inverse = symmetric_inverse(self.inertias)
+        axes = self.rows.bodies_of(self.vehicle).axes_B
+        return [np.linalg.norm(symmetric_product(inverse, axis), axis=-1).max(axis=0) for axis in axes]
 
     def wheel_rate(self, t: float) -> np.ndarray:
         """A bound (n), rad/s, of what the wheels' momenta make of omega at the time t (s)."""
