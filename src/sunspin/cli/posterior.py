@@ -83,5 +83,5 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
         periods=evidence,
     )  # fmt: skip
     if asked is not None:
-        with_predictions(craft, tree, asked, seed, timeline_of(vehicle), made.assumptions.collision)
+        with_predictions(craft, tree, asked, seed, timeline_of(vehicle), made.assumptions.collision, workers)
     deliver(made.mark(tree), out, as_json, quiet, made.file, samples)

@@ -42,13 +42,13 @@ def collision_s(vehicle: Vehicle, epoch_utc: str | None, timeline: Timeline | No
 
 def predicted(
     vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, seed: int = 0, timeline: Timeline | None = None,
-    collision: Collision = STICKS,
+    collision: Collision = STICKS, workers: int | None = None,
 ) -> xr.Dataset:
     """As :func:`sunspin.estimate.posterior.predict.predict`, through the collision where the built-in case has one.
 
     At the instant of the collision it is the motion before. Coordinate `after_collision (predicted_s)` says which times
     are behind it, `attrs["collision"]` in words how it was drawn. `seed` is that of legs and directions, `collision` what the blow
-    does.
+    does; `workers`: threads, one per core unless told, on which nothing of the result depends.
     """
     first = float(tree.attrs["t_first_s"])
     times = checked_times(times_s, first)
@@ -57,11 +57,11 @@ def predicted(
     behind = np.zeros(times.size, dtype=bool) if blow is None else times > blow
     parts = []
     if not behind.all():
-        run = run_to(vehicle, rows, times[~behind] - first, unknown.wheel_mode)
+        run = run_to(vehicle, rows, times[~behind] - first, unknown.wheel_mode, workers)
         parts.append(predictions(unknown, rows, run, times[~behind]))
     said = "none: free motion throughout" if blow is None else "later than all times"
     if blow is not None and behind.any():
-        parts.append(_after(unknown, rows, first, times[behind], blow, seed, collision))
+        parts.append(_after(unknown, rows, first, times[behind], blow, seed, collision, workers))
         speed = _scenario(vehicle).collision_speed_m_s
         does = "sticks for an instant" if collision == STICKS else (
             f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
@@ -73,10 +73,10 @@ def predicted(
 
 def with_predictions(
     vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], seed: int = 0, timeline: Timeline | None = None,
-    collision: Collision = STICKS,
+    collision: Collision = STICKS, workers: int | None = None,
 ) -> None:
     """Add the group `predictions` to a posterior: :func:`predicted` at `times`, s from the epoch -> as asked for."""
-    found = predicted(vehicle, tree, list(times), seed, timeline, collision)
+    found = predicted(vehicle, tree, list(times), seed, timeline, collision, workers)
     tree["predictions"] = xr.DataTree(found.assign_coords(asked=("predicted_s", list(times.values()))))
 
 
@@ -85,10 +85,10 @@ def _scenario(vehicle: Vehicle) -> sc.Scenario:
 
 
 def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, blow_s: float, seed: int,
-           collision: Collision) -> xr.Dataset:  # fmt: skip
+           collision: Collision, workers: int | None) -> xr.Dataset:  # fmt: skip
     """The draws (n), `rows` at the first sample, at times behind the blow."""
     vehicle = unknown.vehicle
-    reached = run_to(vehicle, rows, [blow_s - first_s], unknown.wheel_mode)
+    reached = run_to(vehicle, rows, [blow_s - first_s], unknown.wheel_mode, workers)
     omega, sun, speeds = (reached[name][:, 0] for name in ("omega_B", "sun_B", "wheel_speed_rad_s"))
     fine = np.all(np.isfinite(omega), axis=1)
     scenario, draw = _scenario(vehicle), sc.draws(seed, np.arange(len(rows)))
@@ -102,6 +102,6 @@ def _after(unknown: Model, rows: k.Rows, first_s: float, times_s: np.ndarray, bl
         hit["omega_B"].values, np.where(fine[:, None], sun, rows.sun_B), hit["wheel_speed_rad_s"].values,
         bodies=replace(bodies, steady_N_m=np.zeros_like(bodies.steady_N_m)),  # of torques after the blow nothing is known
     )  # fmt: skip
-    run = run_to(vehicle, start, times_s - blow_s, unknown.wheel_mode)
+    run = run_to(vehicle, start, times_s - blow_s, unknown.wheel_mode, workers)
     run = {name: np.where(fine[:, None, None], values, np.nan) for name, values in run.items()}
     return predictions(unknown, start, run, times_s)

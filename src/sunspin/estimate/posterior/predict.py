@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
+from sunspin.compute.identity import code, plain
+from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.torques import NOTHING, Acting, Steady
@@ -53,10 +56,44 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     return unknown, k.Rows(omega, sun, speeds, bodies=bodies)
 
 
-def run_to(vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: Any = "coast") -> dict[str, np.ndarray]:
+@dataclass(frozen=True)
+class Carried:
+    """Row -> a motion, with its own body, at times all later or all earlier (s from the row's)."""
+
+    vehicle: Vehicle
+    rows: k.Rows = field(repr=False)
+    ends_s: np.ndarray
+    wheel_mode: Any
+    acting: Acting
+
+    @property
+    def outputs(self) -> Mapping[str, Any]:
+        count, wheels = len(self.ends_s), len(self.vehicle.wheels)
+        return {"omega_B": ("float64", (count, 3)), "sun_B": ("float64", (count, 3)),
+                "wheel_speed_rad_s": ("float64", (count, wheels))}  # fmt: skip
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.rows)
+
+    def identity(self) -> dict[str, Any]:
+        parts = ("vehicle", "rows", "ends_s", "wheel_mode", "acting")
+        return {**code("estimate/posterior/predict.py"), **{name: plain(getattr(self, name)) for name in parts}}
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        run = k.run_rows(self.vehicle, self.rows.take(index), self.ends_s, wheel_mode=self.wheel_mode,
+                         direction_error=DIRECTION_ERROR, acting=self.acting)  # fmt: skip
+        fine = (run.outcome == k.Outcome.FINE)[:, None, None]
+        return {name: np.where(fine, getattr(run, name), np.nan) for name in self.outputs}
+
+
+def run_to(
+    vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: Any = "coast", workers: int | None = None
+) -> dict[str, np.ndarray]:
     """Rows run to times (n_t), s after theirs, earlier ones backward: `omega_B`, `sun_B` (n, n_t, 3), `wheel_speed_rad_s`.
 
-    Wheels run down, stop and stay through all of it, and steady torques go on. NaN where a run could not be computed.
+    Wheels run down, stop and stay through all of it, and steady torques go on. NaN where a run could not be computed. `workers` as
+    in :func:`sunspin.compute.rows.ensemble`.
     """
     times = np.asarray(after_s, dtype=np.float64)
     n, wheels = len(rows), len(vehicle.wheels)
@@ -72,10 +109,9 @@ def run_to(vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: A
         ends, place = np.unique(times[side], return_inverse=True)
         ends = ends[::-1] if ends[0] < 0 else ends
         place = len(ends) - 1 - place if ends[0] < 0 else place
-        run = k.run_rows(vehicle, rows, ends, wheel_mode=wheel_mode, direction_error=DIRECTION_ERROR, acting=acting)
-        fine = (run.outcome == k.Outcome.FINE)[:, None, None]
+        run = ensemble(Carried(vehicle, rows, ends, wheel_mode, acting), workers=workers)
         for name, values in out.items():
-            values[:, side] = np.where(fine, getattr(run, name)[:, place], np.nan)
+            values[:, side] = run[name][:, place]
     return out
 
 
@@ -108,7 +144,7 @@ def _angle(cosine: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
-def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike) -> xr.Dataset:
+def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, workers: int | None = None) -> xr.Dataset:
     """The posterior predictive of the motion at other times, before the first sample or after the last.
 
     Parameters
@@ -120,6 +156,8 @@ def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike) -> xr.D
     times_s : (n_t,)
         s from the epoch of the telemetry. Nothing but free motion may lie between them and the samples; the wheels do what they
         did there, run down and stop.
+    workers : int, optional
+        Threads; default one per core. The result does not depend on it.
 
     Returns
     -------
@@ -135,7 +173,8 @@ def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike) -> xr.D
     first = float(tree.attrs["t_first_s"])
     times = checked_times(times_s, first)
     unknown, rows = drawn_rows(vehicle, tree)
-    return predictions(unknown, rows, run_to(vehicle, rows, times - first, unknown.wheel_mode), times).assign_attrs(carried(tree))
+    run = run_to(vehicle, rows, times - first, unknown.wheel_mode, workers)
+    return predictions(unknown, rows, run, times).assign_attrs(carried(tree))
 
 
 def carried(tree: xr.DataTree) -> dict[str, Any]:
