@@ -21,8 +21,11 @@ def only_here():
     if os.getpid() != here:
         raise OSError("a copy cannot do this")
     note("again")
-copies.at_once([lambda: note("first"), lambda: note("second"), lambda: note("third")])
-copies.at_once([int, only_here])
+    return "here"
+assert copies.at_once([lambda: note("first"), lambda: note("second"), lambda: note("third") or 3]) == [None, None, 3]
+assert copies.at_once([int, only_here, lambda: 2, lambda: 3]) == [0, "here", 2, 3]
+assert copies.at_once([int, threading.Lock])[1].acquire()  # which no copy can hand over
+assert copies.at_once([]) == []
 threading.Thread(target=threading.Event().wait, daemon=True).start()
 copies.at_once([lambda: note("fourth"), lambda: note("fifth")])
 """

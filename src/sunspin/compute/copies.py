@@ -45,32 +45,40 @@ def deaf() -> None:
         signal.signal(kind, signal.SIG_DFL)
 
 
-def at_once(works: Sequence[Callable[[], Any]]) -> None:
-    """Do each of these for what it leaves in files, on as many cores as there are; the first in this process.
+def at_once(works: Sequence[Callable[[], Any]]) -> list[Any]:
+    """What each of these gives, and what it leaves in files, done on as many cores as there are; the first in this process.
 
     What fails in a copy is done again here, where its error is seen.
     """
-    count = min(worker_count(None), len(works)) if may_copy() else 1
+    count = max(1, min(worker_count(None), len(works)) if may_copy() else 1)
     shares = [works[k::count] for k in range(count)]
-    copies = [get_context("fork").Process(target=_in_copy, args=(share,), daemon=True) for share in shares[1:]]
+    found: list[Any] = [None] * len(works)
+    copies: list[tuple[Any, Any]] = []
     with copying():
-        for copy in copies:
+        for share in shares[1:]:
+            here, there = get_context("fork").Pipe(duplex=False)
+            copy = get_context("fork").Process(target=_in_copy, args=(share, there), daemon=True)
             copy.start()
-    _all(shares[0])
-    for copy, share in zip(copies, shares[1:], strict=True):
+            there.close()
+            copies.append((copy, here))
+    found[::count] = _all(shares[0])
+    for k, (copy, here) in enumerate(copies, 1):
+        with here:
+            try:
+                found[k::count] = here.recv()
+            except EOFError:  # it failed, or was ended from outside
+                found[k::count] = _all(shares[k])
         copy.join()
-        if copy.exitcode != 0:
-            _all(share)
+    return found
 
 
-def _all(works: Sequence[Callable[[], Any]]) -> None:
-    for work in works:
-        work()
+def _all(works: Sequence[Callable[[], Any]]) -> list[Any]:
+    return [work() for work in works]
 
 
-def _in_copy(works: Sequence[Callable[[], Any]]) -> None:
+def _in_copy(works: Sequence[Callable[[], Any]], to: Any) -> None:
     deaf()
     try:
-        _all(works)
+        to.send(_all(works))
     except Exception:
         sys.exit(1)  # without a word: it is done again where that can be handled

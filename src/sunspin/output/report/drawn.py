@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from markupsafe import Markup
 
+from sunspin.compute.copies import at_once
 from sunspin.output.figures.inline import inline_svg
 from sunspin.output.kinds import KINDS
 from sunspin.output.kinds.kind import Beside, Drawing
@@ -48,15 +49,29 @@ def drawings(results: Results, *kinds: str) -> Iterator[Drawing]:
 
 def drawn(results: Results, *kinds: str) -> list[Drawn]:
     """The same as parts of the page; a figure that is on it already is not drawn again."""
+    new = list({one.name: one for one in drawings(results, *kinds) if one.name not in results.drawn}.values())
     found = []
-    for drawing in drawings(results, *kinds):
-        if drawing.name not in results.drawn:
-            try:
-                found.append(item(results, drawing))
-            # data of any origin: tables without a figure are worth more than no section
-            except Exception as error:
-                results.problems.append(f"A figure could not be drawn: {drawing.name} ({type(error).__name__}: {error}).")
+    for drawing, (svg, why) in zip(new, at_once([_try(results, one, k) for k, one in enumerate(new)]), strict=True):
+        if svg is None:
+            results.problems.append(f"A figure could not be drawn: {drawing.name} ({why}).")
+        else:
+            results.drawn.add(drawing.name)
+            found.append(_part(drawing, svg))
     return found
+
+
+def _try(results: Results, drawing: Drawing, number: int) -> Callable[[], tuple[str | None, str]]:
+    """What draws the figure that comes after so many new ones: as SVG, or None and why not."""
+    prefix = f"s{len(results.drawn) + number}-"
+
+    def tried() -> tuple[str | None, str]:
+        try:
+            return inline_svg(drawing.make(), prefix), ""
+        # data of any origin: tables without a figure are worth more than no section
+        except Exception as error:
+            return None, f"{type(error).__name__}: {error}"
+
+    return tried
 
 
 def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
@@ -71,4 +86,8 @@ def item(results: Results, drawing: Drawing) -> Drawn:
     """A figure as a part of the page."""
     svg = inline_svg(drawing.make(), f"s{len(results.drawn)}-")
     results.drawn.add(drawing.name)
+    return _part(drawing, svg)
+
+
+def _part(drawing: Drawing, svg: str) -> Drawn:
     return Drawn(drawing.name, Markup(svg), drawing.alt, drawing.caption)
