@@ -49,7 +49,7 @@ class SunStatus(IntEnum):
 STATUS_TEXT = {
     SunStatus.OK: "reconstructed; more than three panels lit, so Delta checks it",
     SunStatus.UNCHECKED: "reconstructed from exactly three lit panels: nothing is redundant and Delta checks nothing",
-    SunStatus.IMPOSSIBLE: "the lit panels cannot be lit together by the Sun alone: a panel is shadowed, dead or reads wrong",
+    SunStatus.IMPOSSIBLE: "the Sun alone cannot light these panels: noise, other light, a shadow, a panel dead or read wrong",
     SunStatus.RULE: "excluded by a rule of the vehicle",
     SunStatus.ARC: "lit panels face directions in one plane only: the Sun lies somewhere on an arc",
     SunStatus.REGION: "lit panels all face one way: the Sun lies somewhere in a region",
