@@ -10,7 +10,8 @@ import pytest
 from sunspin.compute import copies
 
 WORK = """
-import os, sys, threading
+import os, sys, threading, time
+from multiprocessing import active_children
 from pathlib import Path
 from sunspin.compute import copies
 copies.worker_count = lambda _: 2
@@ -26,6 +27,10 @@ assert copies.at_once([lambda: note("first"), lambda: note("second"), lambda: no
 assert copies.at_once([int, only_here, lambda: 2, lambda: 3]) == [0, "here", 2, 3]
 assert copies.at_once([int, threading.Lock])[1].acquire()  # which no copy can hand over
 assert copies.at_once([]) == []
+def ended():
+    time.sleep(0.5)  # by then the copy is telling more than a pipe holds
+    active_children()[0].kill()
+assert copies.at_once([ended, lambda: b"x" * 10**7]) == [None, b"x" * 10**7]
 threading.Thread(target=threading.Event().wait, daemon=True).start()
 copies.at_once([lambda: note("fourth"), lambda: note("fifth")])
 """

@@ -66,7 +66,7 @@ def at_once(works: Sequence[Callable[[], Any]]) -> list[Any]:
         with here:
             try:
                 found[k::count] = here.recv()
-            except EOFError:  # it failed, or was ended from outside
+            except (EOFError, OSError):  # it failed, or was ended from outside, perhaps while it told
                 found[k::count] = _all(shares[k])
         copy.join()
     return found

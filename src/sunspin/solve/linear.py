@@ -181,10 +181,11 @@ def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
     """The inverse of symmetric matrices (..., 3, 3) as (xx, xy, xz, yy, yz, zz) (..., 6), by cofactors: many times as fast as
     LAPACK's, and good to rounding times the ratio of the eigenvalues."""
-    (a, d, e), (b, f), c = ([matrix[..., i, j] for j in range(i, 3)] if i < 2 else matrix[..., 2, 2] for i in range(3))
-    xx, xy, xz = b * c - f * f, e * f - c * d, d * f - b * e
-    inverse = np.stack([xx, xy, xz, a * c - e * e, d * e - a * f, a * b - d * d], axis=-1)
-    return inverse / (a * xx + d * xy + e * xz)[..., None]
+    a, b, c = (matrix[..., k, k] for k in range(3))
+    f, e, d = matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2]
+    xx, xy, xz = b * c - d * d, e * d - c * f, f * d - b * e
+    inverse = np.stack([xx, xy, xz, a * c - e * e, f * e - a * d, a * b - f * f], axis=-1)
+    return inverse / (a * xx + f * xy + e * xz)[..., None]
 
 
 def symmetric_product(elements: np.ndarray, vector: np.ndarray) -> np.ndarray:

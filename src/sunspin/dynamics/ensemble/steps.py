@@ -69,6 +69,11 @@ class Scales:
         return principal.free_inertias(self.rows.bodies_of(self.vehicle))
 
     @cached_property
+    def inverses(self) -> np.ndarray:
+        """Their inverses (n_set, n or 1, 6), as `symmetric_inverse` gives them; the first is the whole body's: no wheel is free."""
+        return symmetric_inverse(self.inertias)
+
+    @cached_property
     def momentum(self) -> np.ndarray:
         """H (n, 3)."""
         return g.total_momentum(self.rows.bodies_of(self.vehicle), self.rows.omega_B, self.rows.wheel_speed_rad_s)
@@ -81,7 +86,7 @@ class Scales:
     @cached_property
     def turning(self) -> tuple[np.ndarray, np.ndarray]:
         """How fast each row turns (n), rad/s: at the beginning, and once the wheels' momentum is the body's."""
-        later = symmetric_product(symmetric_inverse(self.rows.bodies_of(self.vehicle).inertia_kg_m2), self.momentum)
+        later = symmetric_product(self.inverses[0], self.momentum)
         return np.linalg.norm(self.rows.omega_B, axis=1), np.linalg.norm(later, axis=1)
 
     @property
@@ -125,9 +130,8 @@ class Scales:
     @cached_property
     def responses(self) -> list[np.ndarray]:
         """What a unit of each wheel's momentum makes of omega at most (n_wheel; n or 1), 1/(kg m2)."""
-        inverse = symmetric_inverse(self.inertias)
         axes = self.rows.bodies_of(self.vehicle).axes_B
-        return [np.linalg.norm(symmetric_product(inverse, axis), axis=-1).max(axis=0) for axis in axes]
+        return [np.linalg.norm(symmetric_product(self.inverses, axis), axis=-1).max(axis=0) for axis in axes]
 
     def wheel_rate(self, t: float) -> np.ndarray:
         """A bound (n), rad/s, of what the wheels' momenta make of omega at the time t (s)."""

@@ -57,7 +57,7 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
 
 
 @dataclass(frozen=True)
-class Carried:
+class AtTimes:
     """Row -> a motion, with its own body, at times all later or all earlier (s from the row's)."""
 
     vehicle: Vehicle
@@ -109,7 +109,7 @@ def run_to(
         ends, place = np.unique(times[side], return_inverse=True)
         ends = ends[::-1] if ends[0] < 0 else ends
         place = len(ends) - 1 - place if ends[0] < 0 else place
-        run = ensemble(Carried(vehicle, rows, ends, wheel_mode, acting), workers=workers)
+        run = ensemble(AtTimes(vehicle, rows, ends, wheel_mode, acting), workers=workers)
         for name, values in out.items():
             values[:, side] = run[name][:, place]
     return out

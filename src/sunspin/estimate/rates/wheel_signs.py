@@ -112,11 +112,11 @@ def tasks(
     """Of which the evidence says which reversed wheels are not out of the question for the longest pass: the wheels as stated
     under the `noise` of the search, then the reversed ones. What is observed is as a search takes it."""
     part = parts[_longest_first(parts)[0]]
-    others = [(replace(o, momentum=momentum), rungs_of(given)) for momentum in momenta.values()]
+    others = [(replace(o, momentum=momentum), _rungs(given)) for momentum in momenta.values()]
     return [(one.take(part), body, noises, rate_max) for one, noises in [(o, (noise,)), *others]] if others else []
 
 
-def rungs_of(given: float | None) -> tuple[float, ...]:
+def _rungs(given: float | None) -> tuple[float, ...]:
     """Noises (rad/s^1.5) tried of reversed wheels, where none or one is `given`."""
     return NOISE_LADDER if given is None else (given,)
 
@@ -149,7 +149,7 @@ def doubted_signs(
         return None
     longest = [passes[k] for k in _longest_first([part for _, part, _ in passes])]
     found: list[Reversed] = []
-    for names, (other, level) in _near(o, momenta, rungs_of(anew.given), evidence).items():
+    for names, (other, level) in _near(o, momenta, _rungs(anew.given), evidence).items():
         gain, another = 0.0, False
         for whole, part, stated in longest:
             one = _gained(o, other, whole, part, stated, (noise, level), anew) if may_go_on() else OUT

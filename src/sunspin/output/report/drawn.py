@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 
 from markupsafe import Markup
 
@@ -51,7 +52,8 @@ def drawn(results: Results, *kinds: str) -> list[Drawn]:
     """The same as parts of the page; a figure that is on it already is not drawn again."""
     new = list({one.name: one for one in drawings(results, *kinds) if one.name not in results.drawn}.values())
     found = []
-    for drawing, (svg, why) in zip(new, at_once([_try(results, one, k) for k, one in enumerate(new)]), strict=True):
+    works = [partial(_tried, one, number) for number, one in enumerate(new, len(results.drawn))]
+    for drawing, (svg, why) in zip(new, at_once(works), strict=True):
         if svg is None:
             results.problems.append(f"A figure could not be drawn: {drawing.name} ({why}).")
         else:
@@ -60,18 +62,17 @@ def drawn(results: Results, *kinds: str) -> list[Drawn]:
     return found
 
 
-def _try(results: Results, drawing: Drawing, number: int) -> Callable[[], tuple[str | None, str]]:
-    """What draws the figure that comes after so many new ones: as SVG, or None and why not."""
-    prefix = f"s{len(results.drawn) + number}-"
+def _tried(drawing: Drawing, number: int) -> tuple[str | None, str]:
+    """The figure that comes after so many others on the page, as SVG; or None and why not."""
+    try:
+        return _svg(drawing, number), ""
+    # data of any origin: tables without a figure are worth more than no section
+    except Exception as error:
+        return None, f"{type(error).__name__}: {error}"
 
-    def tried() -> tuple[str | None, str]:
-        try:
-            return inline_svg(drawing.make(), prefix), ""
-        # data of any origin: tables without a figure are worth more than no section
-        except Exception as error:
-            return None, f"{type(error).__name__}: {error}"
 
-    return tried
+def _svg(drawing: Drawing, number: int) -> str:
+    return inline_svg(drawing.make(), f"s{number}-")
 
 
 def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
@@ -84,7 +85,7 @@ def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
 
 def item(results: Results, drawing: Drawing) -> Drawn:
     """A figure as a part of the page."""
-    svg = inline_svg(drawing.make(), f"s{len(results.drawn)}-")
+    svg = _svg(drawing, len(results.drawn))
     results.drawn.add(drawing.name)
     return _part(drawing, svg)
 
