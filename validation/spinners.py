@@ -40,9 +40,9 @@ WRONG_NODE_DEG = 20.0
 
 
 class Case(NamedTuple):
-    """One simulated file: what was drawn for it. `faces` names of panels; `turned` rows of a signed permutation (3, 3): the axis
-    of the sensor along which each column reads; `zero` over the usual field (3); `zero_known`: the vehicle file states it; `moments`: that about the
-    axis of the spin over that across."""
+    """One simulated file: what was drawn for it. `faces`: names of panels; `turned`: rows of a signed permutation (3, 3), the axis
+    along which each column of the magnetometer reads; `zero` (3), over the usual field; `zero_known`: the vehicle file states it;
+    `moments`: that about the axis of the spin over that across."""
 
     seed: int
     number: int
@@ -191,7 +191,8 @@ def earth_light(sky: Sky, body: np.ndarray, normals: np.ndarray, albedo: float) 
         azimuth = 2 * np.pi * np.arange(around) / around
         flat = np.cos(azimuth)[:, None] * side + np.sin(azimuth)[:, None] * np.cross(up, side)
         ground = (np.cos(psi)[:, None, None] * up + np.sin(psi)[:, None, None] * flat).reshape(-1, 3)
-        area = np.repeat(EARTH_KM**2 * (np.cos(psi - edge / rings / 2) - np.cos(psi + edge / rings / 2)), around) * 2 * np.pi / around
+        ring = np.cos(psi - edge / rings / 2) - np.cos(psi + edge / rings / 2)
+        area = np.repeat(2 * np.pi / around * EARTH_KM**2 * ring, around)
         ray = EARTH_KM * ground - place
         distance = np.linalg.norm(ray, axis=1)
         ray /= distance[:, None]
@@ -249,7 +250,8 @@ def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
         lines += ["[body]", f"inertia_kg_m2 = {{ value = {np.round(np.diag(moments), 5).tolist()}, sigma = 0.001 }}"]
     for name in case.faces:
         lines += ["[[panel]]", f'name = "{name}"', f"normal_B = {list(FACES[name])}", f"gain_A = {GAIN_A}"]
-    lines += ["[telemetry]", 'quantity = "current_A"', 'time_column = "time"', f"noise = {SUN_NOISE * GAIN_A}", "[telemetry.columns]"]
+    lines += ["[telemetry]", 'quantity = "current_A"', 'time_column = "time"', f"noise = {SUN_NOISE * GAIN_A}"]
+    lines += ["[telemetry.columns]"]
     lines += [f'"{name}" = "i{name}"' for name in case.faces]
     zero = ", ".join(f"{x:.0f}" for x in zero_nT)
     lines += ["[magnetometer]", 'columns = ["mx", "my", "mz"]', f"noise = {FIELD_NOISE_NT}", "scale_T = 1e-9",
@@ -270,8 +272,9 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
     began = time.process_time()
     done = CliRunner().invoke({"check": check, "rates": rates}[command], arguments)
     row: dict[str, Any] = case._asdict() | {
-        "what": what, "turns": case.turns, "whole": case.whole_orbit, "processor_s": time.process_time() - began, "lit": truth["lit"],
-        "exit_code": done.exit_code, "defect": done.exception is not None and not isinstance(done.exception, SystemExit),
+        "what": what, "turns": case.turns, "whole": case.whole_orbit, "processor_s": time.process_time() - began,
+        "lit": truth["lit"], "exit_code": done.exit_code,
+        "defect": done.exception is not None and not isinstance(done.exception, SystemExit),
     }  # fmt: skip
     if done.exit_code:
         return row | {"error": (done.stderr or repr(done.exception))[-300:]}
@@ -284,7 +287,7 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
 
 
 ORBIT_KEYS = ("verdict", "better_copies", "copies_expected_better_by_chance", "node_turn_times", "samples", "field_residual_T",
-              "sun_field_residual_rad", "sign_turned", "magnetometer_columns")  # fmt: skip
+              "sun_field_residual_rad", "sign_turned", "turned_axes")  # fmt: skip
 
 
 def _pass(case: Case, truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
