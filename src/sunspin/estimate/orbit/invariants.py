@@ -196,7 +196,7 @@ def calibrated(seen: Seen, there: Predicted, scatter: np.ndarray | None = None, 
     state = State(np.zeros((n_shift, 12)), there.strength / unit_T, there.to_sun / unit_T,
                   np.tile([0.1, 1.0] if scatter is None else scatter, (n_shift, 1)), np.ones(n_shift))  # fmt: skip
     model = Model(seen.field / unit, seen.sun, seen.covariance)
-    state = _in_turn(model, state, scatter is None, steps)
+    state = _in_turn(model, _better_start(model, state, _sphere(seen.field / unit, state)), scatter is None, steps)
     model = Model(seen.field / unit, seen.sun, seen.covariance, of_readings=True)
     if scatter is not None:
         return Calibrated(model, _in_turn(model, state, False, steps), unit, unit_T)
@@ -204,9 +204,28 @@ def calibrated(seen: Seen, there: Predicted, scatter: np.ndarray | None = None, 
     best = np.full(n_shift, model.linearise(state).cost.argmin())
     other = state._replace(unknown=state.unknown[best], scatter=state.scatter[best], scale=state.scale[best])
     other = _in_turn(model, other, True, steps)  # from the calibration of the best shift: each may rest in a minimum of its own
+    return Calibrated(model, _better_start(model, state, other), unit, unit_T)
+
+
+def _sphere(reading: np.ndarray, state: State) -> State:
+    """The state with the zero and the one scale for all axes that fit the strengths (K, n), linear in both: r^2 = 2 r.z - z^2 +
+    (B / scale)^2. It is near the truth if the zero is several times the field, which a search from no zero need not reach."""
+    n_shift = len(state.strength)
+    design = np.empty((*state.strength.shape, 5))
+    design[..., :3], design[..., 3], design[..., 4] = 2 * reading, 1.0, state.strength**2
+    turned = np.swapaxes(design, 1, 2)
+    weak = 1e-9 * np.einsum("kii->k", turned @ design)[:, None, None] * np.eye(5)
+    best = np.linalg.solve(turned @ design + weak, turned @ (reading**2).sum(axis=1)[:, None])[..., 0]
+    scale = np.where(best[:, 4] > 0, np.maximum(best[:, 4], 1e-12) ** -0.5, 1.0).clip(LEAST_SCALE, 1 / LEAST_SCALE)
+    matrix = (scale - 1)[:, None] * np.eye(3).ravel()
+    zero = np.where(best[:, 4:] > 0, scale[:, None] * best[:, :3], 0.0)
+    return state._replace(unknown=np.concatenate([matrix, zero], axis=1), scale=scale * np.ones(n_shift))
+
+
+def _better_start(model: Model, state: State, other: State) -> State:
+    """Of two states, for each shift, the one that costs less."""
     better = model.linearise(other).cost < model.linearise(state).cost
-    state = State(*(np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old) for new, old in zip(other, state, strict=True)))
-    return Calibrated(model, state, unit, unit_T)
+    return State(*(np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old) for new, old in zip(other, state, strict=True)))
 
 
 def _in_turn(model: Model, state: State, free: bool, steps: int) -> State:
