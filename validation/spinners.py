@@ -321,15 +321,13 @@ def table(rows: list[dict[str, Any]]) -> str:
             said = [row["orbit"]["verdict"] for row in found if "orbit" in row]
             counts = ", ".join(f"{said.count(one)} {one}" for one in ("fits", "undecided", "refused"))
             lines += [f"{which} elements, files of {'more' if long else 'less'} than 10 minutes: {counts}"] if found else []
-    named = [row for row in rows if row["what"] == "check right" and "orbit" in row]
-    turned = [row for row in named if _is_turned(row)]
-    right = sum(bool(row["orbit"]["turned_axes"]) for row in turned)
-    lines.append(f"turned axes: named in {right} of {len(turned)} files, and in "
-                 f"{sum(bool(row['orbit']['turned_axes']) for row in named) - right} of {len(named) - len(turned)} others")  # fmt: skip
+    named = [(row, bool(row["orbit"]["turned_axes"])) for row in rows if row["what"] == "check right" and "orbit" in row]
+    turned, others = ([said for row, said in named if _is_turned(row) is kind] for kind in (True, False))
+    lines.append(f"turned axes: named in {sum(turned)} of {len(turned)} files, and in {sum(others)} of {len(others)} others")
     for which in ("none", "right"):
         for inertia in (True, False):
-            parts = [one for row in rows if row["what"] == f"rates {which}" and not _is_turned(row) and row["inertia_known"] is inertia
-                     for one in row.get("passes", ()) if one["turns"] >= FEWEST_TURNS]  # fmt: skip
+            some = [row for row in rows if row["what"] == f"rates {which}" and row["inertia_known"] is inertia]
+            parts = [one for row in some if not _is_turned(row) for one in row.get("passes", ()) if one["turns"] >= FEWEST_TURNS]
             lines += [_line(f"rates, elements {which}, moments {'stated' if inertia else 'not stated'}", parts)] if parts else []
     times = [row["processor_s"] for row in rows if row["what"].startswith("rates") and row["samples"] == 5600]
     lines += [f"processor, 5,600 samples: at most {max(times):.0f} s"] if times else []
@@ -341,8 +339,10 @@ def _line(name: str, parts: list[dict[str, Any]]) -> str:
     decided = np.array([part["decided"] for part in parts])
     pull = np.sqrt(np.mean((off / sigma)[decided] ** 2)) if decided.any() else np.nan
     wrong = sum(part["wrong"] for part in parts if part["decided"])
-    return (f"{name}: {len(parts)} passes of ten turns and more, {(~decided).sum()} undecided; along the spin axis median error "
-            f"{np.median(np.abs(off)):.3f} deg/s, rms pull of those decided {pull:.2f}; {wrong} decided and off by 5 sigma across it")
+    return (
+        f"{name}: {len(parts)} passes of ten turns and more, {(~decided).sum()} undecided; along the spin axis: median error "
+        f"{np.median(np.abs(off)):.3f} deg/s, rms pull of those decided {pull:.2f}; {wrong} decided and off by 5 sigma"
+    )
 
 
 def _is_turned(row: dict[str, Any]) -> bool:

@@ -1,4 +1,4 @@
-"""``python -m validation spinners``: simulated spinners with a magnetometer through `check` and `rates`, with and without elements."""
+"""``python -m validation spinners``: simulated spinners with a magnetometer, with and without elements."""
 
 from __future__ import annotations
 
