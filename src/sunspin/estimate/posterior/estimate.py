@@ -378,6 +378,7 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
     comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
     return provenance("posterior", telemetry, **comments, **vehicle.said) | {
         "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
+        "noise": data.sigma, "noise_from": data.noise_from,
         "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,

@@ -44,6 +44,9 @@ def posterior_summary(tree: Any) -> Summary:
         lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) {error}  chi-square {mode['chi_square']:.0f}")
     worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
+    numbers |= {name: tree.attrs[name] for name in ("noise", "noise_from") if name in tree.attrs}
+    if numbers.get("noise_from", "given") != "given":
+        lines.append(f"  noise of panel readings: {numbers['noise']:.3g}, {numbers['noise_from']}")
     priors = json.loads(tree.attrs["priors"])
     lines.append("  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items()))
     if "hypotheses" in tree.attrs:
