@@ -52,11 +52,11 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         "frame_N": SUN_Z_LOCAL,
         "panels_left_out": ", ".join(name for x in o.terms if isinstance(x, Panels) for name in x.left_out),
     }  # fmt: skip
-    for panels in (x for x in o.terms if isinstance(x, Panels)):
-        stated = vehicle.telemetry.noise
-        counted = panels.sigma[np.isfinite(panels.sigma)]
-        attrs |= {"noise": float(np.median(counted)) if stated is None else stated,
-                  "noise_from": OF_SCATTER if stated is None else "given"}  # fmt: skip
+    stated = vehicle.telemetry.noise
+    for counted in (x.sigma[np.isfinite(x.sigma)] for x in o.terms if isinstance(x, Panels)):
+        if len(counted):
+            attrs |= {"noise": float(np.median(counted)) if stated is None else stated,
+                      "noise_from": OF_SCATTER if stated is None else "given"}  # fmt: skip
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     attrs["wheels_untold"] = "" if attrs["gyro_used"] else ", ".join(untold(vehicle, telemetry))

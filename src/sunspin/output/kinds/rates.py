@@ -29,7 +29,7 @@ def rates_summary(result: Any) -> Summary:
     """The verdict, and the motions of each pass, deg/s."""
     found = [_pass(result, k) for k in range(result.sizes["pass_id"])]
     texts, counts = np.unique(result["why"].values, return_counts=True)
-    numbers = {
+    numbers: dict[str, Any] = {
         "verdict": result.attrs["verdict"], "source": result.attrs["source"], "passes": [numbers for numbers, _ in found],
         "acceleration_noise": result.attrs["acceleration_noise"],
         "max_rate_deg_s": float(np.degrees(result.attrs["max_rate_rad_s"])),
