@@ -95,6 +95,7 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
         sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
         covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
         light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
+    sun = np.where(np.isfinite(covariance).all(axis=(1, 2))[:, None], sun, np.nan)  # without an error it is no reading
     use = spread_evenly(telemetry, np.isfinite(reading).all(axis=1) | np.isfinite(light), MOST_SAMPLES)
     return Seen(*(part[use] for part in (time, reading, sun, covariance, light)))
 
@@ -197,7 +198,8 @@ class Model:
         self.of_readings = of_readings
         self.reading, self.with_sun = reading, np.isfinite(sun).all(axis=1)
         self.sun = sun[self.with_sun]
-        unit = reading[self.with_sun] / np.linalg.norm(reading[self.with_sun], axis=1, keepdims=True)
+        size = np.linalg.norm(reading[self.with_sun], axis=1, keepdims=True)
+        unit = reading[self.with_sun] / np.where(size > 0, size, 1.0)
         across = unit - (unit * self.sun).sum(axis=1, keepdims=True) * self.sun
         self.sigma = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance[self.with_sun], across) + 0.02**2)
         # the mean of the diagonal is the scale, which is free

@@ -27,6 +27,9 @@ from sunspin.estimate.wheel_speeds import untold
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
+OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
+"""Where the error of panel readings comes from without a stated noise."""
+
 SUSPECTED = "the data alone, not counted"
 """Where a lateness comes from that the vehicle file does not speak of."""
 
@@ -49,6 +52,11 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         "frame_N": SUN_Z_LOCAL,
         "panels_left_out": ", ".join(name for x in o.terms if isinstance(x, Panels) for name in x.left_out),
     }  # fmt: skip
+    stated = vehicle.telemetry.noise
+    for counted in (x.sigma[np.isfinite(x.sigma)] for x in o.terms if isinstance(x, Panels)):
+        if len(counted):
+            attrs |= {"noise": float(np.median(counted)) if stated is None else stated,
+                      "noise_from": OF_SCATTER if stated is None else "given"}  # fmt: skip
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     attrs["wheels_untold"] = "" if attrs["gyro_used"] else ", ".join(untold(vehicle, telemetry))
