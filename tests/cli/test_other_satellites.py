@@ -75,7 +75,8 @@ def test_every_command_on_another_satellite(maker, tmp_path):
         assert np.nanmin(miss) < 0.25, "no mode is near the truth"  # deg/s; they turn at 1 to 3
     for form in ("aem", "aem-xml", "netcdf", "ck", "parquet"):
         fine(sunspin("export", tmp_path / "rates", "--format", form, "--out", tmp_path / form))
-        dense = json.loads(fine(sunspin("export", tmp_path / "rates", "--format", form, "--out", tmp_path / form, "--step", 1, "--json")))
+        again = "export", tmp_path / "rates", "--format", form, "--out", tmp_path / form
+        dense = json.loads(fine(sunspin(*again, "--step", 1, "--json")))
         assert dense["samples"] > len(times) and dense["segments"] == result.sizes["pass_id"]
 
 

@@ -212,7 +212,8 @@ def test_a_motion_too_coarse_to_interpolate_is_a_sentence(sparse):
 def test_object_and_centre_are_those_of_the_elements(form, sparse, tmp_path):
     def said(key, **attrs):
         text = write_aem(tmp_path / "a.aem", attitude_of(sparse.assign_attrs(**attrs)), form).read_text()
-        return next(line.replace(f"</{key}>", "").split("= " if form == "kvn" else ">")[1] for line in text.splitlines() if key in line)
+        line = next(line for line in text.splitlines() if key in line)
+        return line.replace(f"</{key}>", "").split("= " if form == "kvn" else ">")[1]
 
     assert [said(key) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == ["made up", "made up", "UNKNOWN"]
     by_elements = {"orbit": 42789, "orbit_name": "SKCUBE\n\u00e9"}

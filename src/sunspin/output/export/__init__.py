@@ -33,8 +33,8 @@ STANDS = {
 """How a local frame stands, by what the results call it."""
 
 WIDEST_RAD = 1.0
-"""Between neighbours of a motion that is interpolated the body may turn by so much. Of ten torque-free tumbling bodies, seed 0, whose
-neighbours are 1 rad apart, attitudes are off by at most 0.02 degrees and rates by 2 %; at 0.1 rad, as `rates` stores most of its
+"""Between neighbours of a motion that is interpolated the body may turn by so much. Of ten torque-free tumbling bodies, seed 0,
+with neighbours 1 rad apart, attitudes are off by at most 0.02 degrees and rates by 2 %; at 0.1 rad, as `rates` stores most of its
 curves, by 4e-6 degrees and 0.03 %."""
 
 MOST_ATTITUDES = 1_000_000
@@ -156,7 +156,7 @@ def between_samples(attitude: Attitude, data: xr.Dataset, step_s: float) -> Atti
     spans = [attitude.t_s[part[-1]] - attitude.t_s[part[0]] for part in attitude.parts()]
     counts = [int(min(span / step_s + 1e-9, 10.0 * MOST_ATTITUDES)) + 1 for span in spans]
     if sum(counts) > MOST_ATTITUDES:
-        raise InputError(sentence(f"this would be more than {MOST_ATTITUDES} attitudes", got=sum(counts), do="give a longer --step"))
+        raise InputError(sentence(f"this would be more than {MOST_ATTITUDES} attitudes", got=step_s, do="give a longer --step"))
     times, quaternions, rates = [], [], []
     for part, count in zip(attitude.parts(), counts, strict=True):
         t, omega, known = attitude.t_s[part], attitude.omega_B[part], matrix_of(attitude.quaternion[part])
