@@ -199,7 +199,7 @@ def verdict(result: xr.Dataset) -> str:
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
     if other := sum(one != AS_READ for one in result["model"].values):
-        text += f"; in {other} the motion is not that of the model as stated: what it may be is named"
+        text += f"; in {other} the motion is not that of the model as stated: what it may be stands with each pass"
     text += _left_open(result, fits & unique, fits & ~unique)
     if cut := result.attrs["cut_passes"]:
         text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"
