@@ -184,8 +184,10 @@ def test_the_speed_of_a_wheel_is_that_which_the_rates_were_made_with():
 def test_the_page_names_what_a_motion_may_be(tmp_path):
     result, _ = tumble(20, 30.0)
     said = {"why_not_decided": ("pass_id", [""]), "omega_mean_B": result["omega_sigma_B"]}
+    said |= {name: ("pass_id", [True]) for name in ("decided", "fits")}
     for model, text in (("as stated", "decided"), ("a step in the rate", "decided; likeliest: a step in the rate")):
-        table = runs.rates(Results(tmp_path, "rates", {}, {"rates": result.assign(said | {"model": ("pass_id", [model])})})).items[-2]
+        data = {"rates": result.assign(said | {"model": ("pass_id", [model])})}
+        table = runs.rates(Results(tmp_path, "rates", {}, data)).items[-2]
         assert table.rows[0][-1] == text
 
 
