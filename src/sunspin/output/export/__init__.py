@@ -241,4 +241,9 @@ def write_parquet(target: Path, attitude: Attitude) -> Path:
         raise OutputError(sentence("Parquet needs pyarrow", do='pip install "sunspin[parquet]"')) from None
     table = pa.table(columns(attitude))
     about = {"frame": attitude.frame, "object": attitude.name, "epoch_utc": attitude.epoch.isoformat(), "source": _source(attitude)}
-    return write_whole(target, lambda part: pq.write_table(table.replace_schema_metadata(about), part))
+
+    def write(part: Path) -> None:
+        with open(part, "wb") as file:  # pyarrow takes no name that is not UTF-8
+            pq.write_table(table.replace_schema_metadata(about), file)
+
+    return write_whole(target, write)
