@@ -99,7 +99,7 @@ def rates(
     wirings: bool = False,
     effort: float = 1.0,
     workers: int = 1,
-    progress: bool = False,
+    progress: bool | Callable[[str], None] = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -149,9 +149,9 @@ def rates(
     workers : int
         Processes that estimate passes side by side, copies of this one where that is safe, else four passes each at least; the
         result does not depend on it. A script that asks for more than one needs `if __name__ == "__main__":`.
-    progress : bool
+    progress : bool, or a function of a line
         Show what is being done, how long it will take at most, and of each pass a rough speed as soon as its first motions are
-        found (:mod:`sunspin.estimate.rates.rough`).
+        found (:mod:`sunspin.estimate.rates.rough`); a function is called once, when the inputs are accepted and the search begins.
 
     Returns
     -------
@@ -192,9 +192,9 @@ def rates(
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
-    load(body)
+    _begin(body, parts, effort, progress)
     with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
-        spent = Effort(allowed(effort), "rates" if progress else None)
+        spent = Effort(allowed(effort), "rates" if progress is True else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
             noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_evidences, spent, judged, pool))
         signs = _signs(o, parts, reversed_momenta(vehicle, telemetry, wheels, o), noise, body, rate_max, given, spent, pool)
@@ -228,13 +228,24 @@ def rates(
     if source == "panels" and (alike := alike_motions(vehicle)):
         result.attrs["alike"] = alike
     if wirings and turned is None and not result["fits"].values.all():
-        with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
+        with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
             result = _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques)
             if "wiring_doubt" not in result.attrs and may_go_on():
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
     return _judged(_not_decided(result, turned), vehicle, telemetry)
+
+
+def _begin(body: Body, parts: list[np.ndarray], effort: float, progress: bool | Callable[[str], None]) -> None:
+    """Load the compiled step of a body, once a function `progress` has been called with what is searched and how long that may
+    take: an effort of one is about a minute and a half of one core."""
+    if callable(progress):
+        most = 1.5 * allowed(effort) / USUAL * (1 + WIRING_SHARE)
+        long = f"up to {most:.2g} minutes of one core" if np.isfinite(most) else "as long as it needs"
+        passes = f"{len(parts)} pass{'es' if len(parts) > 1 else ''}"
+        progress(f"{sum(map(len, parts))} samples in {passes}; the search takes {long}")
+    load(body)
 
 
 def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
