@@ -27,6 +27,10 @@ QUICK = tuple(range(0, 60, 5))
 NOISE = 0.01
 """One sigma of a reading, of the full signal of a panel of gain one; gains are as far off."""
 
+MOST_WRONG, MOST_ACCUSED = 1, 0
+"""Of 120 files with exchanged columns, those of which only a false change is named or a wrong motion decided, at most; and of 60
+right ones those that are accused: one in a hundred."""
+
 WRONG_SIGMAS, WRONG_RAD_S = 5.0, np.radians(0.1)
 """A decided motion is off where a component is off by more than both."""
 
@@ -195,12 +199,13 @@ def _judged(made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dic
     t = result["time"].values[result["pass_of"].values == 0]
     at = int(np.argmin(np.abs(made.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
     alike = equivalents(made, order)
-    motions = [np.linalg.det(m) * m @ made.omega[at] for m in alike]
+    motions = [made.omega[at], *(np.linalg.det(m) * m @ made.omega[at] for m in alike)]
     off = [bool(((np.abs(omega - one) > WRONG_SIGMAS * sigma) & (np.abs(omega - one) > WRONG_RAD_S)).any()) for one in motions]
     pulls = [float((np.abs(omega - one) / sigma).max()) for one in motions]
     truth = None if pair is None else f"the columns of panels {made.names[pair[0]]} and {made.names[pair[1]]} exchanged"
-    kept = {"equivalent_to_file": bool(alike), "pull": min(pulls, default=None)}
-    if row["decided"] and (not motions or all(off)):
+    kept = {"equivalent_to_file": bool(alike), "pull": min(pulls), "omega_deg_s": np.degrees(omega).tolist(),
+            "sigma_deg_s": np.degrees(sigma).tolist(), "truth_deg_s": np.degrees(made.omega[at]).tolist()}  # fmt: skip
+    if row["decided"] and all(off):
         return kept | {"outcome": "decided wrongly"}
     if truth is None and (row["named"] or "CHECK" in row["verdict"]):
         return kept | {"outcome": "accused"}
@@ -212,7 +217,8 @@ def _judged(made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dic
         return kept | {"outcome": "equivalent" if alike else "a false change named"}
     if "CHECK" in row["verdict"]:
         return kept | {"outcome": "a false change named" if truth not in row["verdict"] else "named rightly"}
-    return kept | {"outcome": "equivalent" if alike else "undecided"}
+    within = "decided, and right within its errors" if row["decided"] else "undecided"
+    return kept | {"outcome": "equivalent" if alike else within}
 
 
 def equivalents(made: Satellite, order: np.ndarray) -> list[np.ndarray]:

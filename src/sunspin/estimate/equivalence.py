@@ -226,6 +226,17 @@ def unseen_changes(observed: Observed, telemetry: xr.Dataset) -> list[tuple[Chan
     return []
 
 
+def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
+    """Whether panels alone tell which column is which: no change of columns looks the same. Wheels count at their nominal speed."""
+    momenta = np.zeros((0, 1, 3))
+    if vehicle.inertia_kg_m2 is not None:
+        unit = np.trace(vehicle.inertia_kg_m2) / 3
+        each = [w.inertia_kg_m2 * w.speed_rad_s / unit * np.asarray(w.axis_B) for w in vehicle.wheels]
+        momenta = np.array(each).reshape(-1, 1, 3)
+    observed = replace(Observed.of(vehicle, telemetry, momenta=momenta), sensors=frozenset())
+    return not unseen_changes(observed, telemetry)
+
+
 def _moves(matrix: np.ndarray) -> bool:
     """Whether rates change by a map."""
     return bool(np.abs(np.linalg.det(matrix) * matrix - np.eye(3)).max() > AXES_ALIKE)
