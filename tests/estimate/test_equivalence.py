@@ -16,6 +16,7 @@ from sunspin.estimate.equivalence import (
     equivalence,
     exchange,
     rate_under,
+    symmetric_exchanges,
     unseen_changes,
     wheel_changes,
 )
@@ -143,6 +144,21 @@ def test_panels_in_a_plane_leave_its_mirror():
     ring = body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y"))
     found = equivalence(lit(ring), AS_WRITTEN, AS_WRITTEN)
     assert sorted(round(float(np.linalg.det(m))) for m in found) == [-1, 1]
+
+
+def test_the_columns_of_a_half_turn_are_exchanged_together():
+    """A wheel along z forbids the mirrors along x and y, and not the half turn about z, which exchanges both pairs of columns."""
+    sides = body(FACES[[0, 1, 3, 4, 2]], ("+x", "+y", "-x", "-y", "+z"), wheels=(Wheel("w", [0, 0, 1], 1e-4, 300.0),))
+    empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 5)))})
+    observed = lit(sides, momenta=np.full((1, 20, 3), [0.0, 0.0, 0.5]))
+    assert names(unseen_changes(observed, empty)) == {"panel +z looking the other way"}  # a mirror along the wheel's axis
+    assert not unseen_changes(replace(observed, momenta=np.full((1, 20, 3), [0.2, 0.3, 0.4])), empty)
+    six = body(wheels=sides.wheels, inertia_kg_m2=np.array([[0.04, 0.01, 0], [0.01, 0.06, 0], [0, 0, 0.08]]))
+    empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 6)))})
+    both = next(one for one in symmetric_exchanges(six) if one.what == f"{pair('+x', '-x')}, and {pair('+y', '-y')}")
+    (turn,) = equivalence(replace(lit(six), momenta=observed.momenta), AS_WRITTEN, both)
+    np.testing.assert_allclose(turn, X @ Y, atol=1e-12)
+    assert names(unseen_changes(replace(lit(six), momenta=observed.momenta), empty)) == {pair("+z", "-z")}  # one mistake before two
 
 
 SENSORS = Sensors(

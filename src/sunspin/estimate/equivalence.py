@@ -41,10 +41,13 @@ WHEEL_SIGMA, WEAK_RAD = 0.02, 0.05
 """Relative sigma of a wheel's momentum and direction; and wheels that turn a rate by less than this (rad) in the whole file are
 not seen."""
 
+SAME_WAY = 0.01
+"""One less the cosine between normals that may be mirror images of each other; `equivalence` decides."""
+
 FLAT = 0.05
 """Smallest singular value of the normals of lit panels, as a share of the largest, below which they lie in one plane."""
 
-MOST_ASSIGNMENTS = 4096
+MOST_ASSIGNMENTS = 1000
 """Assignments of the panels of shared inputs to each other that are tried."""
 
 LAW_ALIKE, LOOKS = 0.1, 500
@@ -104,11 +107,6 @@ def exchange(vehicle: Vehicle, a: int, b: int) -> Change:
     order[a], order[b] = b, a
     names = vehicle.input_names
     return Change(f"the columns of panels {names[a]} and {names[b]} exchanged", columns=tuple(order))
-
-
-def _two_exchanges(first: Change, second: Change) -> Change:
-    order = tuple(first.columns[k] for k in second.columns)
-    return Change(f"{first.what}, and {second.what}", columns=order, errors=2)
 
 
 def _wheel_words(wheels: tuple[int, ...], names: Sequence[str]) -> str:
@@ -216,13 +214,14 @@ def alike(observed: Observed, first: Change, others: Sequence[Change]) -> list[t
 
 def unseen_changes(observed: Observed, telemetry: xr.Dataset) -> list[tuple[Change, np.ndarray]]:
     """Changes of columns and panels that look the same as the file as it is written but show another motion, with the M (3, 3)
-    of each: those of one mistake, else of two exchanges."""
+    of each: those of one mistake, else those with the fewest exchanges."""
     singles = column_changes(observed.vehicle, telemetry)
-    for level in (singles, _double_exchanges(singles)):
-        maps = [(one, each) for one in level if len(each := equivalence(observed, AS_WRITTEN, one))]
-        moved = [(one, each[0]) for one, each in maps if _moves(each[0])]
-        if moved:
-            return moved
+    if not singles:
+        return []
+    for level in (singles, symmetric_exchanges(observed.vehicle)):
+        same = [(change, m) for change, m in alike(observed, AS_WRITTEN, level) if _moves(m)]
+        if same:
+            return [(change, m) for change, m in same if change.errors == min(one.errors for one, _ in same)]
     return []
 
 
@@ -242,9 +241,30 @@ def _moves(matrix: np.ndarray) -> bool:
     return bool(np.abs(np.linalg.det(matrix) * matrix - np.eye(3)).max() > AXES_ALIKE)
 
 
-def _double_exchanges(singles: Sequence[Change]) -> list[Change]:
-    exchanges = [(one, {k for k, c in enumerate(one.columns) if k != c}) for one in singles if one.columns]
-    return [_two_exchanges(a, b) for (a, of_a), (b, of_b) in combinations(exchanges, 2) if not of_a & of_b]
+def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
+    """Pairs of columns exchanged together, as a mirror that maps the normals of all panels onto each other exchanges them, or two
+    such mirrors at right angles; none for panels that share inputs."""
+    if any(len(one.panels) > 1 for one in vehicle.inputs):
+        return []
+    normals, count = np.array(vehicle.panel_normals_B), len(vehicle.panels)
+
+    def order_of(m: np.ndarray) -> tuple[int, ...] | None:
+        near = normals @ (normals @ m.T).T
+        order = near.argmax(axis=0)
+        fits = near.max(axis=0).min(initial=1.0) > 1 - SAME_WAY and len(set(order.tolist())) == count
+        return tuple(order.tolist()) if fits else None
+
+    mirrors: list[np.ndarray] = []
+    for a, b in combinations(range(count), 2):
+        apart = normals[a] - normals[b]
+        if (size := float(apart @ apart)) > 1e-6 and order_of(m := np.eye(3) - 2 * np.outer(apart, apart) / size) is not None:
+            mirrors += [] if any(np.abs(m - other).max() < AXES_ALIKE for other in mirrors) else [m]
+    turns = [a @ b for a, b in combinations(mirrors, 2) if np.abs(a @ b - b @ a).max() < AXES_ALIKE]
+    found: dict[tuple[int, ...], Change] = {}
+    for order in filter(None, map(order_of, [*mirrors, *turns])):
+        pairs = [exchange(vehicle, a, b).what for a, b in enumerate(order) if a < b]
+        found[order] = Change(", and ".join(pairs), columns=order, errors=len(pairs))
+    return list(found.values())
 
 
 def _panels_of(observed: Observed, change: Change) -> list[tuple[int, ...]]:

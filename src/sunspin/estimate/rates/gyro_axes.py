@@ -40,10 +40,13 @@ def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
         angles = np.min([carried_by(time, seen, turns, lag) for turns in (even, nutating) if turns], axis=0)
         least = float(angles.min())
         if angles[0] > TURNS_WRONG and least < min(TURNS_RIGHT, BETTER * angles[0], BETTER * still):
-            alike = np.flatnonzero(angles < AS_GOOD * least)
-            chosen = max(alike, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
+            ties = np.flatnonzero(angles < AS_GOOD * least)
+            chosen = max(ties, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
             what, order, sign = ways[chosen]
             found = f"the gyro {what} turns the Sun as it is seen, and as stated it does not"
+            if len(ties) > 1:
+                others = f"{len(ties) - 1} other{'s' if len(ties) > 2 else ''}"
+                found += f" (as {others} do: a component that stays small may have any sign)"
             instead = _columns_instead(vehicle, telemetry, axes_matrix(order, sign))
             return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}{instead}"
     return None
