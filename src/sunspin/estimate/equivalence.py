@@ -106,7 +106,8 @@ def exchange(vehicle: Vehicle, a: int, b: int) -> Change:
     order = list(range(len(vehicle.inputs)))
     order[a], order[b] = b, a
     names = vehicle.input_names
-    return Change(f"the columns of panels {names[a]} and {names[b]} exchanged", columns=tuple(order))
+    do = f"exchange the columns of {names[a]} and {names[b]} under [telemetry.columns] of the vehicle file"
+    return Change(f"the columns of panels {names[a]} and {names[b]} exchanged", columns=tuple(order), do=do)
 
 
 def _wheel_words(wheels: tuple[int, ...], names: Sequence[str]) -> str:
@@ -119,13 +120,17 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
         return []
     pairs = [exchange(vehicle, a, b) for a, b in combinations(range(len(vehicle.inputs)), 2)]
     alone = sorted(one.panels[0] for one in vehicle.inputs if len(one.panels) == 1)
-    return pairs + [Change(f"panel {vehicle.panels[k].name} looking the other way", reversed_panels=(k,)) for k in alone]
+    names = vehicle.panel_names
+    return pairs + [
+        Change(f"panel {names[k]} looking the other way", reversed_panels=(k,), do=f"reverse normal_B of panel {names[k]}")
+        for k in alone
+    ]
 
 
 def wheel_change(vehicle: Vehicle, wheels: tuple[int, ...]) -> Change:
     """Wheels with the opposite sign."""
     names = [wheel.name for wheel in vehicle.wheels]
-    do = "the signs of its axis_B, speed_rad_s and speed_scale_rad_s"
+    do = "look at the signs of its axis_B, speed_rad_s and speed_scale_rad_s"
     return Change(_wheel_words(wheels, names), reversed_wheels=wheels, do=do)
 
 

@@ -99,7 +99,7 @@ class Better(NamedTuple):
 
     @staticmethod
     def _line(one: Named, clock: Callable[[float], str]) -> str:
-        do = f" ({one.change.do})" if one.change.do else ""
+        do = f" ({one.change.do})" if one.change.axes or one.change.reversed_wheels else ""
         if one.omega is None:
             return f"{one.change.what}{do}"
         rate = ", ".join(f"{value:z.2f}" for value in np.degrees(one.omega))

@@ -21,6 +21,9 @@ from sunspin.vehicle.timeline import utc_after
 AS_STATED = "as stated"
 """The model of a pass that nothing was added to."""
 
+MOST_UNSEEN = 6
+"""Changes that look the same as the file as it is written, at most, that are named."""
+
 READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
 """Variables of telemetry of which residuals are drawn."""
 
@@ -78,10 +81,11 @@ def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
     unseen = []
     for one in json.loads(result.attrs["columns_unseen"]):
         matrix = np.array(one["matrix"])
-        unseen.append(f"with {one['what']} it would be {shown(np.linalg.det(matrix) * matrix @ rate.omega)}")
+        unseen.append(f"with {one['what']} it would be {shown(np.linalg.det(matrix) * matrix @ rate.omega)} deg/s")
+    more = f"; and with {len(unseen) - MOST_UNSEEN} other changes another" if len(unseen) > MOST_UNSEEN else ""
     return [
-        "  wiring unchecked: this telemetry cannot tell whether columns of panels are exchanged. The file as it is written gives "
-        f"{shown(rate.omega)} deg/s at {clock_of(result, rate.at_s)}; {'; '.join(unseen)} deg/s"
+        f"  wiring unchecked: the file as it is written gives {shown(rate.omega)} deg/s at {clock_of(result, rate.at_s)}; this "
+        f"telemetry looks the same if the file is wrong in one of these ways: {'; '.join(unseen[:MOST_UNSEEN])}{more}"
     ]
 
 
