@@ -17,6 +17,7 @@ from sunspin.base.provenance import provenance
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
+from sunspin.estimate.equivalence import columns_seen
 from sunspin.estimate.passes import AS_STATED, UNCHECKED, table
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.check import Check, check
@@ -208,7 +209,8 @@ def posterior(
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
     tree.attrs["prior_widths"] = json.dumps({"word": word_of(found), "told": prior_widths(there, drawn, found)})
-    row = believed(found, tree, prior_sigma, bool(off), AS_STATED if observations else UNCHECKED)
+    checked_by_others = bool(observations) or columns_seen(vehicle, telemetry)
+    row = believed(found, tree, prior_sigma, bool(off), AS_STATED if checked_by_others else UNCHECKED)
     tree["passes"] = xr.Dataset(table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]})
     tree.attrs["verdict"] += "; decided" if row.answers.decided else f"; not decided: {row.answers.why_not}"
     if periods:

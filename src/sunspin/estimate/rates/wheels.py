@@ -6,6 +6,8 @@ whatever torque makes it so; what a coasting wheel gains from the body's own tur
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
@@ -50,6 +52,20 @@ def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t: np.ndarray) -> dict
                 ]
                 found[COASTING + (f", friction {name!r}" if name else "")] = np.stack(speed, axis=1)
     return found
+
+
+def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, doing: str) -> np.ndarray:
+    """Momentum (n_wheel, n, 3) of each wheel at each sample, in mean moments of inertia times rad/s; `doing`: what the wheels do, a
+    key of :func:`wheel_momenta`, with or without its evidence."""
+    name = doing.split(" (evidence")[0]
+    every = wheel_momenta(vehicle, telemetry)
+    if name not in every or vehicle.inertia_kg_m2 is None:
+        return np.zeros((0, telemetry.sizes["time"], 3))
+    shares = np.zeros((len(vehicle.wheels), *every[name].shape))
+    for k in range(len(shares)):
+        turned = tuple(replace(w, axis_B=-np.asarray(w.axis_B)) if i == k else w for i, w in enumerate(vehicle.wheels))
+        shares[k] = (every[name] - wheel_momenta(replace(vehicle, wheels=turned), telemetry)[name]) / 2
+    return shares
 
 
 def _momentum(vehicle: Vehicle, speed: np.ndarray) -> np.ndarray:
