@@ -6,7 +6,7 @@ import numpy as np
 
 from sunspin.estimate.posterior.cells import CANDIDATE_GRID, CAP
 from sunspin.estimate.posterior.data import Readings
-from sunspin.telemetry.sun import best_directions, is_reconstructed, sun_directions
+from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, is_reconstructed, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere
@@ -31,10 +31,13 @@ def brightness(vehicle: Vehicle, data: Readings) -> float:
     """A first guess of the scale, signal of a panel of gain one at normal incidence.
 
     The median over samples that give a direction, else the smallest scale at which all samples have one. Gains in a unit are then
-    believed instead where they can be, as their prior is narrow.
+    believed instead where they can be, as their prior is narrow. A sample gives a direction by panels that are lit beyond noise: with
+    noise of 2 to 4 % on dark panels too, of which the lit threshold took half for lit, one guess in four was off by more than 10 % (up
+    to a factor of 4), and no start settled.
     """
     value = np.where(data.used, data.value, 0.0)
-    told = is_reconstructed(sun_directions(vehicle, value, noise=data.sigma)["status"].values) & data.used.all(axis=1)
+    sure = max(data.threshold, LIT_SIGMAS * data.sigma)
+    told = is_reconstructed(sun_directions(vehicle, value, noise=data.sigma, lit_threshold=sure)["status"].values) & data.used.all(axis=1)
     if told.any():
         shape = panel_power(vehicle, best_directions(vehicle, value[told])[0])
         return float(np.median(np.sum(shape * value[told], axis=1) / np.sum(shape**2, axis=1)))
