@@ -78,7 +78,8 @@ class Magnetometer(PairTerm):
         read = self.field_B
         sigma, along = one.sigma_T(read, here.field_N, here.field_along_N), one.along(here.field_along_N)
         known = KnownField(read, one.field(read), sigma, here.field_N, one.columns(read), along)
-        own = np.sqrt(np.nanmedian((known.own_B**2).sum(axis=(1, 2))) / 3)  # a zero turns with the body: neighbours differ by it
+        # a zero turns with the body, so neighbours differ by its error; axes that are turned turn all readings alike
+        own = np.sqrt(np.nanmedian((_not_turned(known.own_B, known.read_B) ** 2).sum(axis=(1, 2))) / 3)
         return replace(self, sigma=float(np.hypot(one.noise_T, own)), zero_B=np.zeros((0, 3)), known=known)
 
     @property
@@ -145,6 +146,17 @@ class Magnetometer(PairTerm):
         relative = seen.attitude[:, 1:] @ np.swapaxes(seen.attitude[:, :-1], -1, -2)
         zero = self.zero_B.T - relative @ self.zero_B.T  # a zero stays where it is while the field is carried on
         return np.concatenate([change, zero], axis=-1) * inverse
+
+
+def _not_turned(error_B: np.ndarray, field_B: np.ndarray) -> np.ndarray:
+    """What is left of errors (n, e, 3) of fields (n, 3) when each is compared with the common rotation that is most like it."""
+    read = np.isfinite(field_B).all(axis=1)
+    field, error = field_B[read], error_B[read]
+    spread = (field**2).sum() * np.eye(3) - field.T @ field
+    rotation = np.cross(field[:, None], error).sum(axis=0) @ np.linalg.pinv(spread, rcond=1e-6, hermitian=True)
+    left = error_B.copy()
+    left[read] -= np.cross(rotation, field[:, None])
+    return left
 
 
 def without_outliers(read: np.ndarray) -> np.ndarray:

@@ -72,7 +72,7 @@ def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
         "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border,
         "drift_s_day": found.drift_s_day, "drift_sigma_s_day": found.drift_sigma_s_day, "samples": found.samples,
         "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
-        "sign_turned": found.sign_turned,
+        "sign_turned": found.sign_turned, "turned_axes": found.turned_axes,
         "clock_behind_s": found.clock_behind_s, "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0],
         "notes": notes,
     }  # fmt: skip
@@ -87,6 +87,8 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
         lines.append(f"  {off}")
     if found.sign_turned:
         lines.append("  the magnetometer reads the field with the opposite sign: turn its `matrix` round")
+    if found.turned_axes:
+        lines.append(f"  {found.turned_axes}")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]
