@@ -1,5 +1,6 @@
 """Rates from sparse directions or powers: twins with a known truth, coverage, aliases, sentences. All telemetry is synthetic."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from sunspin.estimate.rates.observe import thinned
 from sunspin.estimate.rates.start import aliases, facing, rates_between
 from sunspin.estimate.rates.state import Observations, Track
 from sunspin.estimate.terms.term import SUN_N
+from sunspin.output.kinds.rates import rates_summary
 from sunspin.solve.rotations import turn, turn_between
 from sunspin.vehicle import Panel, Vehicle
 
@@ -89,6 +91,19 @@ def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
     assert not wrong["decided"].values.any() and wrong["wiring"].values[0] == "doubtful"
     assert "the sign of a wheel" in wrong["why_not_decided"].values[0]
     assert "0 of 1" in wrong.attrs["verdict"] and "wheel reaction-y turning the other way" in wrong.attrs["verdict"]
+    # a mirror along x or z reverses the wheel: these columns exchanged look the same, and none of the three is recommended
+    named = {one["what"]: one["omega_deg_s"] for one in json.loads(wrong.attrs["wiring_changes"])}
+    mirrored = {f"the columns of panels +{a} and -{a} exchanged" for a in "xz"}
+    assert set(named) == {"wheel reaction-y turning the other way", *mirrored}
+    assert "cannot tell which is right" in wrong.attrs["verdict"] and "before you change the file" in wrong.attrs["verdict"]
+    x, y, z = named["wheel reaction-y turning the other way"]
+    np.testing.assert_allclose(named["the columns of panels +x and -x exchanged"], [x, -y, -z], atol=1e-6)
+    truth = np.degrees(run["omega_B"].values[9:11])
+    assert np.abs(truth - [x, y, z]).max(axis=1).min() < 0.5
+    # of the right file a mirror along the wheel's axis is not seen, nor is it said that others are not
+    lines = [line for line in rates_summary(right).lines if "wiring unchecked" in line]
+    assert len(lines) == 1 and "+y and -y exchanged" in lines[0] and "+x and -x" not in lines[0] and "+z and -z" not in lines[0]
+    assert right["wiring"].values[0] == "unchecked"
 
 
 def test_a_wheel_of_untold_speed_leaves_nothing_decided():
@@ -145,6 +160,8 @@ def test_attitude_turns_the_local_sun_into_the_body():
     result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.04)
     turned = Rotation.from_quat(result["B_from_N"].values).apply(SUN_N)
     assert np.abs(turned - result["sun_B"].values).max() < 1e-12
+    q, between = result["B_from_N"].values, result["curve_B_from_N"].values
+    assert np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0 and np.einsum("ni,ni->n", between[1:], between[:-1]).min() > 0.99
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-9])

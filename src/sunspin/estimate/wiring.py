@@ -1,15 +1,16 @@
 """Which column is which: checked against the motion and not believed, where the wiring as stated does not fit.
 
-Two panels' columns exchanged, a panel mounted the other way round, a second sensor's axes permuted or reversed, a quaternion
-read the other way: one change at a time. Another wiring is named only where the stated one does not fit, the other does, and is
-better by `CLEARLY` in log evidence; so a file that fits is never accused.
+One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
+reversed, a quaternion read the other way. A change is named only where the file as written does not fit, the change does, and is
+better by `CLEARLY` in log evidence; so a file that fits is never accused. Changes that look the same in the telemetry
+(:mod:`sunspin.estimate.equivalence`) are named together, each with its motion, and none is recommended.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, islice, permutations, product
+from itertools import permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,52 +18,92 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.effort import may_go_on
+from sunspin.estimate.equivalence import (
+    AS_WRITTEN,
+    CLEARLY,
+    Change,
+    Observed,
+    alike,
+    column_changes,
+    equivalence,
+    rate_under,
+    wheel_changes,
+)
+from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.changes import toml_text
+from sunspin.vehicle.response.protocol import sphere
 from sunspin.vehicle.sensors import VARIABLES, Attitude, ThreeAxes
 
-CLEARLY = 10.0
-"""Log evidence by which another wiring, or a pass without one of its sensors, must be better before that is named."""
-
-MOST = 60
-"""Wirings of panels that are tried; ten panels have as many."""
-
 MOST_SQUARE = 30.0
-"""No reading of a second sensor speaks more against a motion than this squared distance: some are spikes."""
-
-ALIKE = 0.01
-"""Normals that differ by no more than this are of panels that look the same way."""
-
-READINGS = ("power_W", "current_A")
-"""What telemetry calls the readings of panels."""
-
-TABLES = {variable: table for table, variable in VARIABLES.items()}
-"""Variable of the telemetry -> the sensor's table in the vehicle file."""
+"""No reading of a second sensor, and no sample of panels, speaks more against a change than this squared distance: some are
+spikes."""
 
 SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
 """Variable of the telemetry -> what a person calls it."""
 
+TABLES = {variable: table for table, variable in VARIABLES.items()}
+"""Variable of the telemetry -> the sensor's table in the vehicle file."""
 
-class Wiring(NamedTuple):
-    """A vehicle and telemetry as they would be if something were wired otherwise, what, in words, and of a sensor what to do."""
+DIRECTIONS, READING_ERROR = 3000, 0.06
+"""Directions of the Sun in which samples are compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
+share of full Sun: half of that distance, and gains."""
 
-    what: str
-    vehicle: Vehicle
-    telemetry: xr.Dataset
-    do: str = ""
+BRIGHT = (0.85, 1.15)
+"""Brightness of a sample, in full Suns, that panels may show."""
+
+WORTH_A_SEARCH = 30.0
+"""Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 120
+files with two columns exchanged the right change was at most 0.4 from the best."""
+
+MOST_RUNS = 3
+"""Changes that are estimated in full, at most."""
+
+MOST_NAMED = 6
+"""Changes that are named, at most; of others the number is given."""
+
+
+class Named(NamedTuple):
+    """A change that fits, with the rate (3) rad/s that it gives; None where that is not known."""
+
+    change: Change
+    omega: np.ndarray | None = None
 
 
 class Better(NamedTuple):
-    """The wiring that fits where the stated one does not, and by how much its log evidence is better."""
+    """The changes that fit where the file as written does not, all those that the telemetry cannot tell apart, and by how much
+    their log evidence is better; `at_s`: the time of their rates; `fits`: whether they fit, or only fit better."""
 
-    wiring: Wiring
+    named: tuple[Named, ...]
     gain: float
+    at_s: float = np.nan
+    fits: bool = True
 
-    @property
-    def words(self) -> str:
-        """For the verdict."""
-        told = f"the data fit with {self.wiring.what} (log evidence better by {self.gain:.0f}): CHECK THE WIRING"
-        return f"{told}; if it is so, {self.wiring.do}" if self.wiring.do else told
+    def words(self, clock: Callable[[float], str] = lambda t: f"{t:.0f} s") -> str:
+        """For the verdict; `clock`: a time of the telemetry (s) as a person reads it."""
+        better = f"the data fit {'' if self.fits else 'better '}with"
+        gain = f"(log evidence better by {self.gain:.0f})"
+        if len(self.named) == 1:
+            one = self.named[0].change
+            do = f"; if it is so, {one.do}" if one.do else ""
+            check = "CHECK THE SIGNS" if one.reversed_wheels and not one.columns else "CHECK THE WIRING"
+            return f"{better} {one.what} {gain}: {check}{do}"
+        shown = [f"({chr(97 + k)}) {self._line(one, clock)}" for k, one in enumerate(self.named[:MOST_NAMED])]
+        more = len(self.named) - len(shown)
+        others = f"; and {more} other changes" if more else ""
+        at = f" at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
+        return (
+            f"{better} each of {len(self.named)} changes, and this telemetry cannot tell which is right {gain}: {'; '.join(shown)}"
+            f"{others} (rates{at}): CHECK THE WIRING, find out which one is right before you change the file"
+        )
+
+    @staticmethod
+    def _line(one: Named, clock: Callable[[float], str]) -> str:
+        do = f" ({one.change.do})" if one.change.axes or one.change.reversed_wheels else ""
+        if one.omega is None:
+            return f"{one.change.what}{do}"
+        rate = ", ".join(f"{value:z.2f}" for value in np.degrees(one.omega))
+        return f"{one.change.what}{do}: omega ({rate}) deg/s"
 
 
 class Culprit(NamedTuple):
@@ -70,8 +111,7 @@ class Culprit(NamedTuple):
 
     sensor: str
 
-    @property
-    def words(self) -> str:
+    def words(self, clock: Callable[[float], str] | None = None) -> str:
         """For the verdict."""
         return (
             f"without the {self.sensor} the other readings fit: look at its zero, scale, columns and clock (`--without "
@@ -81,54 +121,6 @@ class Culprit(NamedTuple):
 
 Evidence = Callable[[Vehicle, xr.Dataset], float]
 Run = Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
-
-
-def of_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> Iterator[Wiring]:
-    """Each pair of inputs exchanged, each panel that has one of its own reversed."""
-    if not any(name in telemetry for name in READINGS):
-        return
-    for a, b in combinations(range(len(vehicle.inputs)), 2):
-        yield exchanged(vehicle, telemetry, a, b)
-    alone = {one.panels[0] for one in vehicle.inputs if len(one.panels) == 1}
-    for k, one in enumerate(vehicle.panels):
-        if k not in alone:
-            continue
-        turned = tuple(replace(p, normal_B=-p.normal_B) if i == k else p for i, p in enumerate(vehicle.panels))
-        yield Wiring(f"panel {one.name} looking the other way", replace(vehicle, panels=turned), telemetry)
-
-
-def exchanged(vehicle: Vehicle, telemetry: xr.Dataset, a: int, b: int) -> Wiring:
-    """Two inputs with each other's column."""
-    name = next(name for name in READINGS if name in telemetry)
-    other, panels = telemetry[name].values.copy(), vehicle.input_names
-    other[:, [a, b]] = other[:, [b, a]]
-    data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
-    return Wiring(f"the columns of panels {panels[a]} and {panels[b]} exchanged", vehicle, data)
-
-
-def mirrors(vehicle: Vehicle) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Two panels whose exchange mirrors what all of them see, and the mirror (3, 3): no data of panels alone can tell."""
-    if any(len(one.panels) > 1 for one in vehicle.inputs):
-        return
-    normals = np.array([one.normal_B for one in vehicle.panels]).reshape(-1, 3)
-    for a, b in combinations(range(len(normals)), 2):
-        apart = normals[a] - normals[b]
-        if np.linalg.norm(apart) > ALIKE and np.all(np.abs(np.delete(normals, [a, b], axis=0) @ apart) < ALIKE):
-            yield a, b, np.eye(3) - 2 * np.outer(apart, apart) / (apart @ apart)
-
-
-def of_sensor(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> Iterator[Wiring]:
-    """The 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
-    value, table = telemetry[name].values, TABLES[name]
-    sensor = vehicle.sensors.with_columns[table]
-    for what, other, turned, keys in (_readings if table == "attitude" else _axes)(value, sensor):
-        data = telemetry.assign({name: (telemetry[name].dims, other, telemetry[name].attrs)})
-        do = to_write(table, keys) + panels_instead(vehicle, telemetry, turned)
-        yield Wiring(f"the {SENSORS[name]} {what}", vehicle, data, do)
-
-
-Read = Iterator[tuple[str, np.ndarray, np.ndarray | None, dict[str, Any]]]
-"""In words, the values read so, of axes the matrix that reads them so, and the keys of the vehicle file that say it."""
 
 
 def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
@@ -149,41 +141,39 @@ def axes_matrix(order: list[int], sign: tuple[float, ...]) -> np.ndarray:
     return np.eye(3)[order] * np.array(sign)[:, None]
 
 
-def panels_instead(vehicle: Vehicle, telemetry: xr.Dataset, turned: np.ndarray | None) -> str:
-    """Which two panels' columns, exchanged, would look the same as axes of the only second sensor that are read by a matrix
-    (3, 3), in words: mirrored panels show a mirrored motion, in which rates and field have other signs. Else nothing."""
-    others = [name for name in (*VARIABLES.values(), "sun_sensor_B") if name in telemetry and telemetry[name].notnull().any()]
-    if turned is None or len(others) > 1:
-        return ""
-    for a, b, mirror in mirrors(vehicle):
-        if min(np.abs(turned - mirror).max(), np.abs(turned + mirror).max()) < ALIKE:
-            pair = f"{vehicle.panels[a].name} and {vehicle.panels[b].name}"
-            return f", or, which looks the same, the columns of panels {pair} are exchanged: find out which before you set it"
-    return ""
+def of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
+    """The 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
+    table = TABLES[name]
+    read = (_readings if table == "attitude" else _axes)(vehicle.sensors.with_columns[table])
+    return [Change(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys)) for what, matrix, keys in read]
 
 
-def _axes(value: np.ndarray, sensor: ThreeAxes) -> Read:
+Read = Iterator[tuple[str, np.ndarray, dict[str, Any]]]
+"""In words, the matrix (3, 3) or (4, 4) by which the values are multiplied, and the keys of the vehicle file that say it."""
+
+
+def _axes(sensor: ThreeAxes) -> Read:
     for what, order, sign in signed_axes():
-        yield what, value[:, order] * sign, axes_matrix(order, sign), sensor.read_as(order, sign)
+        yield what, axes_matrix(order, sign), sensor.read_as(order, sign)
 
 
-def _readings(value: np.ndarray, sensor: Attitude) -> Read:
-    """`value`: scalar last, B_from_N, as the vehicle file states it."""
-    other_scalar = value[:, [3, 0, 1, 2]]  # what stands last is the first of its columns
-    away = np.array([-1.0, -1.0, -1.0, 1.0])
-    yield "read as stated", value, None, sensor.read_as(False, False)
-    yield "read the other way round (B_to_N for N_to_B)", value * away, None, sensor.read_as(False, True)
-    yield "with its scalar at the other end", other_scalar, None, sensor.read_as(True, False)
-    yield "with its scalar at the other end and read the other way round", other_scalar * away, None, sensor.read_as(True, True)
+def _readings(sensor: Attitude) -> Read:
+    """Of quaternions, scalar last, B_from_N, as the vehicle file states them."""
+    other_scalar = np.eye(4)[[3, 0, 1, 2]]  # what stands last is the first of its columns
+    away = np.diag([-1.0, -1.0, -1.0, 1.0])
+    yield "read as stated", np.eye(4), sensor.read_as(False, False)
+    yield "read the other way round (B_to_N for N_to_B)", away, sensor.read_as(False, True)
+    yield "with its scalar at the other end", other_scalar, sensor.read_as(True, False)
+    yield "with its scalar at the other end and read the other way round", away @ other_scalar, sensor.read_as(True, True)
 
 
 def better(
-    vehicle: Vehicle, telemetry: xr.Dataset, evidence: Evidence, run: Run, field_turn_rate: float
+    vehicle: Vehicle, telemetry: xr.Dataset, observed: Observed, evidence: Evidence, run: Run, field_turn_rate: float
 ) -> Better | Culprit | None:
-    """The wiring that fits the telemetry of a pass, which does not fit as stated; else the sensor that is in the way; else None.
+    """The changes that fit the telemetry of a pass, which does not fit as written; else the sensor that is in the way; else None.
 
-    `evidence`: log evidence of a wiring of panels, by a quick search; `run`: the whole estimate, None where there is none;
-    `field_turn_rate`: rad/s at which a magnetometer's field turns in space.
+    `observed`: what the pass has read; `evidence`: log evidence of a vehicle and telemetry, by a quick search; `run`: the whole
+    estimate, None where there is none; `field_turn_rate`: rad/s at which a magnetometer's field turns in space.
     """
     culprit: Better | Culprit | None = None
     for name in SENSORS:
@@ -191,24 +181,87 @@ def better(
             motion = run(vehicle, telemetry.drop_vars(name))
             if motion is None or not _fits(motion):
                 continue
-            found = _of_second(vehicle, telemetry, name, motion, run, field_turn_rate)
+            found = _of_second(observed, telemetry, name, motion, run, field_turn_rate)
             if found is not None:
                 return found
             if culprit is None:
-                culprit = _of_mirrors(vehicle, telemetry, name, motion, run, field_turn_rate) or Culprit(SENSORS[name])
-    if culprit is not None:
+                culprit = _of_exchanged(observed, telemetry, name, motion, run, field_turn_rate) or Culprit(SENSORS[name])
+    if culprit is not None or not observed.panels:
         return culprit
-    others = list(islice(of_panels(vehicle, telemetry), MOST))
-    if not others:
-        return None
+    return _of_panels(observed, telemetry, evidence, run)
+
+
+def _of_panels(observed: Observed, telemetry: xr.Dataset, evidence: Evidence, run: Run) -> Better | None:
+    """Changes of columns, panels and wheels, one of each class of those that look the same, by quick searches and then in full."""
+    vehicle = observed.vehicle
     stated = evidence(vehicle, telemetry)
     if not np.isfinite(stated):
         return None
-    gains = np.array([evidence(one.vehicle, one.telemetry) - stated if may_go_on() else -np.inf for one in others])
-    best = int(np.argmax(gains))
-    if not gains[best] > CLEARLY or not _fits(run(others[best].vehicle, others[best].telemetry)):
-        return None
-    return Better(others[best], float(gains[best]))
+    columns, wheels = column_changes(vehicle, telemetry), wheel_changes(vehicle) if len(observed.momenta) else []
+    every = [*columns, *wheels]
+    likely = [every[k] for k in _plausible(vehicle, telemetry, every)]
+    both = [one.with_wheels(w.reversed_wheels, [x.name for x in vehicle.wheels]) for one in likely if one.columns for w in wheels]
+    for changes in (likely, both):
+        classes: list[Change] = []
+        for one in changes:
+            if not any(len(equivalence(observed, other, one)) for other in [AS_WRITTEN, *classes]):
+                classes.append(one)
+        gains = [evidence(*one.applied(vehicle, telemetry)) - stated if may_go_on() else -np.inf for one in classes]
+        ranked = sorted((k for k in range(len(classes)) if gains[k] > CLEARLY), key=lambda k: -gains[k])
+        named: list[Named] = []
+        best, at_s = -np.inf, np.nan
+        for k in ranked[:MOST_RUNS]:
+            if gains[k] < best - CLEARLY:
+                break
+            result = run(*classes[k].applied(vehicle, telemetry))
+            if result is not None and _fits(result):
+                best, at_s = max(best, gains[k]), _middle(result)[1]
+                named += _members(observed, classes[k], result, changes)
+        if named:
+            return Better(tuple(named), best, at_s)
+    return None
+
+
+def _members(observed: Observed, change: Change, result: xr.Dataset, others: Sequence[Change]) -> list[Named]:
+    """A change and all others that look the same, with their rates, where the estimate with the change gave a result."""
+    omega, _ = _middle(result)
+    seen = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
+    same = alike(seen, change, [one for one in others if one is not change])
+    return [Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same)]
+
+
+def _middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
+    """Rate (3), rad/s, at the sample nearest to the middle of a result, and its time."""
+    t = result["time"].values
+    at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+    return result["omega_B"].values[at], float(t[at])
+
+
+def _plausible(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> list[int]:
+    """Numbers of the changes under which the samples, each by itself, may be of one Sun, the likeliest first."""
+    sun, gains = sphere(DIRECTIONS), vehicle.input_gains
+    known_scale = vehicle.gain_unit is not None
+    low, high = (0.0 if vehicle.throttled else BRIGHT[0]), BRIGHT[1]
+    squares = []
+    for change in changes:
+        other, data = change.applied(vehicle, telemetry)
+        read = np.nan_to_num(signals(data)) / gains
+        read = read[(read > READING_ERROR).any(axis=1)]
+        light = other.response_in().power(sun) / gains
+        size, along = np.maximum((light**2).sum(axis=1), 1e-12), read @ light.T
+        whole = (read**2).sum(axis=1)[:, None]
+        free = np.maximum(along, 0.0) / size
+        best = np.argmin(whole - free * np.maximum(along, 0.0), axis=1)
+        scale = 1.0 if known_scale or not len(read) else float(np.quantile(free[np.arange(len(read)), best], 0.9))
+        level = np.clip(free, low * scale, high * scale)
+        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / READING_ERROR**2)
+    each = np.array(squares)
+    if not each.size:
+        return list(range(len(changes)))
+    each /= max(1.0, float(np.median(each, axis=1).min()) / len(gains))  # where the Earth's light is more than that error
+    cost = np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
+    order = np.argsort(cost, kind="stable")
+    return [int(k) for k in order if cost[k] <= cost.min() + WORTH_A_SEARCH]
 
 
 def _fits(result: xr.Dataset | None) -> bool:
@@ -216,43 +269,58 @@ def _fits(result: xr.Dataset | None) -> bool:
 
 
 def _of_second(
-    vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
+    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
 ) -> Better | None:
-    """Another wiring of one sensor, judged by the motion that all others tell."""
-    others = list(of_sensor(vehicle, telemetry, name))
-    read = [one.telemetry[name].sel(time=motion["time"].values).values for one in others]
-    costs = np.array([_squares(motion, value, name, vehicle, field_turn_rate).clip(max=MOST_SQUARE).sum() / 2 for value in read])
+    """Other axes of one sensor, judged by the motion that all others tell, with the exchanged columns that look the same."""
+    vehicle, others = observed.vehicle, of_sensor(observed.vehicle, name)
+    read = telemetry[name].sel(time=motion["time"].values).values
+    squares = [_squares(motion, read @ one.axes[name].T, name, vehicle, field_turn_rate) for one in others]
+    costs = np.array([square.clip(max=MOST_SQUARE).sum() / 2 for square in squares])
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])  # the first is the stated one
-    if not gain > CLEARLY or not _fits(run(vehicle, others[best].telemetry)):
+    if not gain > CLEARLY:
         return None
-    return Better(others[best], gain)
+    result = run(*others[best].applied(vehicle, telemetry))
+    if result is None or not _fits(result):
+        return None
+    ties = [k for k in np.flatnonzero(costs < costs[best] + CLEARLY) if k != best and costs[0] - costs[k] > CLEARLY]
+    ties.sort(key=lambda k: -np.trace(others[k].axes[name]))
+    omega, at_s = _middle(result)
+    named = _members(observed, others[best], result, [*column_changes(vehicle, telemetry), *wheel_changes(vehicle)])
+    return Better((*named, *(Named(others[k], omega) for k in ties)), gain, at_s)
 
 
-def _of_mirrors(
-    vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
+def _of_exchanged(
+    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
 ) -> Better | None:
-    """Two panels exchanged, judged by a sensor that the motion without it contradicts: mirrored, that motion fits the panels."""
-    made = [] if not any(one in telemetry for one in READINGS) else list(mirrors(vehicle))
+    """Changes of columns that the others cannot see, judged by a sensor that the motion without it contradicts: as these changes
+    show the motion, it may fit."""
+    vehicle = observed.vehicle
+    without = replace(observed, sensors=observed.sensors - {name}, sun_B=np.nan_to_num(motion["sun_B"].values))
+    made = alike(without, AS_WRITTEN, column_changes(vehicle, telemetry))
     value = telemetry[name].sel(time=motion["time"].values).values
-    costs = [
+    costs = np.array([
         _squares(one, value, name, vehicle, field_turn_rate).clip(max=MOST_SQUARE).sum() / 2
-        for one in (motion, *(_mirrored(motion, mirror) for _, _, mirror in made))
-    ]
+        for one in (motion, *(_mapped(motion, matrix) for _, matrix in made))
+    ])  # fmt: skip
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:
         return None
-    a, b, _ = made[best - 1]
-    other = exchanged(vehicle, telemetry, a, b)
-    return Better(other, gain) if _fits(run(vehicle, other.telemetry)) else None
+    result = run(*made[best - 1][0].applied(vehicle, telemetry))
+    if result is None or not _fits(result):
+        return None
+    omega, at_s = _middle(result)
+    near = [k for k in np.argsort(costs) if costs[k] < costs[best] + CLEARLY and k]
+    to_best = made[best - 1][1].T
+    return Better(tuple(Named(made[k - 1][0], rate_under(made[k - 1][1] @ to_best, omega)) for k in near), gain, at_s)
 
 
-def _mirrored(motion: xr.Dataset, mirror: np.ndarray) -> xr.Dataset:
-    """The motion that mirrored panels show."""
-    attitude = mirror @ Rotation.from_quat(motion["B_from_N"].values).as_matrix() @ mirror
+def _mapped(motion: xr.Dataset, matrix: np.ndarray) -> xr.Dataset:
+    """The motion that a body shows which a rotation or mirror (3, 3) has mapped."""
+    attitude = matrix @ Rotation.from_quat(motion["B_from_N"].values).as_matrix() @ matrix.T
     return motion.assign(
-        omega_B=(motion["omega_B"].dims, -motion["omega_B"].values @ mirror.T),
+        omega_B=(motion["omega_B"].dims, rate_under(matrix, motion["omega_B"].values)),
         B_from_N=(motion["B_from_N"].dims, Rotation.from_matrix(attitude).as_quat()),
     )
 

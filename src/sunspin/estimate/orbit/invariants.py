@@ -13,8 +13,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment.orbit import Orbit
+from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimate.orbit.along_track import AlongTrack
-from sunspin.estimate.wiring import axes_matrix, panels_instead, signed_axes, to_write
+from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.quality import came_late, lit_threshold, panel_quality
@@ -115,6 +116,7 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset, most: int = MOST_SAMPLES) -
         covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
         light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
         by_earth &= ~there
+    sun = np.where(np.isfinite(covariance).all(axis=(1, 2))[:, None], sun, np.nan)  # without an error it is no reading
     field = np.isfinite(reading).all(axis=1)
     use = spread_evenly(telemetry, field | np.isfinite(light), most, field & np.isfinite(sun).all(axis=1))
     seen, by_earth = Seen(*(part[use] for part in (time, reading, sun, covariance, light))), by_earth[use]
@@ -261,7 +263,8 @@ class Model:
         self.of_readings = of_readings
         self.reading, self.with_sun = reading, np.isfinite(sun).all(axis=1)
         self.sun = sun[self.with_sun]
-        unit = reading[self.with_sun] / np.linalg.norm(reading[self.with_sun], axis=1, keepdims=True)
+        size = np.linalg.norm(reading[self.with_sun], axis=1, keepdims=True)
+        unit = reading[self.with_sun] / np.where(size > 0, size, 1.0)
         across = unit - (unit * self.sun).sum(axis=1, keepdims=True) * self.sun
         self.sigma = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance[self.with_sun], across) + 0.02**2)
         # the mean of the diagonal is the scale, which is free
@@ -392,7 +395,10 @@ def axes_words(way: tuple[str, list[int], tuple[float, ...]], vehicle: Vehicle, 
     what, order, sign = way
     magnetometer = vehicle.sensors.magnetometer
     do = "" if magnetometer is None else f"; {to_write('magnetometer', magnetometer.read_as(order, sign))}"
-    instead = panels_instead(vehicle, telemetry, axes_matrix(order, sign))
+    change = Change("the magnetometer", axes={"field_B": axes_matrix(order, sign)})
+    same = alike(Observed.of(vehicle, telemetry), change, column_changes(vehicle, telemetry))
+    others = " or ".join(one.what for one, _ in same)
+    instead = f", or, which looks the same, {others}: find out which before you set it" if others else ""
     return f"the magnetometer {what} has the angle to the Sun that the orbit predicts, and as stated it has not{do}{instead}"
 
 

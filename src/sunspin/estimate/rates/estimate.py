@@ -19,8 +19,9 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
+from sunspin.estimate.equivalence import Observed, alike, column_changes, rate_under, unseen_changes, wheel_change, wheel_changes
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
-from sunspin.estimate.passes import DOUBTFUL
+from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED
 from sunspin.estimate.rates.alternatives import Others
 from sunspin.estimate.rates.clock import lateness, suspected
 from sunspin.estimate.rates.common_errors import Clock
@@ -39,14 +40,14 @@ from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.rates.wheel_signs import Anew, Reversed, doubted_signs, reversed_momenta, tasks
-from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.rates.wheels import momentum_of_each, wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.terms.sensors import FIELD
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import alike_motions, misfit
-from sunspin.estimate.wiring import Better, better
+from sunspin.estimate.wiring import Better, Named, better
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 from sunspin.vehicle.timeline import utc_after
@@ -99,7 +100,7 @@ def rates(
     wirings: bool = False,
     effort: float = 1.0,
     workers: int = 1,
-    progress: bool = False,
+    progress: bool | Callable[[str], None] = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -149,9 +150,9 @@ def rates(
     workers : int
         Processes that estimate passes side by side, copies of this one where that is safe, else four passes each at least; the
         result does not depend on it. A script that asks for more than one needs `if __name__ == "__main__":`.
-    progress : bool
+    progress : bool, or a function of a line
         Show what is being done, how long it will take at most, and of each pass a rough speed as soon as its first motions are
-        found (:mod:`sunspin.estimate.rates.rough`).
+        found (:mod:`sunspin.estimate.rates.rough`); a function is called once, when the inputs are accepted and the search begins.
 
     Returns
     -------
@@ -192,9 +193,9 @@ def rates(
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
-    load(body)
+    _begin(body, parts, effort, progress)
     with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
-        spent = Effort(allowed(effort), "rates" if progress else None)
+        spent = Effort(allowed(effort), "rates" if progress is True else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
             noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_evidences, spent, judged, pool))
         signs = _signs(o, parts, reversed_momenta(vehicle, telemetry, wheels, o), noise, body, rate_max, given, spent, pool)
@@ -225,16 +226,49 @@ def rates(
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL,
         no_sphere=int(unmet.any() or _far_from_sphere(body, noise)),
     )  # fmt: skip
-    if source == "panels" and (alike := alike_motions(vehicle)):
-        result.attrs["alike"] = alike
-    if wirings and turned is None and not result["fits"].values.all():
-        with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
-            result = _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques)
-            if "wiring_doubt" not in result.attrs and may_go_on():
+    observed = _observed(vehicle, telemetry, wheels, source, orbit is not None)
+    result = _columns_checked(result, observed, telemetry)
+    if wirings and not result["fits"].values.all():
+        with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
+            result = _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques)
+            if "wiring_doubt" not in result.attrs and turned is None and may_go_on():
                 bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
-    return _judged(_not_decided(result, turned), vehicle, telemetry)
+    return _judged(_wheel_doubted(result, turned, observed, telemetry), vehicle, telemetry)
+
+
+def _observed(vehicle: Vehicle, telemetry: xr.Dataset, wheels: str, source: str, in_orbit: bool) -> Observed:
+    """What the telemetry has read, as far as it tells changes of columns, signs and axes apart; `wheels`: what they do."""
+    momenta = momentum_of_each(vehicle, telemetry, wheels)
+    observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
+    return replace(observed, panels=observed.panels and source == "panels")
+
+
+def _columns_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> xr.Dataset:
+    """The result with what panels cannot tell apart: motions, in attrs["alike"], and changes of columns that look the same as the
+    file as it is written, in attrs["columns_unseen"] (JSON: what, and the matrix by which directions change); where there are none
+    of the latter the data confirm the columns."""
+    if not observed.panels:
+        return result
+    if words := alike_motions(observed.vehicle):
+        result = result.assign_attrs(alike=words)
+    unseen = unseen_changes(replace(observed, sun_B=result["sun_B"].values), telemetry)
+    if not unseen:
+        return result.assign(wiring=("pass_id", np.where(result["wiring"].values == UNCHECKED, AS_STATED, result["wiring"].values)))
+    told = [{"what": change.what, "matrix": np.round(matrix, 6).tolist()} for change, matrix in unseen]
+    return result.assign_attrs(columns_unseen=json.dumps(told))
+
+
+def _begin(body: Body, parts: list[np.ndarray], effort: float, progress: bool | Callable[[str], None]) -> None:
+    """Load the compiled step of a body, once a function `progress` has been called with what is searched and how long that may
+    take: an effort of one is about a minute and a half of one core."""
+    if callable(progress):
+        most = 1.5 * allowed(effort) / USUAL * (1 + WIRING_SHARE)
+        long = f"up to {most:.2g} minutes of one core" if np.isfinite(most) else "as long as it needs"
+        passes = f"{len(parts)} pass{'es' if len(parts) > 1 else ''}"
+        progress(f"{sum(map(len, parts))} samples in {passes}; the search takes {long}")
+    load(body)
 
 
 def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
@@ -342,8 +376,8 @@ data doubt."""
 
 
 def _signs(
-    o: Observations, parts: list[np.ndarray], momenta: dict[str, np.ndarray], noise: float, body: Body, rate_max: float,
-    given: float | None, spent: Effort, pool: Executor | None,
+    o: Observations, parts: list[np.ndarray], momenta: dict[tuple[int, ...], np.ndarray], noise: float, body: Body,
+    rate_max: float, given: float | None, spent: Effort, pool: Executor | None,
 ) -> Doubts:  # fmt: skip
     """What tells the wheels whose sign the data doubt, as far as a share of the effort goes, once passes are found with the signs
     as stated. What does not hang on these other processes begin with now."""
@@ -357,13 +391,40 @@ def _signs(
     return doubted
 
 
-def _not_decided(result: xr.Dataset, turned: Reversed | None) -> xr.Dataset:
-    """The result with nothing decided where the sign of a wheel is in doubt."""
+def _wheel_doubted(
+    result: xr.Dataset, turned: Reversed | None, observed: Observed, telemetry: xr.Dataset
+) -> xr.Dataset:
+    """The result with nothing decided where the sign of a wheel is in doubt. Unless another change fits, it is named with all
+    changes that look the same. If it does not fit either, and all others were tried, no change is named."""
     if turned is None:
         return result
     why = ["; ".join(filter(None, (str(one), "the sign of a wheel"))) for one in result["why_not_decided"].values]
     doubted = {name: ("pass_id", np.full(len(why), one)) for name, one in (("decided", False), ("wiring", DOUBTFUL))}
-    return result.assign(doubted | {"why_not_decided": ("pass_id", why)}).assign_attrs(wiring_doubt=turned.words)
+    result = result.assign(doubted | {"why_not_decided": ("pass_id", why)})
+    if "wiring_doubt" in result.attrs:
+        return result
+    change = wheel_change(observed.vehicle, turned.wheels)
+    if not turned.fits and "wirings_cut" in result.attrs:
+        return result.assign_attrs(
+            wiring_doubt=f"with {change.what} the data fit better (log evidence better by {turned.gain:.0f}), and still badly: no "
+            "single change of columns or signs explains them"
+        )
+    others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
+    at = int(np.argmin(np.abs(turned.t_s - (turned.t_s[0] + turned.t_s[-1]) / 2)))
+    omega = turned.omega[at]
+    same = alike(replace(observed, sun_B=turned.sun_B), change, [one for one in others if one.what != change.what])
+    named = (Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same))
+    return _named(result, Better(named, turned.gain, float(turned.t_s[at]), turned.fits))
+
+
+def _named(result: xr.Dataset, better: Better) -> xr.Dataset:
+    """The result with the changes that fit better than the file as it is written: a sentence, and in JSON
+    attrs["wiring_changes"]."""
+    epoch = result.attrs.get("epoch_utc")
+    rates_deg_s = [None if one.omega is None else np.degrees(one.omega).round(6).tolist() for one in better.named]
+    told = [{"what": one.change.what, "do": one.change.do, "at_s": better.at_s, "omega_deg_s": rate}
+            for one, rate in zip(better.named, rates_deg_s, strict=True)]  # fmt: skip
+    return result.assign_attrs(wiring_doubt=better.words(partial(_clock_time, epoch)), wiring_changes=json.dumps(told))
 
 
 def _odd_sensor(
@@ -391,13 +452,15 @@ def _odd_sensor(
     return {"odd_sensor": f"{odd.hypothesis.what} the other readings fit: it does not see what they see"}
 
 
-def _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration, torques) -> xr.Dataset:
-    """The result with the wiring that fits the longest pass that does not fit as stated, or the sensor that is in its way."""
+def _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques) -> xr.Dataset:
+    """The result with the changes that fit the longest pass that does not fit as stated, or the sensor that is in its way."""
     bad = np.flatnonzero(~result["fits"].values)
     k = bad[np.argmax(result["samples"].values[bad])]
     times, first = np.unique(telemetry["time"].values, return_index=True)
     part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
+    vehicle = observed.vehicle
+    here = _observed(vehicle, part, result.attrs["wheels"], result.attrs["source"], observed.in_orbit)
     setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment,
                                "calibration": calibration}  # fmt: skip
 
@@ -414,12 +477,13 @@ def _other_wiring(result, vehicle, telemetry, rate_max, environment, calibration
         except InputError:
             return None
 
-    found = better(vehicle, part, evidence, run, TURN_RATE)
+    found = better(vehicle, part, here, evidence, run, TURN_RATE)
     if found is None:
         return result
     if isinstance(found, Better):
         result = result.assign(wiring=("pass_id", np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)))
-    return result.assign_attrs(wiring_doubt=found.words)
+        return _named(result, found)
+    return result.assign_attrs(wiring_doubt=found.words())
 
 
 def _clock_time(epoch_utc: str | None, t_s: float) -> str:

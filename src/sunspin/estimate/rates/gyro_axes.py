@@ -10,9 +10,10 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimate.rates.motion import MOST_NUTATION, Body, Ends, nutation, step
-from sunspin.estimate.rates.wheels import wheel_momenta
-from sunspin.estimate.wiring import axes_matrix, panels_instead, signed_axes, to_write
+from sunspin.estimate.rates.wheels import momentum_of_each, wheel_momenta
+from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.telemetry.units import BETTER, LAGS, TURNS_RIGHT, TURNS_WRONG, carried_by, directions_seen, even_turns
 from sunspin.vehicle import Vehicle
 
@@ -39,13 +40,27 @@ def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
         angles = np.min([carried_by(time, seen, turns, lag) for turns in (even, nutating) if turns], axis=0)
         least = float(angles.min())
         if angles[0] > TURNS_WRONG and least < min(TURNS_RIGHT, BETTER * angles[0], BETTER * still):
-            alike = np.flatnonzero(angles < AS_GOOD * least)
-            chosen = max(alike, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
+            ties = np.flatnonzero(angles < AS_GOOD * least)
+            chosen = max(ties, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
             what, order, sign = ways[chosen]
             found = f"the gyro {what} turns the Sun as it is seen, and as stated it does not"
-            instead = panels_instead(vehicle, telemetry, axes_matrix(order, sign))
+            if len(ties) > 1:
+                others = f"{len(ties) - 1} other{'s' if len(ties) > 2 else ''}"
+                found += f" (as {others} do: a component that stays small may have any sign)"
+            instead = _columns_instead(vehicle, telemetry, axes_matrix(order, sign))
             return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}{instead}"
     return None
+
+
+def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray) -> str:
+    """Which columns of panels, exchanged, look the same as a gyro read by a matrix (3, 3), in words; empty if none do."""
+    gyro = Change("the gyro", axes={"gyro_B": matrix})
+    wheels = next(iter(wheel_momenta(vehicle, telemetry)))
+    observed = Observed.of(vehicle, telemetry, momenta=momentum_of_each(vehicle, telemetry, wheels))
+    if not (same := alike(observed, gyro, column_changes(vehicle, telemetry))):
+        return ""
+    either = " or ".join(change.what for change, _ in same)
+    return f", or, which looks the same, {either}: find out which before you set it"
 
 
 def _nutating(vehicle: Vehicle, telemetry: xr.Dataset, read: list[np.ndarray]) -> list[np.ndarray]:

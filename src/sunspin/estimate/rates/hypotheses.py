@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunspin.estimate.equivalence import CLEARLY
 from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.smooth import TURN_PRIOR
 from sunspin.estimate.rates.state import Motion, Observations
 from sunspin.estimate.terms.term import MotionTerm, Term
-from sunspin.estimate.wiring import CLEARLY
 
 AS_STATED = "as stated"
 """What the hypothesis changes that believes everything."""

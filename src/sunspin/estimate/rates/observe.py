@@ -78,7 +78,7 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
     """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
     use = usable(o, why)
     if len(use) < 3:
-        lost = Counter(text.removeprefix("dropped: ") for text in why if text != "used").most_common(1)
+        lost = Counter(text.removeprefix("dropped: ") for text in why if text.startswith("dropped")).most_common(1)
         raise InputError(
             sentence("fewer than three samples say where the Sun is", got=f"{len(use)} of {len(o)}",
                      do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "") + "`sunspin check` says why samples are dropped")

@@ -17,16 +17,18 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.effort import may_go_on
+from sunspin.estimate.equivalence import CLEARLY, WEAK_RAD, wheel_changes
 from sunspin.estimate.rates.alternatives import Others
 from sunspin.estimate.rates.common_errors import Clock
 from sunspin.estimate.rates.finish import Pass, finished, leading
 from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.noise import NOISE_LADDER, Task, refined
+from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Observations
-from sunspin.estimate.rates.wheels import wheel_momenta
+from sunspin.estimate.rates.wheels import momentum_of_each
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.term import Term
-from sunspin.estimate.wiring import CLEARLY
+from sunspin.estimate.verdict import misfit
 from sunspin.vehicle import Vehicle
 
 LOOKED_AT = 2
@@ -34,9 +36,6 @@ LOOKED_AT = 2
 
 FAR = 20.0
 """Log evidence by which reversed wheels must be worse, in a search that holds the inertia fast, to be out of the question."""
-
-WEAK_RAD = 0.05
-"""Wheels that turn a rate round by less than this in the whole file are not asked for."""
 
 WRAPPED_RAD = 10.0
 """Nor wheels that turn it round by more than this from sample to sample: at 42 rad one of five right files was accused."""
@@ -76,38 +75,37 @@ class Anew(NamedTuple):
 
 
 class Reversed(NamedTuple):
-    """Wheels that may turn the other way, and by how much log evidence that fits better."""
+    """Wheels, by their numbers, that may turn the other way, by how much log evidence that fits better, and the longest pass
+    estimated so: whether it fits, its times (n) s, rates (n, 3) rad/s and directions of the Sun (n, 3)."""
 
-    wheels: str
+    wheels: tuple[int, ...]
     gain: float
-
-    @property
-    def words(self) -> str:
-        """For the verdict."""
-        found = f"the data fit better with wheel {self.wheels} turning the other way (log evidence better by {self.gain:.0f})"
-        check = "CHECK THE SIGNS of its axis_B, speed_rad_s and speed_scale_rad_s; if they are right, a gyro decides"
-        return f"{found}: nothing is decided; {check}"
+    fits: bool
+    t_s: np.ndarray
+    omega: np.ndarray
+    sun_B: np.ndarray
 
 
-def reversed_momenta(vehicle: Vehicle, telemetry: xr.Dataset, doing: str, o: Observations) -> dict[str, np.ndarray]:
-    """The wheels' momenta (n, 3) as they would be with each of them reversed, and with all, by the names of those reversed;
+def reversed_momenta(
+    vehicle: Vehicle, telemetry: xr.Dataset, doing: str, o: Observations
+) -> dict[tuple[int, ...], np.ndarray]:
+    """The wheels' momenta (n, 3) as they would be with each of them reversed, and with all, by the numbers of those reversed;
     `doing`: what they do (:func:`wheel_momenta`). None of one so slow that it hardly turns the rate round, or so
     fast that it wraps."""
     body, found = Body.of(vehicle), {}
-    count = len(vehicle.wheels) if np.any(o.momentum) else 0
-    for which in dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))][: None if count else 0]):
-        wheels = tuple(replace(w, axis_B=-np.asarray(w.axis_B)) if k in which else w for k, w in enumerate(vehicle.wheels))
-        other = wheel_momenta(replace(vehicle, wheels=wheels), telemetry)
-        momentum = next(one for name, one in other.items() if doing.split(" (evidence")[0] == name)
+    each = momentum_of_each(vehicle, telemetry, doing)
+    for change in wheel_changes(vehicle) if np.any(o.momentum) else ():
+        which = change.reversed_wheels
+        momentum = each.sum(axis=0) - 2 * each[list(which)].sum(axis=0)
         rate = nutation(body, (momentum - o.momentum) / 2).max(initial=0.0)
         if rate * np.ptp(o.t_s) > WEAK_RAD and rate * np.median(np.diff(o.t_s)) < WRAPPED_RAD:
-            found[", ".join(vehicle.wheels[k].name for k in which)] = momentum
+            found[which] = momentum
     return found
 
 
 def tasks(
     o: Observations, parts: Sequence[np.ndarray], body: Body, noise: float, given: float | None, rate_max: float,
-    momenta: dict[str, np.ndarray],
+    momenta: dict[tuple[int, ...], np.ndarray],
 ) -> list[Task]:  # fmt: skip
     """Of which the evidence says which reversed wheels are not out of the question for the longest pass: the wheels as stated
     under the `noise` of the search, then the reversed ones. What is observed is as a search takes it."""
@@ -122,13 +120,13 @@ def _rungs(given: float | None) -> tuple[float, ...]:
 
 
 def _near(
-    o: Observations, momenta: dict[str, np.ndarray], rungs: tuple[float, ...], evidence: Sequence[np.ndarray]
-) -> dict[str, tuple[Observations, float]]:
+    o: Observations, momenta: dict[tuple[int, ...], np.ndarray], rungs: tuple[float, ...], evidence: Sequence[np.ndarray]
+) -> dict[tuple[int, ...], tuple[Observations, float]]:
     """Which reversed wheels are not out of the question by the evidence of their :func:`tasks`: what is observed with them, and the
     acceleration noise (rad/s^1.5) that they want."""
     stated, *found = evidence
-    levels = {names: rungs[int(np.argmax(one))] for names, one in zip(momenta, found, strict=True) if one.max() > stated[0] - FAR}
-    return {names: (replace(o, momentum=momenta[names]), level) for names, level in levels.items()}
+    levels = {which: rungs[int(np.argmax(one))] for which, one in zip(momenta, found, strict=True) if one.max() > stated[0] - FAR}
+    return {which: (replace(o, momentum=momenta[which]), level) for which, level in levels.items()}
 
 
 def _longest_first(parts: Sequence[np.ndarray]) -> list[int]:
@@ -137,35 +135,44 @@ def _longest_first(parts: Sequence[np.ndarray]) -> list[int]:
 
 
 def doubted_signs(
-    o: Observations, momenta: dict[str, np.ndarray], passes: list[tuple[np.ndarray, np.ndarray, Pass]], noise: float, anew: Anew,
-    evidence: Sequence[np.ndarray],
+    o: Observations, momenta: dict[tuple[int, ...], np.ndarray], passes: list[tuple[np.ndarray, np.ndarray, Pass]], noise: float,
+    anew: Anew, evidence: Sequence[np.ndarray],
 ) -> Reversed | None:  # fmt: skip
     """The wheels whose sign the data doubt; None where they do not, or cannot.
 
-    `momenta` (n, 3): with wheels reversed, by their names; `passes`: all samples of each, those searched, and what was found under
-    the `noise` of the search; `evidence`: of the :func:`tasks` of the longest pass.
+    `momenta` (n, 3): with wheels reversed, by their numbers; `passes`: all samples of each, those searched, and what was found
+    under the `noise` of the search; `evidence`: of the :func:`tasks` of the longest pass.
     """
     if not momenta:
         return None
     longest = [passes[k] for k in _longest_first([part for _, part, _ in passes])]
     found: list[Reversed] = []
-    for names, (other, level) in _near(o, momenta, _rungs(anew.given), evidence).items():
-        gain, another = 0.0, False
+    for which, (other, level) in _near(o, momenta, _rungs(anew.given), evidence).items():
+        gain, another, turned = 0.0, False, None
         for whole, part, stated in longest:
             one = _gained(o, other, whole, part, stated, (noise, level), anew) if may_go_on() else OUT
-            gain, another = gain + one.gain, another or one.another
+            gain, another, turned = gain + one.gain, another or one.another, turned or one.turned
             if gain < -AS_WELL:
                 break
         else:
-            found += [Reversed(names, gain)] if another and gain >= CLEARLY else []
+            if another and gain >= CLEARLY and turned is not None:
+                found.append(_reversed(o, which, gain, turned))
     return max(found, key=lambda one: one.gain, default=None)
 
 
+def _reversed(o: Observations, which: tuple[int, ...], gain: float, turned: Pass) -> Reversed:
+    """What is known of reversed wheels, with the longest pass as estimated with them."""
+    agree = all(misfit(left[0]).fits for left in turned.residual.values())
+    fits = bool(agree and turned.track.cost[0] <= cost_limit(o.take(turned.kept)))
+    return Reversed(which, gain, fits, o.t_s[turned.index], turned.track.omega[0], turned.track.sun_B[0])
+
+
 class Gained(NamedTuple):
-    """What reversed wheels gain of a pass, in log evidence, and whether they leave another motion."""
+    """What reversed wheels gain of a pass, in log evidence, whether they leave another motion, and the pass estimated with them."""
 
     gain: float
     another: bool
+    turned: Pass | None = None
 
 
 OUT = Gained(-np.inf, False)
@@ -188,7 +195,7 @@ def _gained(
             gain = min(gain, _evidence(turned) - _evidence(anew.estimated(o, whole, part, level)))
     except InputError:
         return OUT
-    return Gained(gain, _another(stated, turned))
+    return Gained(gain, _another(stated, turned), turned)
 
 
 def _evidence(found: Pass) -> float:

@@ -12,6 +12,9 @@ from sunspin.environment.elements import nearest
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
+from sunspin.output.check.samples import noise_lines
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -40,7 +43,10 @@ def orbit_used(
     used, found, words = judged_orbit(orbit, craft, samples)
     summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
     calibration = None if used is None else field_calibration(used, craft, samples, found.made)
-    return used, calibration, {"orbit": summary}, [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
+    said = [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
+    if craft.telemetry.noise is None and "panel" in samples.coords:
+        said += noise_lines(sun_directions(craft, samples, lit_threshold=lit_threshold(craft, samples)))
+    return used, calibration, {"orbit": summary}, said
 
 
 def _nearest(orbit: Any, samples: xr.Dataset) -> Any:

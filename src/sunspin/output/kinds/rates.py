@@ -21,6 +21,9 @@ from sunspin.vehicle.timeline import utc_after
 AS_STATED = "as stated"
 """The model of a pass that nothing was added to."""
 
+MOST_UNSEEN = 6
+"""Changes that look the same as the file as it is written, at most, that are named."""
+
 READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
 """Variables of telemetry of which residuals are drawn."""
 
@@ -29,7 +32,7 @@ def rates_summary(result: Any) -> Summary:
     """The verdict, and the motions of each pass, deg/s."""
     found = [_pass(result, k) for k in range(result.sizes["pass_id"])]
     texts, counts = np.unique(result["why"].values, return_counts=True)
-    numbers = {
+    numbers: dict[str, Any] = {
         "verdict": result.attrs["verdict"], "source": result.attrs["source"], "passes": [numbers for numbers, _ in found],
         "acceleration_noise": result.attrs["acceleration_noise"],
         "max_rate_deg_s": float(np.degrees(result.attrs["max_rate_rad_s"])),
@@ -44,7 +47,10 @@ def rates_summary(result: Any) -> Summary:
     counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
     silent = [f"  panel {', '.join(numbers['panels_left_out'])} never reads anything: dead, or never in the Sun; left out"]
     lines += silent if numbers["panels_left_out"] else []
-    return Summary(numbers, [*lines, *_mirrored(numbers["passes"], numbers["source"]), *counted])
+    numbers |= {name: result.attrs[name] for name in ("noise", "noise_from") if name in result.attrs}
+    if numbers.get("noise_from", "given") != "given":
+        lines.append(f"  error of panel readings: {numbers['noise']:.3g} (median), {numbers['noise_from']}")
+    return Summary(numbers, [*lines, *_columns_unseen(result, numbers["passes"]), *counted])
 
 
 def _period(result: Any, one: dict[str, Any]) -> str:
@@ -63,17 +69,26 @@ def _period(result: Any, one: dict[str, Any]) -> str:
     return f"{said}; in pass {one['pass']} the likeliest motion holds {result['weight'].values[k, 0]:.0%} (without: {was})"
 
 
-def _mirrored(passes: list[dict[str, Any]], source: str) -> list[str]:
-    """What no data of panels alone can decide, with the rates of the first decided pass."""
-    sure = [one for one in passes if one["decided"] and one["wiring"] == "unchecked"]
-    if not sure or source != "panels":
+def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
+    """Changes of columns that look the same in the telemetry as the file as it is written, with the rates of the first decided
+    pass."""
+    sure = [k for k, one in enumerate(passes) if one["decided"] and one["wiring"] == "unchecked"]
+    if not sure or "columns_unseen" not in result.attrs:
         return []
-    x, y, z = (sure[0]["modes"][0][f"omega_{axis}_deg_s"] for axis in "xyz")
-    digits = digits_of([sure[0]["modes"][0][f"sigma_{axis}_deg_s"] for axis in "xyz"])
-    stated, mirrored = (", ".join(f"{part:.{digits}f}" for part in rate) for rate in ((x, y, z), (x, -y, -z)))
+    rate = rate_at(result, sure[0])
+    digits = digits_of(rate.sigma)
+
+    def shown(omega: np.ndarray) -> str:
+        return f"({', '.join(f'{value:z.{digits}f}' for value in omega)})"
+
+    unseen = []
+    for one in json.loads(result.attrs["columns_unseen"]):
+        matrix = np.array(one["matrix"])
+        unseen.append(f"with {one['what']} it would be {shown(np.linalg.det(matrix) * matrix @ rate.omega)} deg/s")
+    more = f"; and with {len(unseen) - MOST_UNSEEN} other changes another" if len(unseen) > MOST_UNSEEN else ""
     return [
-        "  wiring unchecked: panels alone cannot tell whether the columns of two opposite panels are exchanged; were it so "
-        f"along x, the motion at {sure[0]['utc_at']} would be ({mirrored}) and not ({stated}) deg/s"
+        f"  wiring unchecked: the file as it is written gives {shown(rate.omega)} deg/s at {clock_of(result, rate.at_s)}; this "
+        f"telemetry looks the same if the file is wrong in one of these ways: {'; '.join(unseen[:MOST_UNSEEN])}{more}"
     ]
 
 

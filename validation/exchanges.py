@@ -1,0 +1,256 @@
+"""Satellites with wings, cants and wheels whose file has two panel columns exchanged: what `rates` says of them.
+
+The simulator shares no code with the package: its own Runge-Kutta integration of a rigid body with wheels of constant speed, and
+flat panels of cosine response. Each satellite is also estimated with its columns as they are: there nothing may be accused.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+import sunspin as ss
+from sunspin.base.errors import SunspinError
+from sunspin.vehicle import TelemetryForm
+
+SATELLITES, EXCHANGES, SAMPLES = 60, 2, 32
+"""Satellites, exchanges drawn for each, samples of each file."""
+
+QUICK = tuple(range(0, 60, 5))
+"""A dozen satellites, of which the first exchange stands for the rest."""
+
+NOISE = 0.01
+"""One sigma of a reading, of the full signal of a panel of gain one; gains are as far off."""
+
+MOST_WRONG, MOST_ACCUSED = 1, 0
+"""Of 120 files with exchanged columns, those of which only a false change is named or a wrong motion decided, at most; and of 60
+right ones those that are accused: one in a hundred."""
+
+WRONG_SIGMAS, WRONG_RAD_S = 5.0, np.radians(0.1)
+"""A decided motion is off where a component is off by more than both."""
+
+ALIKE = 0.02
+"""Normals (unit vectors), moments and wheels (as shares) that differ by less are taken as equal in the judgement."""
+
+LIT = 0.08
+"""Share of full Sun above which a column counts as lit in the judgement."""
+
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+NAMES = ("+X", "+Y", "+Z", "-X", "-Y", "-Z")
+
+
+class Satellite(NamedTuple):
+    """Names, normals (n_panel, 3) and gains (n_panel) of the panels; inertia (3, 3) of the file, kg m2; momenta of the wheels
+    (n_wheel, 3), N m s; times (n), s; readings (n, n_panel) of the panels in the file's order; true rates (n, 3), rad/s."""
+
+    names: tuple[str, ...]
+    normals: np.ndarray
+    gains: np.ndarray
+    inertia: np.ndarray
+    momenta: np.ndarray
+    t_s: np.ndarray
+    readings: np.ndarray
+    omega: np.ndarray
+
+
+def _unit(vector: Any) -> np.ndarray:
+    return np.asarray(vector, dtype=float) / np.linalg.norm(vector)
+
+
+def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """4 to 9 panels: faces, of which some are missing, some canted, and wings in pairs that mirror each other."""
+    wings = int(rng.choice([0, 0, 1, 2]))
+    count = int(rng.integers(max(4, 3 + 2 * wings), 10))
+    kept = np.sort(rng.permutation(6)[: min(count - 2 * wings, 6)])
+    names, normals = [NAMES[k] for k in kept], [FACES[k] for k in kept]
+    while len(names) + 2 * wings < count:  # more than six: sides of an octagon
+        normals.append(_unit([*rng.choice([-1.0, 1.0], 2), 0.0]))
+        if np.abs(np.array(normals[:-1]) - normals[-1]).max(axis=1).min() < 0.1:
+            normals.pop()
+            continue
+        names.append(f"S{len(names)}")
+    if rng.uniform() < 0.4:
+        for k in range(len(normals)):
+            if rng.uniform() < 0.4:
+                normals[k] = _unit(normals[k] + np.tan(np.radians(rng.uniform(10, 30))) * _unit(rng.normal(size=3)))
+    for k in range(wings):
+        side, along, up = rng.permutation(3)
+        wing = np.zeros(3)
+        wing[side], wing[along], wing[up] = rng.uniform(0.3, 0.7), rng.uniform(-0.2, 0.2), rng.choice([-1, 1]) * rng.uniform(0.6, 1)
+        mirror = np.ones(3)
+        mirror[side] = -1
+        normals += [_unit(wing), _unit(wing * mirror)]
+        names += [f"W{k}a", f"W{k}b"]
+    three = rng.uniform(1.0, 3.0, 3) if rng.uniform() < 0.5 else np.ones(3)
+    gains = np.array([three[np.argmax(np.abs(n))] if name[0] in "+-" else 2.0 for name, n in zip(names, normals, strict=True)])
+    return names, np.array(normals), gains
+
+
+def _moved(
+    inertia: np.ndarray, wheel: np.ndarray, omega: np.ndarray, sun: np.ndarray, t_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates and Sun directions (n, 3) at times (n), in Runge-Kutta steps of 0.25 s: dH/dt = H x omega, ds/dt = s x omega."""
+    inverse = np.linalg.inv(inertia)
+
+    def slope(y: np.ndarray) -> np.ndarray:
+        turning = inverse @ (y[0] - wheel)
+        return np.stack([np.cross(y[0], turning), np.cross(y[1], turning)])
+
+    y, rates, suns = np.stack([inertia @ omega + wheel, sun]), [], []
+    for k, t in enumerate(t_s):
+        span = t - (t_s[k - 1] if k else t)
+        for _ in range(int(np.ceil(span / 0.25))):
+            h = span / np.ceil(span / 0.25)
+            a = slope(y)
+            b = slope(y + h / 2 * a)
+            c = slope(y + h / 2 * b)
+            y = y + h / 6 * (a + 2 * b + 2 * c + slope(y + h * c))
+        rates.append(inverse @ (y[0] - wheel))
+        suns.append(_unit(y[1]))
+    return np.array(rates), np.array(suns)
+
+
+def satellite(seed: int, i: int) -> Satellite:
+    """Satellite number `i`; every second one has a wheel, every eighth two."""
+    for attempt in range(100):
+        rng = np.random.default_rng([43, seed, i, attempt])
+        names, normals, gains = _panels(rng)
+        if np.linalg.svd(normals, compute_uv=False)[2] < 0.3:
+            continue
+        moments = 0.04 * rng.uniform(0.5, 1.0, 3)
+        moments[2] = moments[1] if rng.uniform() < 0.2 else moments[2]
+        if moments.max() > 0.95 * (moments.sum() - moments.max()):
+            continue
+        omega = np.radians(10 ** rng.uniform(-0.2, 0.6)) * _unit(rng.normal(size=3))
+        count = 2 if i % 8 == 7 else i % 2
+        axes = [np.eye(3)[rng.integers(3)] if rng.uniform() < 0.7 else _unit(rng.normal(size=3)) for _ in range(count)]
+        momenta = np.array([moments.mean() * np.radians(rng.uniform(2, 8)) * axis for axis in axes]).reshape(-1, 3)
+        turn = np.cross(np.eye(3), np.radians(1.0) * rng.normal(size=3)) + np.eye(3)
+        q, r = np.linalg.qr(turn)
+        turn = q * np.sign(np.diag(r))
+        real = turn @ np.diag(moments * (1 + 0.01 * rng.normal(size=3))) @ turn.T
+        t_s = np.round(np.cumsum(rng.uniform(8.0, 16.0, SAMPLES)), 1)
+        rates, sun = _moved(real, momenta.sum(axis=0), omega, _unit(rng.normal(size=3)), t_s - t_s[0])
+        light = gains * (1 + NOISE * rng.normal(size=len(gains))) * np.maximum(sun @ normals.T, 0.0)
+        readings = np.maximum(light + NOISE * rng.normal(size=light.shape), 0.0)
+        if ((readings > LIT * gains).sum(axis=1) >= 2).mean() > 0.7:  # enough to see a motion
+            return Satellite(tuple(names), normals, gains, np.diag(moments), momenta, t_s - t_s[0], readings, rates)
+    raise RuntimeError(f"satellite {i} of seed {seed} could not be drawn")
+
+
+def exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
+    """The pairs of columns that are exchanged, one at a time: any two, and two that are mirror images along an axis."""
+    pairs = list(combinations(range(len(normals)), 2))
+    drawn = [pairs[k] for k in np.random.default_rng([44, seed, i]).permutation(len(pairs))]
+    mirrored = [p for p in drawn if (np.abs(normals[p[0]] - normals[p[1]]) > ALIKE).sum() == 1]
+    second = next(p for p in [*mirrored, *drawn] if p != drawn[0])
+    return [drawn[0], second]
+
+
+def cases(seed: int, quick: bool = False) -> list[tuple[int, int, int]]:
+    """(seed, satellite, exchange): exchange -1 has the columns as they are."""
+    which = [-1, 0] if quick else [-1, *range(EXCHANGES)]
+    return [(seed, i, k) for i in (QUICK if quick else range(SATELLITES)) for k in which]
+
+
+def run(case: tuple[int, int, int]) -> dict[str, Any]:
+    """What `rates` says of a case, and whether it is true."""
+    seed, i, which = case
+    made = satellite(seed, i)
+    pair = None if which < 0 else exchanges(seed, i, made.normals)[which]
+    order = np.arange(len(made.names))
+    if pair is not None:
+        order[list(pair)] = order[list(pair)][::-1]
+    vehicle = ss.Vehicle(
+        f"satellite {i}", inertia_kg_m2=made.inertia, gain_unit="W",
+        panels=[ss.Panel(*one) for one in zip(made.names, made.normals, made.gains, strict=True)],
+        wheels=[ss.Wheel(f"wheel {k}", _unit(h), 1e-4, float(np.linalg.norm(h)) / 1e-4) for k, h in enumerate(made.momenta)],
+        telemetry=TelemetryForm(noise=NOISE),
+    )  # fmt: skip
+    data = xr.Dataset(
+        {"power_W": (("time", "panel"), made.readings[:, order], {"units": "W"}),
+         "flag": ("time", np.zeros(SAMPLES, dtype=int))},
+        {"time": made.t_s, "panel": list(made.names)}, {"synthetic": 1},
+    )  # fmt: skip
+    row: dict[str, Any] = {
+        "seed": seed, "satellite": i, "exchange": which, "panels": list(made.names), "wheels": len(made.momenta),
+        "pair": None if pair is None else [made.names[k] for k in pair],
+    }  # fmt: skip
+    begun = time.process_time()
+    try:
+        result = ss.rates(vehicle, data, max_rate_rad_s=0.09, wirings=True)
+    except SunspinError as error:
+        return row | {"outcome": "refused", "verdict": str(error), "cpu_s": time.process_time() - begun}
+    row |= {"cpu_s": time.process_time() - begun, "verdict": result.attrs["verdict"], "fits": bool(result["fits"].values[0]),
+            "decided": bool(result["decided"].values[0]), "why": str(result["why_not_decided"].values[0])}  # fmt: skip
+    changes = json.loads(result.attrs.get("wiring_changes", "[]"))
+    row["named"] = [one["what"] for one in changes]
+    return row | _judged(made, order, pair, result, row)
+
+
+def _judged(made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]) -> dict[str, Any]:
+    """The outcome, and of a decided motion its error (sigmas) from the truth and from motions that look the same."""
+    omega, sigma = (np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"]) for name in ("omega", "sigma"))
+    t = result["time"].values[result["pass_of"].values == 0]
+    at = int(np.argmin(np.abs(made.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
+    alike = equivalents(made, order)
+    motions = [made.omega[at], *(np.linalg.det(m) * m @ made.omega[at] for m in alike)]
+    off = [bool(((np.abs(omega - one) > WRONG_SIGMAS * sigma) & (np.abs(omega - one) > WRONG_RAD_S)).any()) for one in motions]
+    pulls = [float((np.abs(omega - one) / sigma).max()) for one in motions]
+    truth = None if pair is None else f"the columns of panels {made.names[pair[0]]} and {made.names[pair[1]]} exchanged"
+    kept = {"equivalent_to_file": bool(alike), "pull": min(pulls), "omega_deg_s": np.degrees(omega).tolist(),
+            "sigma_deg_s": np.degrees(sigma).tolist(), "truth_deg_s": np.degrees(made.omega[at]).tolist()}  # fmt: skip
+    if row["decided"] and all(off):
+        return kept | {"outcome": "decided wrongly"}
+    if truth is None and (row["named"] or "CHECK" in row["verdict"]):
+        return kept | {"outcome": "accused"}
+    if truth is None:
+        return kept | {"outcome": "decided" if row["decided"] else "undecided"}
+    if row["named"]:
+        if truth in row["named"]:
+            return kept | {"outcome": "named rightly" if len(row["named"]) == 1 else "named among several"}
+        return kept | {"outcome": "equivalent" if alike else "a false change named"}
+    if "CHECK" in row["verdict"]:
+        return kept | {"outcome": "a false change named" if truth not in row["verdict"] else "named rightly"}
+    within = "decided, and right within its errors" if row["decided"] else "undecided"
+    return kept | {"outcome": "equivalent" if alike else within}
+
+
+def equivalents(made: Satellite, order: np.ndarray) -> list[np.ndarray]:
+    """Rotations and mirrors that turn the true satellite into what the file makes of it: column k reads panel `order[k]` and the
+    file takes it for panel k."""
+    lit = (made.readings[:, order] > LIT * made.gains[order]).any(axis=0)
+    true, stated = made.normals[order][lit], made.normals[lit]
+    if np.abs(made.gains[order][lit] / made.gains[lit] - 1).max() > 0.15:
+        return []
+    u, size, v = np.linalg.svd(stated.T @ true)
+    ends = [1.0, -1.0] if size[2] < 0.05 else [1.0]
+    found = []
+    for end in ends:
+        m = u @ np.diag([1.0, 1.0, end]) @ v
+        side = np.linalg.det(m)
+        h = made.momenta.sum(axis=0)
+        if np.abs(true @ m.T - stated).max() > ALIKE:
+            continue
+        if np.abs(m @ made.inertia @ m.T - made.inertia).max() > 0.03 * np.trace(made.inertia) / 3:
+            continue
+        if np.linalg.norm(side * m @ h - h) > ALIKE * max(np.linalg.norm(h), 1e-12):
+            continue
+        found.append(m)
+    return found
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Counts of right files and of exchanged ones."""
+    lines = ["| outcome | right files | columns exchanged |", "|---|---|---|"]
+    right, wrong = ([row["outcome"] for row in rows if (row["exchange"] < 0) == own] for own in (True, False))
+    for what in dict.fromkeys(sorted([*right, *wrong])):
+        lines.append(f"| {what} | {right.count(what)} | {wrong.count(what)} |")
+    cpu = [row["cpu_s"] for row in rows]
+    lines.append(f"| all | {len(right)} | {len(wrong)} |")
+    return "\n".join([*lines, "", f"processor time: median {np.median(cpu):.0f} s, most {max(cpu):.0f} s"]) if cpu else "no rows"
