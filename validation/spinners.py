@@ -317,7 +317,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = [f"defects: {sum(row['defect'] for row in rows)} of {len(rows)} runs"]
     for which in ("right", "wrong"):
         for long in (True, False):
-            found = [row for row in rows if row["what"] == f"check {which}" and (row["samples"] * row["step_s"] > SHORT_S) is long]
+            command = "check" if long else "rates"
+            found = [row for row in rows if row["what"] == f"{command} {which}" and (row["samples"] * row["step_s"] > SHORT_S) is long]
             said = [row["orbit"]["verdict"] for row in found if "orbit" in row]
             counts = ", ".join(f"{said.count(one)} {one}" for one in ("fits", "undecided", "refused"))
             lines += [f"{which} elements, files of {'more' if long else 'less'} than 10 minutes: {counts}"] if found else []
