@@ -89,9 +89,9 @@ def _case(seed: int, number: int, whole: bool) -> Case:
         turned = np.rint(Rotation.create_group("O").as_matrix()[rng.integers(1, 24)]).astype(int)
     zero = 10 ** rng.uniform(np.log10(0.3), np.log10(5)) * unit(rng)
     return Case(
-        seed, number, float(speed * rng.choice([-1, 1])), int(rng.integers(3)), float(rng.uniform(0, 2)), names,
+        seed, number, float(speed * rng.choice([-1, 1])), int(rng.integers(3)), float(rng.uniform(0, 1.5)), names,
         tuple(map(tuple, turned.tolist())), tuple(zero.tolist()), bool(rng.random() < 0.7), float(rng.uniform(0.3, 1.9)),
-        bool(rng.random() < 0.7), float(rng.uniform(0.1, 0.3)), step, max(76, int(span / step)),
+        bool(rng.random() < 0.85), float(rng.uniform(0.1, 0.3)), step, max(76, int(span / step)),
     )  # fmt: skip
 
 
@@ -306,3 +306,45 @@ def _pass(case: Case, truth: dict[str, Any], said: dict[str, Any]) -> dict[str, 
 
 WRONG_SIGMAS, WRONG_DEG_S = 5.0, 0.1
 """A rate is wrong if a component is off by more than both."""
+
+
+FEWEST_TURNS, SHORT_S = 10.0, 600.0
+"""Passes of fewer turns, and orbits judged by fewer s of a file, are counted apart."""
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """What was counted, a line for each kind of run."""
+    lines = [f"defects: {sum(row['defect'] for row in rows)} of {len(rows)} runs"]
+    for which in ("right", "wrong"):
+        for long in (True, False):
+            command = "check" if long else "rates"
+            found = [row for row in rows if row["what"] == f"{command} {which}" and (row["samples"] * row["step_s"] > SHORT_S) is long]
+            said = [row["orbit"]["verdict"] for row in found if "orbit" in row]
+            counts = ", ".join(f"{said.count(one)} {one}" for one in ("fits", "undecided", "refused"))
+            lines += [f"{which} elements, files of {'more' if long else 'less'} than 10 minutes: {counts}"] if found else []
+    named = [(row, bool(row["orbit"]["turned_axes"])) for row in rows if row["what"] == "check right" and "orbit" in row]
+    turned, others = ([said for row, said in named if _is_turned(row) is kind] for kind in (True, False))
+    lines.append(f"turned axes: named in {sum(turned)} of {len(turned)} files, and in {sum(others)} of {len(others)} others")
+    for which in ("none", "right"):
+        for inertia in (True, False):
+            some = [row for row in rows if row["what"] == f"rates {which}" and row["inertia_known"] is inertia]
+            parts = [one for row in some if not _is_turned(row) for one in row.get("passes", ()) if one["turns"] >= FEWEST_TURNS]
+            lines += [_line(f"rates, elements {which}, moments {'stated' if inertia else 'not stated'}", parts)] if parts else []
+    times = [row["processor_s"] for row in rows if row["what"].startswith("rates") and row["samples"] == 5600]
+    lines += [f"processor, 5,600 samples: at most {max(times):.0f} s"] if times else []
+    return "\n".join(lines)
+
+
+def _line(name: str, parts: list[dict[str, Any]]) -> str:
+    off, sigma = (np.array([part[key] for part in parts]) for key in ("off", "sigma"))
+    decided = np.array([part["decided"] for part in parts])
+    pull = np.sqrt(np.mean((off / sigma)[decided] ** 2)) if decided.any() else np.nan
+    wrong = sum(part["wrong"] for part in parts if part["decided"])
+    return (
+        f"{name}: {len(parts)} passes of ten turns and more, {(~decided).sum()} undecided; along the spin axis: median error "
+        f"{np.median(np.abs(off)):.3f} deg/s, rms pull of those decided {pull:.2f}; {wrong} decided and off by 5 sigma"
+    )
+
+
+def _is_turned(row: dict[str, Any]) -> bool:
+    return not np.array_equal(row["turned"], np.eye(3))

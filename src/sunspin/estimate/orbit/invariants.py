@@ -13,8 +13,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment.orbit import Orbit
+from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimate.orbit.along_track import AlongTrack
-from sunspin.estimate.wiring import axes_matrix, panels_instead, signed_axes, to_write
+from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.quality import came_late, lit_threshold, panel_quality
@@ -394,7 +395,10 @@ def axes_words(way: tuple[str, list[int], tuple[float, ...]], vehicle: Vehicle, 
     what, order, sign = way
     magnetometer = vehicle.sensors.magnetometer
     do = "" if magnetometer is None else f"; {to_write('magnetometer', magnetometer.read_as(order, sign))}"
-    instead = panels_instead(vehicle, telemetry, axes_matrix(order, sign))
+    change = Change("the magnetometer", axes={"field_B": axes_matrix(order, sign)})
+    same = alike(Observed.of(vehicle, telemetry), change, column_changes(vehicle, telemetry))
+    others = " or ".join(one.what for one, _ in same)
+    instead = f", or, which looks the same, {others}: find out which before you set it" if others else ""
     return f"the magnetometer {what} has the angle to the Sun that the orbit predicts, and as stated it has not{do}{instead}"
 
 
