@@ -95,7 +95,8 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset) -> Seen:
         sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
         covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
         light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
-    sun = np.where(np.isfinite(covariance).all(axis=(1, 2))[:, None], sun, np.nan)  # without an error it is no reading
+    known = np.isfinite(covariance.reshape(n, 9)).all(axis=1, keepdims=True)
+    sun = np.where(known, sun, np.nan)  # a direction without an error is no reading
     use = spread_evenly(telemetry, np.isfinite(reading).all(axis=1) | np.isfinite(light), MOST_SAMPLES)
     return Seen(*(part[use] for part in (time, reading, sun, covariance, light)))
 
