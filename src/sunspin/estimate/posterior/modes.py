@@ -15,7 +15,7 @@ from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
-from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
+from sunspin.estimate.posterior.family import APART, boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Begun, Fit, Levels, OfStates, Slopes, chunk_rows
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
 from sunspin.estimate.posterior.model import STANDING, Model, State, Unknown
@@ -40,7 +40,7 @@ HASTE_LEVELS, HASTE_SLACK = ((2.0, 3), (1.0, 3)), 20.0
 """The same on all samples where it is asked which hypotheses may become modes, and by how much these may be worse than modes."""
 
 SLACK = 10.0
-"""What a true motion's misfit may have beyond three sigmas of its expectation: one or two readings that are no good."""
+"""What one or two readings that are no good add to a true motion's misfit."""
 
 SLACK_STILL = 4.0
 """The same while inertia, friction and wheel are left as they are."""
@@ -99,6 +99,9 @@ SIZES_FITTED = (1, 3, 5)
 FIRST_FASTER, SPUN_UNSURE = 1.05, 0.15
 """Times the prior's largest rate, and part of what wheels hand over, beyond which a motion cannot have begun."""
 
+FRICTION_SIGMA = 0.05
+"""Part of what wheels hand over that is not known: as motions are first fitted with friction held, later references lose more."""
+
 INSIDE = 0.95
 """Part of the largest rate at which modes begin that lie beyond it: draws about them stay inside."""
 
@@ -143,18 +146,24 @@ class Plan:
 
 
 def plan(model: Model, data: Readings, scale: float) -> Plan:
-    """The reference whose neighbourhood needs the fewest cells, of those samples at which no wheel can have stopped."""
+    """The reference whose nearest samples leave the fewest motions, of those samples at which no wheel can have stopped.
+
+    The motions that fit the first `FEW` samples are what takes time: about as many as directions that these allow, times the volume of
+    rates in units of the time that they reach from the reference, which is half as far from the middle of a file.
+    """
     lit = np.flatnonzero(data.lit.any(axis=1))
     choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
     choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
-    suns = {i: c.sun_candidates(model, data, scale, i) for a in choices for i in (a, *_neighbours(data, a))}
+    suns = {i: c.sun_candidates(model, data, scale, i) for i in sorted({int(i) for a in choices for i in _nearest(data, a, FEW)})}
     tried = []
     for a in choices:
-        around = _neighbours(data, a)
+        around, window = _neighbours(data, a), _nearest(data, a, FEW)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
         edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
-        work = len(suns[a]) * (fastest(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
-        tried.append((work, int(a), around, edge, suns[a]))
+        reach, after = float(np.abs(data.t_s[window] - data.t_s[a]).max()), float(data.t_s[a])
+        blurred = 1.0 + FRICTION_SIGMA * _spun_up(model, after) * reach / APART
+        work = (fastest(model, after) * reach) ** 3 * blurred * np.prod([len(suns[int(i)]) for i in window], dtype=float)
+        tried.append((work, int(a), around, edge, suns[int(a)]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
     return Plan(anchor, around, edge, found, min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)))
 
@@ -219,6 +228,11 @@ def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Pla
     wider = ball(model, after)
     limit = chosen.limit if chosen.limit < model.max_rate else wider
     return replace(model, after_s=after, max_rate=wider), replace(chosen, limit=limit, fastest=fastest(model, after))
+
+
+def _nearest(data: Readings, a: int, count: int) -> np.ndarray:
+    """The samples (count) nearest in time to sample `a`, itself among them."""
+    return np.sort(np.argsort(np.abs(data.t_s - data.t_s[a]), kind="stable")[:count])
 
 
 def _neighbours(data: Readings, a: int) -> np.ndarray:
@@ -343,6 +357,8 @@ class Search:
     ) -> tuple[State, np.ndarray, np.ndarray, np.ndarray, str]:
         """Hypotheses (best first) with what goes with them, one for each sheet, and a remark where not all are followed."""
         if len(likelihood.data) > FEW:
+            first, hits = joined(state, normal, hits)  # most are copies already, and a fit to the end takes as long as the first
+            state, beside = state.take(first), beside[first]
             found = self.fit(likelihood, state, AGAIN_LEVELS, f"{label} again", normal=True)
             order = np.argsort(found["cost"], kind="stable")
             state = State(found["omega"], found["sun"], found["u"]).take(order)
@@ -509,10 +525,14 @@ def expected(data: Readings) -> float:
 
 
 def likeliest(likelihood: Likelihood, still: bool = False) -> float:
-    """The misfit that a true motion does not exceed."""
+    """The misfit that a true motion does not exceed.
+
+    Half a unit for each number, and what noise larger than stated, three sigmas of chance and spoilt readings may add; these have nothing to
+    do with each other, so their squares add.
+    """
     model, n = likelihood.model, expected(likelihood.data)
     noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
-    return (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+    return 0.5 * n + float(np.sqrt((noisy * n) ** 2 + 4.5 * n + SLACK**2)) + (SLACK_STILL if still else 0.0)
 
 
 def beyond_all(likelihood: Likelihood, modes: Modes) -> bool:
@@ -524,7 +544,7 @@ def _thinned(state: State, cost: np.ndarray, hits: np.ndarray, reach_s: float, l
     """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
-    possible = order[cost[order] <= limit]
+    possible = order[cost[order] <= min(limit, cost[order].min(initial=np.inf) + DROP + SLACK)]
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
