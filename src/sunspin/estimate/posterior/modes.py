@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -68,7 +69,25 @@ LOOK = 0.6
 MOST_FEW, MOST = 100_000, 20_000
 """Hypotheses carried on at most, before those on one sheet are joined and after; the verdict says when there were more."""
 
+MOST_WORK = 200_000
+"""Motions times samples that are fitted to one window at most: about a minute of one core at 0.3 ms each, and of five samples
+40,000 motions. Without this bound up to 750,000 motions are fitted to five samples 120 s apart."""
+
+FIT_S, START_S = 0.005, 5e-5
+"""s of one core for a motion that is fitted to five samples, with what follows, and for a start; measured on Philae, samples 50 to
+120 s apart."""
+
+LONG_S = 60.0
+"""A stage that takes longer than this is announced before it begins."""
+
 MORE = "more hypotheses than could be followed"
+
+MAX_RATE = "--prior max_rate_rad_s="
+
+NO_TORQUES = "motions under a steady torque were not searched for, as this would take longer than the search without"
+
+INCOMPLETE = (MORE, "could be searched", NO_TORQUES)
+"""Words of the notes on a search that did not follow all motions that may fit."""
 
 KEPT_ANYWAY = 100
 """Hypotheses carried on where the readings rule out all."""
@@ -123,6 +142,11 @@ class Modes:
     share: np.ndarray = field(default_factory=lambda: np.ones(1))
     beyond: tuple[State, np.ndarray] | None = None
 
+    @property
+    def complete(self) -> bool:
+        """Whether all motions that may fit were followed."""
+        return not any(word in note for note in self.notes for word in INCOMPLETE)
+
 
 def within(modes: Modes, max_rate: float) -> Modes:
     """The modes drawn back into the ball of rates where they all lie outside: no draw about them would count."""
@@ -135,7 +159,7 @@ def within(modes: Modes, max_rate: float) -> Modes:
 @dataclass(frozen=True)
 class Plan:
     """Where the search starts: sample taken as the reference, samples tried, grid step, directions, largest rate there and at the
-    first sample."""
+    first sample, and that of the prior, rad/s."""
 
     anchor: int
     tried: np.ndarray
@@ -143,13 +167,14 @@ class Plan:
     suns: np.ndarray
     limit: float
     fastest: float = np.inf
+    given: float = np.inf
 
 
 def plan(model: Model, data: Readings, scale: float) -> Plan:
     """The reference whose nearest samples leave the fewest motions, of those samples at which no wheel can have stopped.
 
-    The motions that fit the first `FEW` samples are what takes time: about as many as directions that these allow, times the volume of
-    rates in units of the time that they reach from the reference, which is half as far from the middle of a file.
+    The motions that fit the first `FEW` samples are what takes time: about as many as directions that these allow, times the volume
+    of rates in units of the time that they reach from the reference, which is half as far from the middle of a file.
     """
     lit = np.flatnonzero(data.lit.any(axis=1))
     choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
@@ -208,8 +233,9 @@ def ball(model: Model, after_s: float) -> float:
 def fastest(model: Model, after_s: float) -> float:
     """An angular speed at the first sample, rad/s, that no motion of the prior's ball exceeds, as computed back from a reference.
 
-    The ball that holds all that comes of the prior's at the reference is far larger than it: for Philae 7 min later four times, and
-    most motions in it began beyond the largest rate. Beyond that by 5 %, and by three sigmas of what friction is not known by, they are left out.
+    The ball that holds all that comes of the prior's at the reference is far larger than it, for Philae 7 min later four times, and
+    most motions in it began beyond the largest rate. Those beyond it by 5 %, and by three sigmas of what friction is not known by,
+    are left out.
     """
     return FIRST_FASTER * model.max_rate + SPUN_UNSURE * _spun_up(model, after_s)
 
@@ -227,7 +253,8 @@ def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Pla
     after = float(data.t_s[chosen.anchor])
     wider = ball(model, after)
     limit = chosen.limit if chosen.limit < model.max_rate else wider
-    return replace(model, after_s=after, max_rate=wider), replace(chosen, limit=limit, fastest=fastest(model, after))
+    chosen = replace(chosen, limit=limit, fastest=fastest(model, after), given=model.max_rate)
+    return replace(model, after_s=after, max_rate=wider), chosen
 
 
 def _nearest(data: Readings, a: int, count: int) -> np.ndarray:
@@ -244,7 +271,8 @@ def _neighbours(data: Readings, a: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Look(OfStates):
-    """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad, and so does the prior: at most `fastest` rad/s at first."""
+    """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad, and so does the prior: at most `fastest` rad/s at the
+    first sample."""
 
     scale: float
     fastest: float
@@ -264,6 +292,8 @@ class Search:
     def __init__(self, workers: int | None, store: Path | None, progress: bool) -> None:
         self.workers, self.store, self.progress = workers, store, progress
         self.stage = 0
+        self.said: set[str] = set()
+        self.fitted = 0  # motions times samples
 
     def run(self, function: Any, label: str, chunk: int) -> dict[str, np.ndarray]:
         """All rows of a function, kept in a folder of its own."""
@@ -273,13 +303,17 @@ class Search:
 
     def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
         """Starts around the reference; `data` counts time from it."""
+        if (took := START_S * c.cell_count(chosen.fastest, chosen.edge) * len(chosen.suns)) > LONG_S:
+            smaller = chosen.given * (LONG_S / took) ** (1 / 3)
+            self._say(f"looking for starts takes about {took / 60:.1f} min; with {MAX_RATE}{smaller:.2g} it takes about one")
         near = data.take(chosen.tried)
         tried = replace(near, others=())
         # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
         free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_of_the_vehicle(model))
         grid = c.Attitudes(free, tried.t_s, chosen.edge)
         found = self.run(grid, "grid of rates", 8192)
-        cells = c.Starts(grid, found["turn"], found["first_speed"], chosen.fastest, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
+        here = data.value[chosen.anchor], data.used[chosen.anchor]
+        cells = c.Starts(grid, found["turn"], found["first_speed"], chosen.fastest, tried, *here, chosen.suns, scale)
         state, hits = cells.found(worker_count(self.workers))
         return replace(state, u=np.zeros((len(state), len(model.unknowns)))), hits
 
@@ -288,6 +322,7 @@ class Search:
     ) -> dict[str, np.ndarray]:
         """Least squares from each state; from several turns about the Sun where it depends on that: `every` one, or the best."""
         turns = _turned(likelihood.model, state)
+        self.fitted += len(turns) * len(state) * len(likelihood.data)
         found = self.run(Fit(likelihood, State.joined(turns), levels, **options), label, chunk_rows(likelihood))
         if every or len(turns) == 1:
             return found
@@ -346,11 +381,31 @@ class Search:
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits, beside, origin = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(now, data.take(np.setdiff1d(following, used)), state, scale, chosen.fastest)
-            keep = np.flatnonzero(keep) if keep.any() else np.arange(len(state))
-            if any(MORE in note for note in notes):  # not sure it is already: no need to fit millions
-                keep = keep[_at_most(MOST_FEW, len(keep))[0]]
+            keep, note = self._followed(np.flatnonzero(keep) if keep.any() else np.arange(len(state)), len(following), chosen)
+            notes += [f"{note} ({len(following)} samples)"] if note else []
             state, hits, beside, origin = state.take(keep), hits[keep], beside[keep], origin[keep]
             used = following
+
+    def _followed(self, keep: np.ndarray, samples: int, chosen: Plan) -> tuple[np.ndarray, str]:
+        """Which motions are fitted to a window of so many samples, and a remark where not all are. What takes long, or is left out,
+        is said before it begins, with what would help."""
+        some, note = _at_most(MOST_WORK // samples, len(keep))
+        took = FIT_S * len(some) * samples / FEW
+        if note:
+            smaller = chosen.given * (len(some) / len(keep)) ** (1 / 3)
+            self._say(f"{len(keep)} motions may fit {samples} samples; {len(some)} of them are followed, which takes about "
+                      f"{took / 60:.1f} min, and the search will not be complete; with {MAX_RATE}{smaller:.2g} about all of "
+                      "them would be followed")  # fmt: skip
+        elif samples == FEW and took > LONG_S:
+            self._say(f"{len(keep)} motions may fit {samples} samples; following them takes about {took / 60:.1f} min, and in "
+                      f"proportion to the cube of {MAX_RATE.rstrip('=')} less")  # fmt: skip
+        return keep[some], note
+
+    def _say(self, text: str) -> None:
+        """Tell whoever waits; once for each text."""
+        if text not in self.said:
+            self.said.add(text)
+            logging.getLogger("sunspin").warning("sunspin: %s", text)
 
     def _one_each(
         self, likelihood: Likelihood, state: State, normal: np.ndarray, hits: np.ndarray, beside: np.ndarray, label: str
@@ -527,8 +582,8 @@ def expected(data: Readings) -> float:
 def likeliest(likelihood: Likelihood, still: bool = False) -> float:
     """The misfit that a true motion does not exceed.
 
-    Half a unit for each number, and what noise larger than stated, three sigmas of chance and spoilt readings may add; these have nothing to
-    do with each other, so their squares add.
+    Half a unit for each number, and what noise larger than stated, three sigmas of chance and spoilt readings may add: these have
+    nothing to do with each other, so their squares add.
     """
     model, n = likelihood.model, expected(likelihood.data)
     noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
