@@ -195,7 +195,7 @@ class Attitudes:
 
 def first_speed(model: Model, state: State) -> np.ndarray:
     """Angular speeds (n) at the first sample of motions given at the reference, rad/s; infinite where they cannot be computed."""
-    if not model.after_s:
+    if not (model.after_s and len(state)):
         return np.linalg.norm(state.omega, axis=1)
     speed = np.linalg.norm(model.run(model.rows(state), [-model.after_s], TRIAL_ERROR).omega_B[:, 0], axis=1)
     return np.where(np.isfinite(speed), speed, np.inf)
@@ -205,8 +205,8 @@ def first_speed(model: Model, state: State) -> np.ndarray:
 class Starts:
     """The starts in the cells between the rows of `attitudes`, of which `turn` and `first_speed` are the results.
 
-    `data` are the samples tried and `here` the reference's readings (P), `suns` (c, 3) directions there. `fastest`: cells all of whose
-    corners turn faster than that (rad/s) at the first sample, by a step of the grid, are left out.
+    `data` are the samples tried and `here` the reference's readings (P), `suns` (c, 3) directions there. `fastest`: cells all of
+    whose corners turn faster than that (rad/s) at the first sample, by a step of the grid, are left out.
     """
 
     attitudes: Attitudes
