@@ -147,8 +147,7 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     lowest = float((best if verdict is Verdict.REFUSED else own).cost.min())
     answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), lowest)
     if 0 < both < FEWEST and answer.matrix is not None:
-        angle = _left(shown, here.take([k]), own.calibration[k])[1]
-        answer = replace(answer, angle_residual_rad=angle, samples=answer.samples | {"field and Sun": both})
+        answer = _with_few_angles(answer, shown, here.take([k]), grid.prior[[k]])
     if way is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
         words = axes_words(way, vehicle, telemetry)
         answer = replace(answer, matrix=answer.matrix @ axes_matrix(*way[1:]), turned_axes=words)
@@ -260,6 +259,17 @@ def _answer(
                  "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
         eclipse=(int((known & shadow & ~dark).sum()), int((known & shadow).sum())),
         matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None, zero=own.calibration[k][9:] if calibrated else None,
+    )  # fmt: skip
+
+
+def _with_few_angles(answer: OrbitCheck, shown: Seen, here: Predicted, prior: np.ndarray) -> OrbitCheck:
+    """The answer with the angle between field and Sun of samples too few to judge an orbit, and the sign that they show."""
+    as_read, opposite = fit(shown, here, prior), fit(shown._replace(field=-shown.field), here, prior)
+    clearly = bool(opposite.cost[0] < as_read.cost[0] - CLEARLY)
+    return replace(
+        answer, angle_residual_rad=_left(shown, here, as_read.calibration[0])[1],
+        sign_turned=clearly and answer.verdict is not Verdict.REFUSED,
+        samples=answer.samples | {"field and Sun": int(np.isfinite(shown.field + shown.sun).all(axis=1).sum())},
     )  # fmt: skip
 
 
