@@ -318,7 +318,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     for which in ("right", "wrong"):
         for long in (True, False):
             command = "check" if long else "rates"
-            found = [row for row in rows if row["what"] == f"{command} {which}" and (row["samples"] * row["step_s"] > SHORT_S) is long]
+            some = [row for row in rows if row["what"] == f"{command} {which}"]
+            found = [row for row in some if (row["samples"] * row["step_s"] > SHORT_S) is long]
             said = [row["orbit"]["verdict"] for row in found if "orbit" in row]
             counts = ", ".join(f"{said.count(one)} {one}" for one in ("fits", "undecided", "refused"))
             lines += [f"{which} elements, files of {'more' if long else 'less'} than 10 minutes: {counts}"] if found else []

@@ -117,9 +117,9 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """
-    seen, grid = seen_in(vehicle, telemetry), _Grid.of(orbit)
-    if np.isfinite(seen.field + seen.sun).all(axis=1).sum() < FEWEST:
-        seen = seen._replace(sun=np.full_like(seen.sun, np.nan))  # so few angles do not judge an orbit
+    shown, grid = seen_in(vehicle, telemetry), _Grid.of(orbit)
+    both = int(np.isfinite(shown.field + shown.sun).all(axis=1).sum())
+    seen = shown if both >= FEWEST else shown._replace(sun=np.full_like(shown.sun, np.nan))  # so few angles judge no orbit
     if not len(seen.t_s):
         return OrbitCheck(
             orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
@@ -146,6 +146,8 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     verdict = verdict if enough and mistaken <= MISTAKEN and not against else Verdict.UNDECIDED
     lowest = float((best if verdict is Verdict.REFUSED else own).cost.min())
     answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), lowest)
+    if 0 < both < FEWEST and answer.matrix is not None:
+        answer = _with_few_angles(answer, shown, here.take([k]), grid.prior[[k]])
     if way is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
         words = axes_words(way, vehicle, telemetry)
         answer = replace(answer, matrix=answer.matrix @ axes_matrix(*way[1:]), turned_axes=words)
@@ -257,6 +259,17 @@ def _answer(
                  "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
         eclipse=(int((known & shadow & ~dark).sum()), int((known & shadow).sum())),
         matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None, zero=own.calibration[k][9:] if calibrated else None,
+    )  # fmt: skip
+
+
+def _with_few_angles(answer: OrbitCheck, shown: Seen, here: Predicted, prior: np.ndarray) -> OrbitCheck:
+    """The answer with the angle between field and Sun of samples too few to judge an orbit, and the sign that they show."""
+    as_read, opposite = fit(shown, here, prior), fit(shown._replace(field=-shown.field), here, prior)
+    clearly = bool(opposite.cost[0] < as_read.cost[0] - CLEARLY)
+    return replace(
+        answer, angle_residual_rad=_left(shown, here, as_read.calibration[0])[1],
+        sign_turned=clearly and answer.verdict is not Verdict.REFUSED,
+        samples=answer.samples | {"field and Sun": int(np.isfinite(shown.field + shown.sun).all(axis=1).sum())},
     )  # fmt: skip
 
 

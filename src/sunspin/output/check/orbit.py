@@ -11,6 +11,7 @@ import xarray as xr
 from sunspin.environment.elements import nearest
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
+from sunspin.estimate.orbit.invariants import FEWEST
 from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
 from sunspin.output.check.samples import noise_lines
 from sunspin.telemetry.quality import lit_threshold
@@ -101,7 +102,8 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     lines.append(f"  shift along the track {found.shift_s:+z.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}")
     if np.isfinite(found.strength_residual_T):
         angle = np.degrees(found.angle_residual_rad)
-        sun = f", of its angle to the Sun {angle:.1f} deg" if np.isfinite(angle) else ""
+        few = f" (too few samples to judge: {n})" if (n := found.samples.get("field and Sun", 0)) < FEWEST else ""
+        sun = f", of its angle to the Sun {angle:.1f} deg{few}" if np.isfinite(angle) else ""
         lines.append(f"  residuals in the middle: of the field's strength {1e6 * found.strength_residual_T:.2f} uT{sun}")
     seen, dark = found.eclipse
     if dark:
