@@ -29,6 +29,12 @@ from sunspin.solve.rotations import continuous
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
 
+ROUNDING = 1e-3
+"""Negative part of a covariance's largest variance beyond which it is rounding: 0.6 for a panel that hardly sees the Sun."""
+
+ANY_DIRECTION_RAD = float(np.sqrt((np.pi**2 - 4) / 2))
+"""Rms angle between a direction and one that may be any."""
+
 OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
 """Where the error of panel readings comes from without a stated noise."""
 
@@ -45,8 +51,7 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
     means = [(p.mean, p.mean_sigma) for p in found]
     pass_of = np.repeat(np.arange(len(found)), [len(p.index) for p in found])
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
-    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
-    sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
+    sun_sigma = _sun_sigma(sun, covariance[:, :3, :3])
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
         "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
@@ -85,6 +90,16 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         attrs=attrs,
     )  # fmt: skip
     return with_curves(result, o, found, motion)
+
+
+def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """One sigma (n) of directions of the Sun (n, 3), rad, from covariances (n, 3, 3) of the attitude. Where readings determine so
+    little that rounding is left of a covariance, which then has negative variances, the direction may be any."""
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
+    variance = np.einsum("nij,njk,nik->n", across, covariance, across)
+    values = np.linalg.eigvalsh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
+    lost = (values[:, 0] < -ROUNDING * np.abs(values[:, -1])) | (variance <= 0)
+    return np.where(lost, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def with_curves(result: xr.Dataset, o: Observations, found: list[Pass], motion: Motion) -> xr.Dataset:
