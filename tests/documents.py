@@ -106,7 +106,7 @@ class Reader:
             with contextlib.chdir(self.folder):
                 done = CliRunner().invoke(cli, words[1:], catch_exceptions=False, prog_name="sunspin", terminal_width=100)
             assert done.exit_code == 0, f"{self.page.name}: {command}\n{done.output}"
-            return done.output
+            return done.stdout
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
         ran = subprocess.run(command, shell=True, cwd=self.folder, env=os.environ | {"PATH": path}, capture_output=True, text=True)
         assert ran.returncode == 0, f"{self.page.name}: {command}\n{ran.stdout}{ran.stderr}"

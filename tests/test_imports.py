@@ -6,7 +6,11 @@ import pkgutil
 import subprocess
 import sys
 
+import numpy as np
+import pytest
+
 import sunspin
+from sunspin.vehicle import Vehicle
 
 
 def modules() -> list[str]:
@@ -29,6 +33,23 @@ def test_every_module_imports():
 def test_every_public_name_is_there():
     for name in sunspin.__all__:
         assert getattr(sunspin, name) is not None, name
+
+
+@pytest.mark.parametrize("order", ["sunspin, xarray as xr", "xarray as xr, sunspin"])
+def test_a_file_of_results_has_the_accessor_at_once(order, tmp_path):
+    """Without a public name of sunspin being used; and a question whether xarray is there, before it, changes nothing."""
+    result = sunspin.propagate(Vehicle("made up", inertia_kg_m2=np.eye(3)), [0.1, 0, 0], [0, 0, 1.0], None, [0.0, 1.0])
+    result.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    code = f"import importlib.util; import {order.split(', ')[0]}; importlib.util.find_spec('xarray'); import {order}; import sys"
+    code += "; print(xr.open_dataset(sys.argv[1]).sunspin.summary())"
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.nc"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("at t = 1 s:")
+
+
+def test_sunspin_alone_imports_nothing_heavy():
+    code = "import sys, sunspin; print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    assert not loaded & {"numpy", "xarray", "scipy", "numba", "matplotlib", "click"}
 
 
 def test_a_first_scan_waits_for_no_module_that_it_does_not_use():

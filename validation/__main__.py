@@ -18,6 +18,7 @@ CAMPAIGNS = {
     "torque": "posteriors of telemetry under a torque that nobody told of, and of a body that is not as stated",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/real-data.md",
     "right": "right files of every form through `check` and `rates`: each accusation is a false alarm",
+    "spinners": "spinners with coarse Sun sensors and a magnetometer through `check` and `rates`, elements right, wrong or none",
     "exchanges": "two panel columns exchanged: named rightly, among several, undecided, or a false change alone",
     "effort": "two files that once took an hour: what `rates` takes for them now",
     "unmoved": "results of another commit and of this state compared bit by bit",

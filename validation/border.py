@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import tempfile
 import traceback
@@ -74,8 +75,13 @@ def sunspin(*arguments: str, piped: bytes = b"") -> Told:
     return Told(code, out.buffer.getvalue().decode("utf-8"), said.decode("utf-8", "replace"), escaped, accepted)
 
 
+BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n")
+"""The line by which `rates` says without a terminal that its work has begun, and no error."""
+
+
 def judge(told: Told) -> Verdict:
-    """Exit code 0 and silence on stderr, or 2 and one printable sentence there and nothing printed."""
+    """Exit code 0 and silence on stderr, or 2 and one printable sentence there and nothing printed; but for lines of `BEGUN`."""
+    told = told._replace(err=BEGUN.sub("", told.err))
     if told.escaped:
         return Verdict("traceback", True, told.escaped)
     if told.accepted:

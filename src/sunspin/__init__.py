@@ -1,12 +1,15 @@
 """sunspin: how a spacecraft tumbles, told by the power of its solar panels.
 
-Public names are loaded on first use, so that ``import sunspin`` and ``sunspin --help`` stay fast.
+Public names are loaded on first use, so that ``import sunspin`` and ``sunspin --help`` stay fast. Datasets have the accessor
+``.sunspin`` from then on, also those opened from files: it is registered as soon as xarray has been imported.
 """
 
 from __future__ import annotations
 
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
+
+from sunspin.base.lazy import import_after
 
 if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py compares it with the names below
     from sunspin.telemetry.case import Case as Case, load_case as load_case
@@ -105,12 +108,14 @@ _HOME = {
 __all__ = ["__version__", *_HOME]
 
 
+import_after("xarray", "sunspin.output.result")  # the accessor's class only, nothing that draws
+
+
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return metadata.version("sunspin")
     if name not in _HOME:
         raise AttributeError(f"module 'sunspin' has no attribute {name!r}")
-    import_module("sunspin.output.result")  # results get their accessor: the class only, nothing that draws
     return getattr(import_module(_HOME[name]), name)
 
 

@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import xarray as xr
 
+from sunspin.base.errors import InputError
 from validation import border
 from validation.border import Told
 
@@ -129,3 +131,17 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, tmp_path):
     lines = done.err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("sunspin: error: ")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_rates_say_without_a_terminal_that_their_work_has_begun_unless_quiet(start, monkeypatch):
+    """Before anything long: a log that stays empty looks like a program that hangs. Bad input is one sentence, as ever."""
+    from sunspin.estimate.rates import estimate
+
+    said = []
+    monkeypatch.setattr(estimate, "load", lambda body: said.append(sys.stderr.buffer.getvalue().decode()))
+    monkeypatch.setattr(estimate, "_searched", Mock(side_effect=InputError("no further")))
+    files = start / "vehicle.toml", start / "telemetry.csv"
+    sunspin("rates", *files, "--workers", 1, "--noise", 1e-4, code=2)
+    assert said == ["sunspin: rates: 40 samples in 1 pass; the search takes up to 2.1 minutes of one core\n"]
+    assert sunspin("rates", *files, "--workers", 1, "--noise", 1e-4, "--quiet", code=2).err == "sunspin: error: no further\n"
+    assert sunspin("rates", *files, "--from", 1e6, code=2).err.count("\n") == 1

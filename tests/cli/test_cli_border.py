@@ -14,9 +14,10 @@ import pytest
 
 from rowsets import heed_interrupts
 from sunspin import cli
-from sunspin.base.errors import InputError
+from sunspin.base.errors import InputError, OutputError
 from sunspin.cli import values
 from sunspin.cli.common import COMMANDS
+from sunspin.output.folder import results_folder
 
 START = ["--omega=0.1,0,0", "--sun=0.1959,0.5690,0.7986"]
 
@@ -303,3 +304,22 @@ def test_a_name_that_a_terminal_cannot_show_is_escaped(encoding, tmp_path):
     done = subprocess.run(command, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True)
     assert (done.returncode, done.stderr) == (0, b"")
     assert ("caf\u00e9\u2603" if encoding == "utf-8" else "\\u2603") in done.stdout.decode(encoding)
+
+
+@pytest.mark.parametrize("command", [("simulate", "philae", *START, "--duration=5"), ("init",), ("sun", "philae", "philae")])
+def test_a_folder_in_thousands_of_others_is_refused(command, sunspin, undrawn):
+    """They are made from within, each by a call in the call before, of which Python allows a thousand."""
+    refused(sunspin(*command, *(["--out"] if len(command) > 1 else []), "d/" * 1500 + "x"), "no folder can have this name")
+
+
+def test_no_name_with_a_nul_in_it_is_a_folder_of_results():
+    with pytest.raises(OutputError, match="results cannot be written here .no folder can have this name."):
+        results_folder("a\0b", "sun")
+
+
+@pytest.mark.parametrize("form", ["aem", "netcdf", "parquet"])
+def test_exports_to_a_folder_whose_name_is_not_utf8(form, sunspin, tmp_path, undrawn):
+    assert sunspin("simulate", "philae", *START, "--duration=5", "--out", tmp_path / "run")[0] == 0
+    place = tmp_path / os.fsdecode(b"caf\xe9")
+    code, _, err = sunspin("export", tmp_path / "run", "--format", form, "--epoch=2026-01-01T00:00:00Z", "--out", place)
+    assert (code, err) == (0, "") and len(list(place.glob("[a-z]*"))) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -66,14 +67,21 @@ def test_the_scale_that_nobody_stated_is_found(tree):
     assert abs(scale.mean() - 0.37) < 4 * scale.std()
 
 
-def test_a_region_of_too_few_draws_has_no_sigma(tree):
+def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkeypatch):
     """One draw alone would have a sigma of zero."""
+    rng = np.random.default_rng(0)
+    rates = RATE + 0.01 * rng.normal(size=(400, 3))
+    monkeypatch.setattr(estimate, "_chi_square", lambda *_: (1.0, 1))
+    for log_weight, proposed, sigma in ((np.zeros(400), 400, 0.01), (-1e3 * np.arange(400.0), 400, 0.01), (np.zeros(3), 3, 0.5)):
+        drawn = SimpleNamespace(
+            region=np.zeros(proposed, int), log_weight=log_weight, share=np.ones(1), evidence=0.0, starts=np.ones(1),
+            log_likelihood=log_weight, first=lambda index: hypotheses.First(rates[index], np.ones((len(index), 3)), index, index),
+        )  # fmt: skip
+        assert sigmas(estimate._modes(drawn, 0.5))[0] == pytest.approx([sigma] * 3, rel=0.5)
     few = tree.copy(deep=True)
     few["modes"]["effective_draws"][:] = 3.0
-    said = posterior_summary(few)
-    assert said["modes"][0]["sigma"] is None and "too few draws for a sigma" in str(said)
-    assert np.isnan(sigmas(few["modes"])).all() and np.all(sigmas(tree["modes"])[0] > 0)
-    assert "+- (" in str(posterior_summary(tree))
+    assert "which is rough: few draws have weight" in str(posterior_summary(few))
+    assert "+- (" in str(posterior_summary(tree)) and "rough" not in str(posterior_summary(tree))
 
 
 def test_groups_and_names(tree, telemetry):

@@ -160,6 +160,8 @@ def test_attitude_turns_the_local_sun_into_the_body():
     result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.04)
     turned = Rotation.from_quat(result["B_from_N"].values).apply(SUN_N)
     assert np.abs(turned - result["sun_B"].values).max() < 1e-12
+    q, between = result["B_from_N"].values, result["curve_B_from_N"].values
+    assert np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0 and np.einsum("ni,ni->n", between[1:], between[:-1]).min() > 0.99
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-9])

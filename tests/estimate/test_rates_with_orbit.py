@@ -21,6 +21,7 @@ from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import SUN_N, Seen, normal
+from sunspin.output.export import attitude_of
 from sunspin.solve.rotations import turn
 
 TWIN = 3
@@ -150,3 +151,8 @@ def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(twin):
     result = ss.rates(vehicle, data.isel(time=(t > -1) & (t < 700)), environment=orbit, calibration=calibration)
     found = judged(result, truth, 0)
     assert result.attrs["frame_N"] == "J2000" and found["attitude_deg"] < 6 and max(np.abs(found["pulls"])) < 4
+    message = attitude_of(result)
+    assert message.number == str(orbit.elements[0].number) and message.centre == "EARTH" and message.name != "UNKNOWN"
+    for name, part in (("B_from_N", "pass_of"), ("curve_B_from_N", "curve_pass_of")):
+        q, same = result[name].values, np.diff(result[part].values) == 0
+        assert np.einsum("ni,ni->n", q[1:], q[:-1])[same].min() > 0

@@ -95,6 +95,6 @@ def test_the_table_has_a_row_for_every_motion_and_leaves_out_what_is_not_there()
     other = one._replace(weight=np.ones(1), omega=omega[:1], sigma=np.full((1, 3), 1e-3), speed=speed[:1])
     found = table([one, other], "2026-01-01T00:00:00Z")
     assert found["weight"][1].shape == (2, 2) and np.isnan(found["omega_x"][1][1, 1]) and found["omega_x"][1][0, 1] == 0.2
-    assert found["utc_end"][1][0] == "2026-01-01T00:00:08.250000Z" and found["utc_at"][1][0] == "2026-01-01T00:00:04Z"
+    assert found["utc_end"][1][0] == "2026-01-01T00:00:08.250Z" and found["utc_at"][1][0] == "2026-01-01T00:00:04.000Z"
     assert list(found["informed_y"][1]) == [False, False] and list(found["informed_x"][1]) == [True, True]
     assert found["speed_low"][1][0, 0] < 0.1 < found["speed_high"][1][0, 0] and table([one], None)["utc_at"][1] == [""]

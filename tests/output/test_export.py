@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.export import LOCAL_FRAME, attitude_of, read_results, write_cf, write_parquet
+from sunspin.output.export import LOCAL_FRAME, attitude_of, between_samples, read_results, write_cf, write_parquet
 from sunspin.output.export.aem import write_aem
 from sunspin.output.export.ck import ephemeris_time, kernel_rates, write_ck
 from sunspin.vehicle import Vehicle
@@ -145,6 +145,80 @@ def test_comparison_with_somebodys_kernels_finds_what_was_changed(result, tmp_pa
 ])  # fmt: skip
 def test_ephemeris_time(utc, et):
     assert ephemeris_time(utc) == pytest.approx(et, abs=2e-3)
+
+
+def between(result, step_s, **changed):
+    """The attitude of `result` every `step_s` s."""
+    return between_samples(attitude_of(result.assign_attrs(**changed)), result, step_s)
+
+
+@pytest.fixture(scope="module")
+def sparse():
+    """Two passes with samples 37 degrees of turn apart, and between them a curve as `rates` stores it, 0.1 rad apart; no sign of
+    its quaternions belongs to that of its neighbour."""
+    omega, sun, apart = [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], 10.5
+    run = ss.propagate(BODY, omega, sun, None, np.arange(12) * apart)
+    curve = ss.propagate(BODY, omega, sun, None, np.arange(6 * 11 + 1) * apart / 6)
+    sign = np.where(np.arange(67) % 3, 1.0, -1.0)[:, None]
+    run = run.assign(
+        pass_of=("time", (np.arange(12) >= 6).astype(int)), B_from_N=run["B_from_N"] * sign[:12],
+        curve_B_from_N=(("curve_time", "quaternion"), curve["B_from_N"].values * sign),
+        curve_omega_B=(("curve_time", "axis"), curve["omega_B"].values),
+        curve_pass_of=("curve_time", (np.arange(67) >= 36).astype(int)),
+    ).assign_coords(curve_time=curve["time"].values)  # fmt: skip
+    keep = np.delete(np.arange(67), range(31, 36))  # no curve between the passes
+    run.attrs |= {"epoch_utc": "2014-11-12T15:34:04Z", "vehicle": "made up", "frame_N": "sun_z_local"}
+    return run.isel(curve_time=keep)
+
+
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+def test_no_quaternion_changes_its_sign_from_a_neighbour(form, sparse, tmp_path):
+    text = write_aem(tmp_path / "a.aem", attitude_of(sparse), form).read_text()
+    if form == "kvn":
+        rows = [[float(x) for x in line.split()[1:]] for line in text.splitlines() if line.startswith("2014-11-12T")]
+    else:
+        states = ElementTree.fromstring(text).findall("./body/segment/data/attitudeState/quaternionEphemeris/quaternion")
+        rows = [[float(state.find(key).text) for key in ("Q1", "Q2", "Q3", "QC")] for state in states]
+    for part in (rows[:6], rows[6:]):
+        q = np.array(part)
+        assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
+
+
+def test_a_dense_message_follows_the_motion_between_the_samples(sparse, tmp_path):
+    dense = between(sparse, 0.7)
+    assert [len(part) for part in dense.parts()] == [76, 76] and np.ptp(dense.t_s[:76]) == pytest.approx(52.5)
+    truth = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, dense.t_s)
+    off = np.abs(np.einsum("ni,ni->n", dense.quaternion, truth["B_from_N"].values))
+    assert np.degrees(2 * np.arccos(np.minimum(off, 1.0))).max() < 1e-4
+    assert np.abs(dense.omega_B - truth["omega_B"].values).max() < 1e-4
+    for part in dense.parts():
+        assert np.einsum("ni,ni->n", dense.quaternion[part[1:]], dense.quaternion[part[:-1]]).min() > 0.99
+    with xr.open_dataset(write_cf(tmp_path / "a.nc", sparse, dense), engine="h5netcdf") as data:
+        assert data.sizes["time"] == 152 and "sun_B" not in data and np.array_equal(data["B_from_N"].values, dense.quaternion)
+
+
+def test_a_motion_too_coarse_to_interpolate_is_a_sentence(sparse):
+    bare = sparse.drop_dims("curve_time")
+    assert len(between(bare, 5.0).t_s) == 22  # 37 degrees: by the rates at both ends
+    with pytest.raises(ss.InputError, match="turns by up to 11[12] degrees between the instants"):
+        between(bare.isel(time=slice(None, None, 3)).assign(pass_of=("time", np.zeros(4, dtype=int))), 5.0)
+    with pytest.raises(ss.InputError, match="more than 1000000 attitudes"):
+        between(sparse, 1e-9)
+    with pytest.raises(ss.InputError, match="no B_from_N"):
+        between(sparse.drop_vars("curve_B_from_N"), 1.0)
+
+
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+def test_object_and_centre_are_those_of_the_elements(form, sparse, tmp_path):
+    def said(key, **attrs):
+        text = write_aem(tmp_path / "a.aem", attitude_of(sparse.assign_attrs(**attrs)), form).read_text()
+        line = next(line for line in text.splitlines() if key in line)
+        return line.replace(f"</{key}>", "").split("= " if form == "kvn" else ">")[1]
+
+    assert [said(key) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == ["made up", "made up", "UNKNOWN"]
+    by_elements = {"orbit": 42789, "orbit_name": "SKCUBE\n\u00e9"}
+    assert [said(key, **by_elements) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == ["SKCUBE__", "42789", "EARTH"]
+    assert said("OBJECT_NAME", orbit=42789) == "made up"  # two lines without a name
 
 
 def test_netcdf_and_parquet_carry_frame_and_units(result, tmp_path):

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import random
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import sunspin as ss
+from sunspin.estimate.rates.wheels import COASTING, HELD, MEASURED
 from sunspin.output.figures import save
 from sunspin.output.figures.rates import rates_figure, sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
 from sunspin.output.figures.telemetry import _passes_together, sun_directions_figure
 from sunspin.output.kinds.rate_words import rate_at
-from sunspin.output.report import measured, orbit, posterior, sphere
+from sunspin.output.report import lander, measured, orbit, posterior, runs, sphere
 from sunspin.output.report.other import unknown
 from sunspin.output.report.passes import dense
 from sunspin.output.report.read import Results
 from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
 FACES = {"+X": [1, 0, 0], "-X": [-1, 0, 0], "+Y": [0, 1, 0], "-Y": [0, -1, 0], "+Z": [0, 0, 1], "-Z": [0, 0, -1]}
 CUBE = Vehicle(
@@ -151,6 +155,40 @@ def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
     exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
     np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
     assert dense(result.drop_vars("curve_pass_of")) == []
+
+
+def told_of_a_wheel(wheel: Wheel, samples: xr.Dataset | None, doing: str) -> np.ndarray:
+    """The speeds of a wheel, rad/s, at the instants of the pass that the page shows."""
+    result, _ = tumble(20, 30.0)
+    data = {"rates": with_curve(result).assign_attrs(wheels=doing)} | ({} if samples is None else {"telemetry": samples})
+    section = lander.section(Results(Path("."), "rates", {}, data, replace(CUBE, wheels=(wheel,))))
+    (motion,) = section.items[0].data["motions"]
+    assert json.dumps(motion, allow_nan=False) and len(motion["wheel"]) == 1
+    return np.frombuffer(base64.b64decode(motion["wheel"][0]), "<f4")
+
+
+def test_the_speed_of_a_wheel_is_that_which_the_rates_were_made_with():
+    _, samples = tumble(20, 30.0)
+    spins = Wheel("w", [0, 0, 1], 1e-4, 300.0)
+    for read, doing in ((samples, HELD), (None, HELD), (samples, f"{HELD} (evidence 3.1 above any other)")):
+        np.testing.assert_allclose(told_of_a_wheel(spins, read, doing), 300.0, rtol=1e-6)
+    read = samples.assign(wheel_speed_rad_s=(("time", "wheel"), 200.0 + samples["time"].values[:, None] / 10))
+    measured_speed = told_of_a_wheel(spins, read, MEASURED)
+    assert measured_speed[0] == pytest.approx(200.0) and measured_speed[-1] == pytest.approx(257.0, abs=0.5)
+    rubs = replace(spins, friction=Friction(viscous_N_m_s=1e-7))
+    assert told_of_a_wheel(rubs, samples, COASTING)[-1] == pytest.approx(300 * np.exp(-1e-3 * 570), rel=0.01)
+    for wheel, read, doing in ((replace(spins, speed_rad_s=0.0), samples, HELD), (spins, None, MEASURED)):
+        assert np.isnan(told_of_a_wheel(wheel, read, doing)).all()
+
+
+def test_the_page_names_what_a_motion_may_be(tmp_path):
+    result, _ = tumble(20, 30.0)
+    said = {"why_not_decided": ("pass_id", [""]), "omega_mean_B": result["omega_sigma_B"]}
+    said |= {name: ("pass_id", [True]) for name in ("decided", "fits")}
+    for model, text in (("as stated", "decided"), ("a step in the rate", "decided; likeliest: a step in the rate")):
+        data = {"rates": result.assign(said | {"model": ("pass_id", [model])})}
+        table = runs.rates(Results(tmp_path, "rates", {}, data)).items[-2]
+        assert table.rows[0][-1] == text
 
 
 @pytest.mark.parametrize("passes", [1, 2, 30])

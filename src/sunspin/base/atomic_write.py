@@ -6,6 +6,7 @@ killed one left, and nothing else.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import secrets
@@ -22,6 +23,14 @@ LIST = re.compile(r"\.sunspin-(\d{1,9})(?:-[0-9a-f]{16})?\.parts")
 """A list of temporary names of a process; it is there while the process writes there."""
 
 MAX_LIST_BYTES = 1_000_000
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, or leave them as they are. Whatever its name, only OSError is raised."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (RecursionError, ValueError):  # thousands of folders in each other; a NUL in a name
+        raise OSError(errno.EINVAL, "no folder can have this name", str(folder)) from None
 
 
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:

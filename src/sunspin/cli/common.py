@@ -244,6 +244,13 @@ def deliver(
     report({**summary, **(also or {})}, told, as_json, quiet)
 
 
+def announced(command: str, quiet: bool) -> Callable[[str], None] | None:
+    """What says a line on standard error when work begins; None if `quiet`, or where a terminal shows a progress line."""
+    if quiet or os.isatty(2):
+        return None
+    return lambda line: print(f"sunspin: {command}: {printable(line)}", file=sys.stderr, flush=True)
+
+
 def on_terminal(quiet: bool) -> bool:
     """Whether to show a progress bar."""
     return not quiet and os.isatty(2)

@@ -17,8 +17,10 @@ FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
 @click.option("--format", "form", type=click.Choice(FORMATS), default="aem", show_default=True, help="What to write.")
 @click.option("--frame", help="Frame to write; a celestial one is refused where the turn about the Sun line is not known.")
 @click.option("--epoch", help="UTC of time zero, where the results have none (those of `sunspin simulate`).")
+@click.option("--step", type=click.FloatRange(0, min_open=True), help="Write an attitude every so many s, interpolated along the "
+              "motion between the samples; default: at the samples.")
 @output_options(default="export")
-def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
+def export(folder, form, frame, epoch, step, out, as_json, quiet) -> None:
     """Attitude and rates of a results folder in formats that other tools read.
 
     aem and aem-xml: CCSDS attitude ephemeris message; ck: SPICE kernels (.bc, .tsc, .tf); netcdf: with CF attributes; parquet.
@@ -28,12 +30,14 @@ def export(folder, form, frame, epoch, out, as_json, quiet) -> None:
       sunspin simulate philae --omega 0.1,0,0 --sun 0,0,1 --duration 600 --out run
       sunspin export run --format netcdf --epoch 2014-11-12T15:35:00Z --out attitude
     """
-    from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
+    from sunspin.output.export import attitude_of, between_samples, read_results, write_cf, write_parquet
     from sunspin.output.folder import results_folder
     from sunspin.output.text import counted
 
     data, source = read_results(folder)
     attitude = attitude_of(data, frame, epoch)
+    if step is not None:
+        attitude = between_samples(attitude, data, step)
     target = results_folder(out, "export")
     if form == "ck":
         from sunspin.output.export.ck import write_ck

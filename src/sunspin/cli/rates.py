@@ -7,7 +7,7 @@ import math
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import claim, data_option, deliver, on_terminal, output_options, read_both
+from sunspin.cli.common import announced, claim, data_option, deliver, on_terminal, output_options, read_both
 from sunspin.cli.orbit import orbit_options
 from sunspin.cli.values import between, period_option, periods_of
 from sunspin.cli.values import effort as effort_given
@@ -61,9 +61,9 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
     from sunspin.compute.rows import worker_count
+    from sunspin.estimate.orbit.judged import elements_of
     from sunspin.estimate.rates.estimate import rates as run
     from sunspin.output.check.orbit import orbit_used
-    from sunspin.output.check.samples import doubts
 
     craft, samples = read_both(vehicle, telemetry, data)
     used = between(samples, begin, end).drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
@@ -71,13 +71,18 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     claim(out, "rates")
     if no_orbit and (elements is not None or shift_sigma is not None):
         raise InputError(sentence("--no-orbit says not to use an orbit, and elements or their shift are given", do="give one"))
+    say = announced("rates", quiet)
+    if not no_orbit and elements_of(craft, elements, shift_sigma) is not None and say is not None:
+        say(f"{samples.sizes['time']} samples; they judge the elements first")
     known = (None, None, {}, []) if no_orbit else orbit_used(craft, samples, elements, shift_sigma)
     orbit, calibration, orbit_summary, orbit_lines = known
     result = run(
         craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings, environment=orbit, calibration=calibration,
-        periods=evidence, effort=effort, workers=worker_count(workers), progress=on_terminal(quiet),
+        periods=evidence, effort=effort, workers=worker_count(workers), progress=say or on_terminal(quiet),
     )  # fmt: skip
+    from sunspin.output.check.samples import doubts  # after the search has begun: to import it takes a third of a second
+
     about, lines = doubts(craft, used, vehicle)
     doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
     lines = [*(line for line in lines if "WRONG" in line), *orbit_lines]

@@ -23,6 +23,7 @@ import numpy as np
 import zarr
 from zarr.storage import LocalStore, MemoryStore
 
+from sunspin.base.atomic_write import make_folder
 from sunspin.base.errors import InputError, OutputError, sentence
 from sunspin.compute.identity import bits, fingerprint, plain
 
@@ -65,7 +66,7 @@ class Disk(LocalStore):
 
 
 def _write_whole(target: Path, data: bytes) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent)
     part = temporary(target)
     try:
         with open(part, "wb") as file:
@@ -306,7 +307,7 @@ def _locked(folder: Path) -> Generator[None]:
     The lock is inside an array's folder, where readers of the group do not take it for a part of the data.
     """
     try:
-        (folder / DONE).mkdir(parents=True, exist_ok=True)
+        make_folder(folder / DONE)
         lock = os.open(folder / DONE / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise _cannot_write(folder, error) from None

@@ -39,7 +39,7 @@ def results_folder(path: Any, command: str) -> Path:
     """Create (or take again) a results folder of this command; a folder with anything else in it is refused."""
     folder = Path(path)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        atomic_write.make_folder(folder)
         marker = folder / MARKER
         if is_own(marker):
             if (made := maker(marker)) != command:

@@ -6,6 +6,7 @@ import os
 from importlib import resources
 from pathlib import Path
 
+from sunspin.base.atomic_write import make_folder
 from sunspin.base.errors import OutputError, sentence
 
 TEMPLATES = ("vehicle.toml", "telemetry.csv")
@@ -20,7 +21,7 @@ def write_templates(folder: Path) -> list[Path]:
             raise OutputError(sentence("this file is there already", do="choose another folder", where=str(target)))
     written: list[Path] = []
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         for target in targets:
             with open(target, "x", encoding="utf-8") as file:
                 written.append(target)

@@ -61,6 +61,18 @@ def matrix_of(quaternion: np.ndarray) -> np.ndarray:
     return made / (w * w + square)
 
 
+def continuous(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Unit quaternions (n, 4), scalar last, of the same rotations, without a change of sign between neighbours of the same `part`
+    (n): whoever interpolates their components must not pass through zero. Each part begins with a scalar of zero or more."""
+    if not len(quaternion):
+        return quaternion
+    same = part[1:] == part[:-1]
+    against = same & (np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1]) < 0)
+    sign = np.cumprod(np.append(1.0, np.where(against, -1.0, 1.0)))
+    begin = np.maximum.accumulate(np.append(0, np.where(same, 0, np.arange(1, len(quaternion)))))
+    return quaternion * (sign * sign[begin] * np.where(quaternion[begin, 3] < 0, -1.0, 1.0))[:, None]
+
+
 def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     """Components (..., 3) in body axes of vectors (..., 3) fixed in space after the body has turned by `angle_B` (..., 3)."""
     shape = np.broadcast_shapes(vector.shape, angle_B.shape)

@@ -16,7 +16,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
-from sunspin.telemetry.panel_unit import BRIGHT_QUANTILE
+from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import lit_patterns, observable_patterns, panel_power, turned_sigma
@@ -97,7 +97,8 @@ def panel_health(
     names = np.array(vehicle.input_names)
     patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
     counts = {pattern: patterns.count(pattern) for pattern in dict.fromkeys(patterns)}
-    sigma, threshold, verdicts = float(sun.attrs["noise"]), float(sun.attrs["lit_threshold"]), {}
+    threshold, verdicts = float(sun.attrs["lit_threshold"]), {}
+    sigma = UNKNOWN if sun.attrs["noise_from"] == ASSUMED_FROM else float(sun.attrs["noise"])  # what is assumed explains nothing
     probability, turned = np.zeros(len(patterns)), {}
     if not is_sun and patterns and np.isfinite(sigma) and sigma > 0:
         power = _values(telemetry)

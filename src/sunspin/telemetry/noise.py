@@ -1,4 +1,4 @@
-"""The noise of a reading as the file itself tells it."""
+"""The noise of a reading: as the file itself shows it, and what is assumed where nothing does."""
 
 from __future__ import annotations
 
@@ -10,6 +10,17 @@ HALF_NORMAL_MEDIAN = 0.6745
 
 LEAST_NEGATIVE = 8
 """Readings below zero from which noise is told: its sigma is then good to a third."""
+
+
+ASSUMED_SHARE = 0.03
+"""Noise of a panel reading, as a share of full Sun, where the vehicle file states none and the readings show none. Cautious: the
+vehicle files of this package state 0.007 (the example of `sunspin init`), 0.01 (skCUBE) and 0.02 (Philae)."""
+
+ASSUMED_FROM = "assumed: the vehicle file states none and the readings show none"
+"""Where such noise comes from, in results."""
+
+BRIGHT_QUANTILE = 0.9
+"""Of the samples' largest readings: what the panels give in full Sun, spikes apart."""
 
 
 def dark_noise(values: npt.ArrayLike, least: int = LEAST_NEGATIVE) -> float | None:
@@ -28,3 +39,20 @@ def dark_noise(values: npt.ArrayLike, least: int = LEAST_NEGATIVE) -> float | No
     known = np.asarray(values, dtype=np.float64)
     below = -known[np.isfinite(known) & (known < 0)]
     return float(np.median(below)) / HALF_NORMAL_MEDIAN if len(below) >= max(1, least) else None
+
+
+def assumed_noise(values: npt.ArrayLike) -> float:
+    """Noise of a reading where nothing else gives it: `ASSUMED_SHARE` of what the panels read in full Sun; NaN where all are dark.
+
+    Parameters
+    ----------
+    values : (n, n_panel), in any unit; what is not finite is left out
+
+    Returns
+    -------
+    float, in the unit of the values
+    """
+    known = np.asarray(values, dtype=np.float64)
+    largest = np.where(np.isfinite(known), known, 0.0).max(axis=1, initial=0.0)
+    lit = largest[largest > 0]
+    return ASSUMED_SHARE * float(np.quantile(lit, BRIGHT_QUANTILE)) if len(lit) else float("nan")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunspin.telemetry.noise import BRIGHT_QUANTILE
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
@@ -20,9 +21,6 @@ THOUSANDS = 4.0
 
 BRIGHTEST = 200
 """Samples that are looked at."""
-
-BRIGHT_QUANTILE = 0.9
-"""Of the samples' largest readings: what the panels give in full Sun, spikes apart."""
 
 FITS = 0.15
 """Median misfit (Delta) of the brightest samples up to which the Sun made them, and not noise in the dark."""

@@ -13,7 +13,7 @@ import xarray as xr
 
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
-from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.silent import lost
 from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, signals
@@ -27,10 +27,6 @@ DEAD_FRACTION = 0.05
 DARK_SIGMAS = 4.0
 """Without a reading of so many sigma of noise a sample tells of no Sun: in the shadow noise makes one of six panels read as much in
 2 of 10,000 samples, and at three sigma in one of 120, which panels on some sides only would take for a Sun that stands aside."""
-
-UNTOLD_NOISE = 0.03
-"""Noise that neither the vehicle file nor readings below zero tell is hardly more than this share of full Sun; what panels that
-face away read beyond it is the Earth's."""
 
 DEAD_SAMPLES = 20
 """Samples with some panel lit before a panel may be called dead."""
@@ -135,7 +131,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
     bright = brightness(vehicle, use_value)
     dark = bright < DEAD_FRACTION * full
-    dark |= ~_beyond_noise(vehicle, value, use_value, float(noise), full * _albedo(vehicle, relative[sound & ~dark] / full)[0])
+    dark |= ~_beyond_noise(vehicle, value, use_value, float(noise), full, _albedo(vehicle, relative[sound & ~dark] / full)[0])
     idle = good & ~dark & (bright < IDLE_FRACTION * full)
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
     level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
@@ -249,11 +245,14 @@ def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     return float(np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)), "the brighter samples of the file"
 
 
-def _beyond_noise(vehicle: Vehicle, value: np.ndarray, light: np.ndarray, noise: float, away: float) -> np.ndarray:
+def _beyond_noise(
+    vehicle: Vehicle, value: np.ndarray, light: np.ndarray, noise: float, full: float, away: float
+) -> np.ndarray:
     """Which samples (n) have a reading of `light` (n, n_panel) that noise does not make: noise as stated, else what readings below
-    zero of all `value` tell, else up to a bound what panels that face away from the Sun read, `away` (of the gain)."""
+    zero of all `value` tell, else what panels that face away from the Sun read, `away` (of full Sun, which is `full` of the gain),
+    but no more than the noise that is assumed: the rest is the Earth's light."""
     told = noise if vehicle.telemetry.noise is not None else dark_noise(value)
-    made = max(noise, told) if told is not None else min(away, UNTOLD_NOISE) * vehicle.input_gains
+    made = max(noise, told) if told is not None else full * min(away, ASSUMED_SHARE) * vehicle.input_gains
     return np.asarray((light > DARK_SIGMAS * made).any(axis=1))
 
 

@@ -15,7 +15,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
-from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.noise import ASSUMED_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import Pattern, lit_patterns, named, observable_patterns
@@ -60,6 +60,9 @@ STATUS_TEXT = {
 
 ON_EDGE = 1e-9
 """Share of full Sun below which a panel is not lit: its edge is on the Sun."""
+
+ROUNDING = 1e-9
+"""Share of the largest reading below which residuals are rounding."""
 
 RECONSTRUCTED = (SunStatus.OK, SunStatus.UNCHECKED)
 
@@ -116,7 +119,8 @@ def sun_directions(
     telemetry : Dataset of `read_telemetry`, or (n, n_panel) powers (or currents) in the order of the vehicle's panels
     noise : float, optional
         One-sigma noise of a panel's value, in its unit; default: the vehicle's, else estimated from the redundancy, else from
-        readings below zero, which are dark panels'.
+        readings below zero, which are dark panels', else assumed (:func:`sunspin.telemetry.noise.assumed_noise`).
+        attrs `noise` and `noise_from` say which. Assumed noise sets errors alone: lit panels and statuses are as without it.
     lit_threshold : float, optional
         A panel counts as lit above this; default: the vehicle's, else three sigma, else 2 % of the largest value or, if
         readings below zero tell more, three sigma of those.
@@ -126,9 +130,18 @@ def sun_directions(
     xarray.Dataset
         On `time`: `sun_B` (unit, body axes; NaN where `status` says that no direction follows), `best_B` (a minimiser of
         Delta, whatever the status), `delta` (paper, eq. 2),
-        `sigma_rad` (rms angle of the error), `sun_cov_B` (tangent covariance), `status` (`SunStatus`) with `status_text`,
-        `lit` and `n_lit`, and for status ARC the two ends of the arc, `sun_arc_B`.
+        `sigma_rad` (rms angle of the error), `sun_cov_B` (tangent covariance), both finite where `sun_B` is; `status`
+        (`SunStatus`) with `status_text`, `lit` and `n_lit`, and for status ARC the two ends of the arc, `sun_arc_B`.
+
+    Raises
+    ------
+    InputError
+        Powers of other panels than the vehicle's; a noise that is not positive, a threshold that is negative or no number.
     """
+    if noise is not None and not (np.isfinite(noise) and noise > 0):
+        raise InputError(sentence("the noise of a panel reading must be positive", got=noise))
+    if lit_threshold is not None and not (np.isfinite(lit_threshold) and lit_threshold >= 0):
+        raise InputError(sentence("lit_threshold must be zero or positive", got=lit_threshold))
     power, base = _powers(vehicle, telemetry)
     noise = noise if noise is not None else vehicle.telemetry.noise
     threshold = lit_threshold if lit_threshold is not None else vehicle.telemetry.lit_threshold
@@ -151,10 +164,13 @@ def sun_directions(
         noise, noise_from = dark, "estimated from readings below zero"
     doubtful = told.copy()
     doubtful[told] = _several(vehicle, clean[told], noise) | _free(vehicle, direction[told])
+    if np.isnan(noise):
+        noise, noise_from = assumed_noise(clean), ASSUMED_FROM
+    covariance = _covariances(vehicle, clean, lit, told & ~doubtful, noise)
+    doubtful |= told & ~np.isfinite(covariance).all(axis=(1, 2))
     if doubtful.any():
         status[doubtful], texts = SunStatus.SEVERAL, np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
         told &= ~doubtful
-    covariance = _covariances(vehicle, clean, lit, told, noise)
     arcs = _arcs(vehicle, clean, lit, status)
     return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
 
@@ -218,13 +234,15 @@ def _free(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
 
 
 def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray) -> float:
-    """Sigma of one value from what is redundant: of L lit panels L - 3 are left after scale and direction."""
+    """Sigma of one value from what is redundant: of L lit panels L - 3 are left after scale and direction. NaN where nothing is
+    redundant, or readings are exact to rounding: what was computed has no noise."""
     checked = status == SunStatus.OK
     freedom = (lit[checked].sum(axis=1) - 3).sum()
     if freedom == 0:
         return float("nan")
     residual = delta[checked] * np.linalg.norm(power[checked], axis=1)
-    return float(np.sqrt((residual**2).sum() / freedom))
+    noise = float(np.sqrt((residual**2).sum() / freedom))
+    return noise if noise > ROUNDING * power.max() else float("nan")
 
 
 def _covariances(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, told: np.ndarray, noise: float) -> np.ndarray:

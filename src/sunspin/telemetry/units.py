@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from sunspin.telemetry.panel_unit import BRIGHT_QUANTILE, WrongUnit, panel_unit
+from sunspin.telemetry.noise import BRIGHT_QUANTILE
+from sunspin.telemetry.panel_unit import WrongUnit, panel_unit
 from sunspin.telemetry.quality import lit_threshold
 from sunspin.telemetry.sensors import STEEPEST_RAD
 from sunspin.telemetry.sun import best_directions, is_reconstructed, signals, sun_directions

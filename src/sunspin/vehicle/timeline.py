@@ -63,15 +63,15 @@ def utc_seconds(utc: str, epoch_utc: str) -> float:
 
 
 def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
-    """The time (ISO-8601 UTC, rounded to so many decimals, at most three) so many seconds after `epoch_utc`; beyond the calendar
-    epoch and seconds."""
+    """The time (ISO-8601 UTC) so many seconds after `epoch_utc`, rounded to so many decimals, at most three; beyond the calendar
+    epoch and seconds. All times of a column have one form: to the second without `digits`, else always three decimals."""
     unit = 10 ** (6 - digits)
     try:
         exact = _instant(epoch_utc) + timedelta(seconds=seconds)
         instant = exact + timedelta(microseconds=round(exact.microsecond / unit) * unit - exact.microsecond)
     except OverflowError:
         return f"{epoch_utc} and {seconds:g} s"
-    return instant.isoformat().replace("+00:00", "Z")
+    return instant.isoformat(timespec="milliseconds" if digits else "seconds").replace("+00:00", "Z")
 
 
 def instant(text: str) -> datetime | None:

@@ -168,6 +168,9 @@ def _in_orbit(
         what = "the magnetometer reads the field with the opposite sign, as its angle to the Sun shows, and is not calibrated so"
         do = "turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"
         raise InputError(sentence(what, do=do))
+    if check.turned_axes:
+        what, _, do = check.turned_axes.partition("; ")
+        raise InputError(sentence(f"{what}, and is not calibrated so", do=do))
     notes.append(f"orbit: {check.verdict.value}")
     start = start_of(check, orbit)
     if start is None or not seen.has_field.any():

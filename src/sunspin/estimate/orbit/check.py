@@ -18,8 +18,21 @@ import xarray as xr
 from scipy.special import erfc
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.orbit.invariants import FEWEST, Fits, Predicted, Seen, fit, predict, seen_in
+from sunspin.estimate.orbit.invariants import (
+    FEWEST,
+    Fits,
+    Predicted,
+    Seen,
+    angles,
+    axes_words,
+    contradicted,
+    fit,
+    predict,
+    seen_in,
+    turned_axes,
+)
 from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
+from sunspin.estimate.wiring import axes_matrix
 from sunspin.vehicle import Vehicle
 
 COPIES = 50
@@ -72,7 +85,8 @@ class OrbitCheck:
     """The answer: `better` copies of `copies` predict better; residuals are medians; `calibration`: field (T) = matrix reading -
     zero, None without magnetometer. With the node turned by `turn_rad` residuals are `turn_times` smaller. `eclipse` counts
     samples that show the Sun in the predicted shadow, and all there. `clock_behind_s`: what would make the elements fit, 0 where
-    nothing does. `sign_turned`: the field read with the opposite sign fits clearly better to the Sun. The shift is that in the
+    nothing does. `sign_turned`: the field read with the opposite sign fits clearly better to the Sun. `turned_axes`: by which
+    reading of its columns the magnetometer fits the Sun where as stated it does not, in words; else empty. The shift is that in the
     middle of the telemetry; its drift is found where Sun sensors are, by the fit `made`, else it stays as it was."""
 
     shift_s: float
@@ -92,6 +106,7 @@ class OrbitCheck:
     border: bool = False
     clock_behind_s: float = 0.0
     sign_turned: bool = False
+    turned_axes: str = ""
     drift_s_day: float = 0.0
     drift_sigma_s_day: float = 0.0
     made: Calibration | None = None
@@ -103,6 +118,8 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """
     seen, grid = seen_in(vehicle, telemetry), _Grid.of(orbit)
+    if np.isfinite(seen.field + seen.sun).all(axis=1).sum() < FEWEST:
+        seen = seen._replace(sun=np.full_like(seen.sun, np.nan))  # so few angles do not judge an orbit
     if not len(seen.t_s):
         return OrbitCheck(
             orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
@@ -112,6 +129,10 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     turns = zip(rng.uniform(0, 2 * np.pi, COPIES), rng.uniform(0, orbit.elements[0].period_s, COPIES), strict=True)
     here = predict(orbit, seen, grid.shifts)
     own = fit(seen, here, grid.prior)
+    way = None if "sun_sensor_angle" in telemetry else turned_axes(seen, here.take([own.cost.argmin()]))
+    if way is not None:  # what follows is of the readings as they are if the vehicle file names their axes rightly
+        seen = seen._replace(field=seen.field @ axes_matrix(*way[1:]).T)
+        own = fit(seen, here, grid.prior)
     copies = [predict(orbit, seen, grid.shifts, *one) for one in turns]
     fits = [_nearly(seen, copy, grid.prior, float(own.cost.min())) for copy in copies]
     turn, times = _turned(orbit, seen, grid, own)
@@ -120,9 +141,14 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     mistaken = _mistaken(seen, here.take([own.cost.argmin()]), copies, best, grid.prior)
     enough = max(np.isfinite(seen.field).all(axis=1).sum(), np.isfinite(seen.light).sum()) >= FEWEST
     verdict = Verdict.REFUSED if better > BETTER or times > TIMES else Verdict.FITS
-    verdict = verdict if enough and mistaken <= MISTAKEN else Verdict.UNDECIDED
+    k = int(own.cost.argmin())
+    against = verdict is Verdict.FITS and contradicted(seen, here.take([k]), own.calibration[k])
+    verdict = verdict if enough and mistaken <= MISTAKEN and not against else Verdict.UNDECIDED
     lowest = float((best if verdict is Verdict.REFUSED else own).cost.min())
     answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), lowest)
+    if way is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
+        words = axes_words(way, vehicle, telemetry)
+        answer = replace(answer, matrix=answer.matrix @ axes_matrix(*way[1:]), turned_axes=words)
     if verdict is Verdict.FITS:
         return _with_sun_sensors(answer, orbit, vehicle, telemetry)
     return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, best.cost.min()))
@@ -259,7 +285,7 @@ def _left(seen: Seen, there: Predicted, calibration: np.ndarray) -> tuple[float,
     """Medians of what is left of the field's strength (T) and of its angle to the Sun (rad), NaN where no sample shows both."""
     field = seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:]
     size = np.linalg.norm(field, axis=1)
-    both = [np.arccos(np.clip(c, -1, 1)) for c in ((field * seen.sun).sum(axis=1) / size, there.to_sun[0] / there.strength[0])]
+    both = [angles(field, seen.sun), np.arccos(np.clip(there.to_sun[0] / there.strength[0], -1, 1))]
     angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
     return float(np.nanmedian(np.abs(size - there.strength[0]))), angle
 

@@ -16,14 +16,18 @@ import xarray as xr
 
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.orbit.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight
+from sunspin.estimate.orbit.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight, turned_axes
 from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
+from sunspin.estimate.wiring import axes_matrix
 from sunspin.vehicle import Vehicle
 
 FEW_SCATTER = 0.02
 """Scatter of readings, as a part of the field, that is believed of hardly more readings than unknowns (12)."""
 
 FEW = 24
+
+MOST_SAMPLES = 1000
+"""Samples that a magnetometer is calibrated by: one fit, where the check of an orbit makes hundreds."""
 
 OF_GAUSSIAN = 0.83
 """The scale of Student's law of four degrees of freedom that fits Gaussian noise of one sigma."""
@@ -77,12 +81,15 @@ def field_calibration(
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
     if made is not None:
         return _of_sensors(made, made.shift_s, along)
-    seen = seen_in(vehicle, telemetry)
+    seen = seen_in(vehicle, telemetry, MOST_SAMPLES)
     use = np.isfinite(seen.field).all(axis=1)
     if not use.any():
         return None
     seen = Seen(*(part[use] for part in seen))
     every = predict(orbit, seen, along * np.array([-1.0, 0.0, 1.0]))
+    way = None if "sun_sensor_angle" in telemetry else turned_axes(seen, every.take([1]))
+    axes = np.eye(3) if way is None else axes_matrix(*way[1:])
+    seen = seen._replace(field=seen.field @ axes.T)
     found = calibrated(seen, every.take([1]), steps=3 * STEPS)
     values = found.values[0]
     matrix, zero = values[:9].reshape(3, 3), values[9:]
@@ -98,8 +105,10 @@ def field_calibration(
     along_track = [(part[2] - part[0]) / 2 / found.unit_T for part in (every.strength, every.to_sun)]
     scale = found.unit_T / found.unit
     units = np.concatenate([np.full(9, scale), np.full(3, found.unit_T), [1.0]])
+    errors = _errors(found, steep, along_track) * units
+    errors[:, :9] = (errors[:, :9].reshape(-1, 3, 3) @ axes).reshape(-1, 9)
     return FieldCalibration(
-        matrix, zero, _errors(found, steep, along_track) * units,
+        matrix @ axes, zero, errors,
         float(scatter[0, 0] * np.median(steep)) / OF_GAUSSIAN * found.unit_T, scale,
     )  # fmt: skip
 

@@ -78,6 +78,7 @@ def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple
     """
     found = check_orbit(orbit, vehicle, telemetry)
     sign = "; THE MAGNETOMETER READS THE FIELD WITH THE OPPOSITE SIGN: turn its `matrix` round" if found.sign_turned else ""
+    sign += f"; {found.turned_axes}" if found.turned_axes else ""
     if found.verdict is Verdict.REFUSED:
         why = found.verdict.value.split(":")[0]
         clock = f"; {off}" if (off := clock_off(found)) else ""

@@ -285,7 +285,8 @@ def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray,
         sun, sigma = found["sun_B"].values, found["sigma_rad"].values
     elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
         sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)
-    return sun, np.where(np.isfinite(sigma), sigma, 0.0) / np.sqrt(2)
+    known = np.isfinite(sigma)  # a direction without an error is no reading
+    return np.where(known[:, None], sun, np.nan), np.where(known, sigma, 1.0) / np.sqrt(2)
 
 
 def _precision(prior: np.ndarray, unit: float) -> np.ndarray:

@@ -12,7 +12,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.readings import READINGS
-from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.noise import ASSUMED_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -22,9 +22,6 @@ FREE_PHASE = "first_rebound"
 
 MAX_SAMPLES = 600
 """Samples beyond this are thinned evenly: the motion is overdetermined long before, and time is spent on what is not."""
-
-NOISE_OF_LARGEST = 0.02
-"""Noise assumed, as a part of the largest reading, where neither the vehicle nor readings below zero tell it."""
 
 WILD = 20.0
 """A reading this many times the usual brightest one of a sample is no light: a wrapped count, a filler, a broken converter."""
@@ -47,7 +44,7 @@ class Readings:
 
     `t_s` (K): s after the reference, increasing; `value` (K, P); `used` (K, P): it counts; `lit` (K, P): above the threshold;
     `sigma`: one sigma stated; `threshold`; `largest`: reading; `others`: further observations, their times after the reference too.
-    `throttled`: all readings of a sample are lowered by one factor that nobody knows.
+    `throttled`: all readings of a sample are lowered by one factor that nobody knows. `noise_from`: where `sigma` comes from.
     """
 
     t_s: np.ndarray
@@ -59,6 +56,7 @@ class Readings:
     largest: float
     others: tuple[Reading, ...] = ()
     throttled: bool = False
+    noise_from: str = "given"
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -144,11 +142,20 @@ def readings(
                      do="widen the window; `sunspin check` says what is wrong with samples")
         )  # fmt: skip
     largest = float(value[used].max())
-    sigma = vehicle.telemetry.noise or dark_noise(value[used]) or NOISE_OF_LARGEST * largest
+    sigma, noise_from = _noise(vehicle, value, used)
     start = float(times[index[0]])
     others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
-    made = Readings(times[index] - start, value, used, lit, float(sigma), threshold, largest, others, vehicle.throttled)
+    made = Readings(times[index] - start, value, used, lit, sigma, threshold, largest, others, vehicle.throttled, noise_from)
     return made, start, remarks
+
+
+def _noise(vehicle: Vehicle, value: np.ndarray, used: np.ndarray) -> tuple[float, str]:
+    """One sigma of readings (K, P), of which some are `used`, and where it comes from."""
+    if vehicle.telemetry.noise is not None:
+        return vehicle.telemetry.noise, "given"
+    if (dark := dark_noise(value[used])) is not None:
+        return dark, "estimated from readings below zero"
+    return assumed_noise(value), ASSUMED_FROM
 
 
 def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:

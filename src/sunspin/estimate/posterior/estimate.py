@@ -197,7 +197,8 @@ def posterior(
     modes = replace(modes, notes=(*modes.notes, *dict.fromkeys(lost)))
     if off:
         modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
-    tree = _tree(there, modes, drawn, picked)
+    prior_sigma = min(chosen.limit, there.max_rate) / np.sqrt(5)  # of a component, even in the ball
+    tree = _tree(there, modes, drawn, picked, prior_sigma)
     tree.attrs.update(_about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data))
     edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
     if edge > 0.01:
@@ -208,7 +209,6 @@ def posterior(
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
     tree.attrs["prior_widths"] = json.dumps({"word": word_of(found), "told": prior_widths(there, drawn, found)})
-    prior_sigma = min(chosen.limit, there.max_rate) / np.sqrt(5)  # of a component, even in the ball
     checked_by_others = bool(observations) or columns_seen(vehicle, telemetry)
     row = believed(found, tree, prior_sigma, bool(off), AS_STATED if checked_by_others else UNCHECKED)
     tree["passes"] = xr.Dataset(table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]})
@@ -288,7 +288,7 @@ def _whole(seed: Any, draws: Any) -> None:
             raise InputError(sentence(f"{name} must be a whole number of at least {least}", got=value))
 
 
-def _tree(model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray) -> xr.DataTree:
+def _tree(model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray, prior_sigma: float) -> xr.DataTree:
     omega, sun, wheels, steady = drawn.first(picked)
     values = drawn.values(picked)
     each = ("chain", "draw")
@@ -311,7 +311,7 @@ def _tree(model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray) -> xr.D
         "chain": [0], "draw": np.arange(len(picked)),
     }  # fmt: skip
     groups = {
-        "posterior": xr.Dataset(variables, coords), "modes": _modes(drawn),
+        "posterior": xr.Dataset(variables, coords), "modes": _modes(drawn, prior_sigma),
         "search": xr.Dataset(
             {name: ("stage", np.array(modes.trace)[:, i]) for i, name in enumerate(("samples", "hypotheses", "kept"))}
         ),
@@ -336,8 +336,8 @@ def _effective(drawn: Mixed, region: int) -> float:
     return effective_draws(np.exp(own - logsumexp(own)))
 
 
-def _modes(drawn: Mixed) -> xr.Dataset:
-    """The regions, by falling weight, from their draws."""
+def _modes(drawn: Mixed, prior_sigma: float) -> xr.Dataset:
+    """The regions, by falling weight, from their draws; `prior_sigma` (rad/s) of a component of the rate."""
     count = _listed(drawn)
     rows, rng = [], np.random.default_rng(0)
     for region in range(count):
@@ -347,11 +347,14 @@ def _modes(drawn: Mixed) -> xr.Dataset:
         omega, sun, *_ = drawn.first(inside)
         mean = share @ omega
         middle = share @ sun
-        best = int(np.argmax(drawn.log_likelihood[inside]))
+        best, effective = int(np.argmax(drawn.log_likelihood[inside])), _effective(drawn, region)
+        off = omega - mean
+        covariance = np.einsum("n,ni,nj->ij", share, off, off)
         rows.append((
-            mean, np.einsum("n,ni,nj->ij", share, omega - mean, omega - mean), middle / np.linalg.norm(middle),
+            mean, _of_proposed(drawn, every, mean, prior_sigma) if effective < TOO_FEW else covariance,
+            middle / np.linalg.norm(middle),
             drawn.share[region], drawn.evidence + np.log(drawn.share[region]), omega[best],
-            *_chi_square(drawn, int(inside[best])), int(drawn.starts[region]), _effective(drawn, region),
+            *_chi_square(drawn, int(inside[best])), int(drawn.starts[region]), effective,
         ))  # fmt: skip
     names = (
         ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
@@ -367,6 +370,15 @@ def _modes(drawn: Mixed) -> xr.Dataset:
     )
 
 
+def _of_proposed(drawn: Mixed, every: np.ndarray, mean: np.ndarray, prior_sigma: float) -> np.ndarray:
+    """Covariance (3, 3) of a region's rates about their mean where few of its draws (`every`) have weight, so that theirs would be
+    near zero: that of all draws proposed there, which spread more widely; where these are too few, the prior's."""
+    if len(every) < TOO_FEW:
+        return prior_sigma**2 * np.eye(3)
+    off = drawn.first(every[:: -(-len(every) // OF_REGION)]).omega - mean
+    return np.asarray(off.T @ off / len(off))
+
+
 def _chi_square(drawn: Mixed, i: int) -> tuple[float, int]:
     """Of a draw, sum of squared differences of lit readings, in stated sigmas, and their number."""
     one = drawn.tried[int(drawn.of[i])]
@@ -380,6 +392,7 @@ def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Mod
     comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
     return provenance("posterior", telemetry, **comments, **vehicle.said) | {
         "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
+        "noise": data.sigma, "noise_from": data.noise_from,
         "samples": len(data), "reference_sample": chosen.anchor,
         "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,

@@ -22,7 +22,8 @@ COUNTS = 0.01
 """A region with less weight is not counted."""
 
 TOO_FEW = 10.0
-"""Effective draws below which a region has no sigma, that of one draw would be zero; and is not listed where it does not count."""
+"""Effective draws below which a region's sigma is that of the draws proposed there, as that of one draw would be zero; and below
+which it is not listed where it does not count."""
 
 UNIQUE = 0.99
 
@@ -173,10 +174,8 @@ def believed(found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring
 
 
 def sigmas(modes: Any) -> np.ndarray:
-    """Sigmas (mode, 3) of the regions' rates in rad/s; NaN where a region has too few draws: of one it would be zero."""
-    sigma = np.sqrt(np.einsum("kii->ki", modes["omega_cov_B"].values))
-    few = modes["effective_draws"].values < TOO_FEW if "effective_draws" in modes else np.zeros(len(sigma), dtype=bool)
-    return np.where(few[:, None], np.nan, sigma)
+    """Sigmas (mode, 3) of the regions' rates in rad/s."""
+    return np.asarray(np.sqrt(np.einsum("kii->ki", modes["omega_cov_B"].values)))
 
 
 def summary(tree: Any) -> dict[str, Any]:
@@ -188,10 +187,10 @@ def summary(tree: Any) -> dict[str, Any]:
         "verdict": tree.attrs["verdict"], "verdict_word": tree.attrs["verdict_word"],
         "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
         "modes": [
-            {"weight": float(w), "omega_B": o.tolist(), "sigma": s.tolist() if np.isfinite(s).all() else None,
-             "chi_square": float(x), "starts": int(h)}
-            for w, o, s, x, h in zip(modes["weight"].values, modes["omega_B"].values, sigmas(modes),
-                                     modes["chi_square"].values, modes["starts"].values, strict=True)
+            {"weight": float(w), "omega_B": o.tolist(), "sigma": s.tolist(), "chi_square": float(x), "starts": int(h),
+             "effective_draws": float(n)}
+            for w, o, s, x, h, n in zip(modes["weight"].values, modes["omega_B"].values, sigmas(modes), modes["chi_square"].values,
+                                        modes["starts"].values, modes["effective_draws"].values, strict=True)
         ],
         "p_value": float(tree.attrs["p_value"]), "effective_draws": float(tree.attrs["effective_draws"]),
         "pareto_k": float(tree.attrs["pareto_k"]), "synthetic_telemetry": bool(tree.attrs.get("synthetic", 0)),

@@ -105,7 +105,7 @@ def rates(
     wirings: bool = False,
     effort: float = 1.0,
     workers: int = 1,
-    progress: bool = False,
+    progress: bool | Callable[[str], None] = False,
 ) -> xr.Dataset:
     """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
 
@@ -155,9 +155,9 @@ def rates(
     workers : int
         Processes that estimate passes side by side, copies of this one where that is safe, else four passes each at least; the
         result does not depend on it. A script that asks for more than one needs `if __name__ == "__main__":`.
-    progress : bool
+    progress : bool, or a function of a line
         Show what is being done, how long it will take at most, and of each pass a rough speed as soon as its first motions are
-        found (:mod:`sunspin.estimate.rates.rough`).
+        found (:mod:`sunspin.estimate.rates.rough`); a function is called once, when the inputs are accepted and the search begins.
 
     Returns
     -------
@@ -198,9 +198,9 @@ def rates(
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
         require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
-    load(body)
+    _begin(body, parts, effort, progress)
     with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
-        spent = Effort(allowed(effort), "rates" if progress else None)
+        spent = Effort(allowed(effort), "rates" if progress is True else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
             noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_evidences, spent, judged, pool))
         signs = _signs(o, parts, reversed_momenta(vehicle, telemetry, wheels, o), noise, body, rate_max, given, spent, pool)
@@ -234,7 +234,7 @@ def rates(
     observed = _observed(vehicle, telemetry, wheels, source, orbit is not None)
     result = _columns_checked(result, observed, telemetry)
     if wirings and (not result["fits"].values.all() or _suspicious(result, observed, telemetry)):
-        with Effort(WIRING_SHARE * spent.most, "wirings" if progress else None) as tried:
+        with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
             result = _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques)
             bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
             if bad and "wiring_doubt" not in result.attrs and turned is None and may_go_on():
@@ -289,6 +289,17 @@ def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
     why = ["; ".join(filter(None, (str(one), what))) for one in result["why_not_decided"].values]
     doubted = {name: ("pass_id", np.full(len(why), one)) for name, one in (("decided", False), ("wiring", DOUBTFUL))}
     return result.assign(doubted | {"why_not_decided": ("pass_id", why)})
+
+
+def _begin(body: Body, parts: list[np.ndarray], effort: float, progress: bool | Callable[[str], None]) -> None:
+    """Load the compiled step of a body, once a function `progress` has been called with what is searched and how long that may
+    take: an effort of one is about a minute and a half of one core."""
+    if callable(progress):
+        most = 1.5 * allowed(effort) / USUAL * (1 + WIRING_SHARE)
+        long = f"up to {most:.2g} minutes of one core" if np.isfinite(most) else "as long as it needs"
+        passes = f"{len(parts)} pass{'es' if len(parts) > 1 else ''}"
+        progress(f"{sum(map(len, parts))} samples in {passes}; the search takes {long}")
+    load(body)
 
 
 def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:

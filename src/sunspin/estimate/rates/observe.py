@@ -22,8 +22,15 @@ from sunspin.vehicle import Vehicle
 MAX_PASS_S = 3000.0
 """Longer passes are cut: half an orbit, over which a rate's wandering is still small against a turn."""
 
+MAX_FIELD_S = 1000.0
+"""The same if a magnetometer is read and no orbit is known: that the field turns ever faster or slower holds for a sixth of an
+orbit. Over half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014."""
+
 MAX_SAMPLES = 40
 """Samples of a pass beyond this are thinned."""
+
+DENSE = 12
+"""Samples among which a search looks for its first pairs."""
 
 GROWTH = 1.4
 """Ratio of neighbouring steps of the thinned samples: they leave from the file's own interval and widen to even steps."""
@@ -71,34 +78,57 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
     """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
     use = usable(o, why)
     if len(use) < 3:
-        lost = Counter(text.removeprefix("dropped: ") for text in why if text != "used").most_common(1)
+        lost = Counter(text.removeprefix("dropped: ") for text in why if text.startswith("dropped")).most_common(1)
         raise InputError(
             sentence("fewer than three samples say where the Sun is", got=f"{len(use)} of {len(o)}",
                      do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "") + "`sunspin check` says why samples are dropped")
         )  # fmt: skip
     times = o.t_s[use]
     gap = GAP_FACTOR * float(np.median(np.diff(times))) if gap_s is None else gap_s
+    unplaced = any(isinstance(term, Magnetometer) and term.known is None and term.pairs().any() for term in o.terms)
+    longest = MAX_FIELD_S if unplaced else MAX_PASS_S
     found = []
     for part in np.split(use, np.flatnonzero(np.diff(times) > gap) + 1):
-        pieces = max(1, int(np.ceil((o.t_s[part[-1]] - o.t_s[part[0]]) / MAX_PASS_S)))
+        pieces = max(1, int(np.ceil((o.t_s[part[-1]] - o.t_s[part[0]]) / longest)))
         edges = o.t_s[part[0]] + np.arange(1, pieces) * (o.t_s[part[-1]] - o.t_s[part[0]]) / pieces
-        found += [thinned(piece) for piece in np.split(part, np.searchsorted(o.t_s[part], edges)) if len(piece) >= 3]
+        pieces_of = np.split(part, np.searchsorted(o.t_s[part], edges))
+        found += [thinned(piece, _dense_from(o.informed[piece])) for piece in pieces_of if len(piece) >= 3]
     if not found:
         raise InputError(sentence("no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"))
     return found
 
 
-def thinned(index: np.ndarray) -> np.ndarray:
-    """At most `MAX_SAMPLES` of the samples: close together at first, where the rate is found, then ever farther apart.
+def _dense_from(informed: np.ndarray) -> int:
+    """From which of the samples of a pass a search may begin: the first if half of those next to it show the Sun (n, of true and
+    false), else the one whose next ones show it most often. A pass that begins in the shadow shows it later."""
+    after = np.convolve(informed, np.ones(DENSE))[DENSE - 1 :]
+    return 0 if after[0] >= DENSE / 2 or len(informed) <= MAX_SAMPLES else int(np.argmax(after))
+
+
+def thinned(index: np.ndarray, dense_from: int = 0) -> np.ndarray:
+    """At most `MAX_SAMPLES` of the samples: close together where the rate is determined first, then ever farther apart, to the end
+    and, from `dense_from` on, to the begin.
 
     Each step is at most `GROWTH` times the one before, so that what is known of the rate always carries to the next sample.
     """
     if len(index) <= MAX_SAMPLES:
         return index
+    sides = index[dense_from:], index[dense_from::-1]
+    splits = range(2, MAX_SAMPLES) if dense_from else ()
+    shares = [(_thinned_to(sides[0], MAX_SAMPLES + 1 - n), _thinned_to(sides[1], n)) for n in splits]
+    shares = [pair for pair in shares if pair[0][-1] == index[-1] and pair[1][-1] == index[0]]
+    if not shares:  # steps that grow to both sides do not reach the ends of a very long pass
+        return _thinned_to(index, MAX_SAMPLES)
+    return np.unique(np.concatenate(min(shares, key=lambda pair: max(np.abs(np.diff(side)).max(initial=0) for side in pair))))
+
+
+def _thinned_to(index: np.ndarray, most: int) -> np.ndarray:
+    if len(index) <= most:
+        return index
     low, high = 1.0, float(len(index))
     for _ in range(60):  # the largest step for which the steps reach the end
         widest = (low + high) / 2
-        steps = np.minimum(GROWTH ** np.arange(MAX_SAMPLES - 1), widest)
+        steps = np.minimum(GROWTH ** np.arange(most - 1), widest)
         low, high = (widest, high) if steps.sum() < len(index) - 1 else (low, widest)
-    place = np.concatenate([[0.0], np.cumsum(np.minimum(GROWTH ** np.arange(MAX_SAMPLES - 1), high))])
+    place = np.concatenate([[0.0], np.cumsum(np.minimum(GROWTH ** np.arange(most - 1), high))])
     return index[np.unique(np.minimum(np.round(place), len(index) - 1).astype(int))]

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.base.errors import printable
 from sunspin.base.provenance import provenance
 from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
@@ -23,9 +24,13 @@ from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.verdict import NARROWER, answers, misfit
 from sunspin.estimate.wheel_speeds import untold
+from sunspin.solve.rotations import continuous
 
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
+
+OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
+"""Where the error of panel readings comes from without a stated noise."""
 
 SUSPECTED = "the data alone, not counted"
 """Where a lateness comes from that the vehicle file does not speak of."""
@@ -38,6 +43,7 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
     covariance = np.concatenate([track.covariance[0] for track in best])
     sun = np.concatenate([track.sun_B[0] for track in best])
     means = [(p.mean, p.mean_sigma) for p in found]
+    pass_of = np.repeat(np.arange(len(found)), [len(p.index) for p in found])
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
@@ -49,6 +55,11 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         "frame_N": SUN_Z_LOCAL,
         "panels_left_out": ", ".join(name for x in o.terms if isinstance(x, Panels) for name in x.left_out),
     }  # fmt: skip
+    stated = vehicle.telemetry.noise
+    for counted in (x.sigma[np.isfinite(x.sigma)] for x in o.terms if isinstance(x, Panels)):
+        if len(counted):
+            attrs |= {"noise": float(np.median(counted)) if stated is None else stated,
+                      "noise_from": OF_SCATTER if stated is None else "given"}  # fmt: skip
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     attrs["wheels_untold"] = "" if attrs["gyro_used"] else ", ".join(untold(vehicle, telemetry))
@@ -58,8 +69,8 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
             "omega_cov_B": (("time", "axis", "axis2"), covariance[:, 3:, 3:], {"units": "rad2 s-2"}),
             "sun_B": (("time", "axis"), sun, {"units": "1", "long_name": "direction to the Sun, smoothed"}),
             "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
-            "B_from_N": (("time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
-            "pass_of": ("time", np.repeat(np.arange(len(found)), [len(p.index) for p in found])),
+            "B_from_N": (("time", "quaternion"), continuous(Rotation.from_matrix(attitude).as_quat(), pass_of), {"units": "1"}),
+            "pass_of": ("time", pass_of),
             "omega_mean_B": (("pass_id", "mode", "axis"), padded([m[0] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
@@ -82,11 +93,12 @@ def with_curves(result: xr.Dataset, o: Observations, found: list[Pass], motion: 
     attitude, omega, covariance = (np.concatenate([getattr(track, x)[0] for _, track in each])
                                    for x in ("attitude", "omega", "covariance"))  # fmt: skip
     sigma = np.sqrt(np.einsum("nii->ni", covariance[:, 3:, 3:]))
+    pass_of = np.repeat(np.arange(len(found)), [len(t) for t, _ in each])
+    quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), pass_of)
     return result.assign(
         curve_omega_B=(("curve_time", "axis"), omega, {"units": "rad s-1", "long_name": "rate between the samples"}),
         curve_omega_sigma_B=(("curve_time", "axis"), sigma, {"units": "rad s-1"}),
-        curve_B_from_N=(("curve_time", "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}),
-        curve_pass_of=("curve_time", np.repeat(np.arange(len(found)), [len(t) for t, _ in each])),
+        curve_B_from_N=(("curve_time", "quaternion"), quaternion, {"units": "1"}), curve_pass_of=("curve_time", pass_of),
     ).assign_coords(curve_time=("curve_time", np.concatenate([t for t, _ in each]), {"units": "s"}))
 
 
@@ -97,15 +109,17 @@ def in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observa
     sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
     about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
     result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
-        orbit=local.orbit.elements[0].number, orbit_shift_s=local.orbit.shift_s, orbit_drift_s_day=local.orbit.drift_s_day,
+        orbit=local.orbit.elements[0].number, orbit_name=printable(local.orbit.elements[0].name),
+        orbit_shift_s=local.orbit.shift_s, orbit_drift_s_day=local.orbit.drift_s_day,
         orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
     )  # fmt: skip
     if o.freed().field_N is None:
         return result
     turned = {}
-    for name, time in (("B_from_N", "time"), ("curve_B_from_N", "curve_time")):
+    for name, time, part in (("B_from_N", "time", "pass_of"), ("curve_B_from_N", "curve_time", "curve_pass_of")):
         attitude = Rotation.from_quat(result[name].values).as_matrix() @ local.N_from_J2000(result[time].values)
-        turned[name] = (time, "quaternion"), Rotation.from_matrix(attitude).as_quat(), {"units": "1"}
+        quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), result[part].values)
+        turned[name] = (time, "quaternion"), quaternion, {"units": "1"}
     return result.assign(turned).assign_attrs(frame_N=J2000)
 
 
@@ -193,7 +207,7 @@ def verdict(result: xr.Dataset) -> str:
     if count := int((fits & unique & ~informed).sum()):
         text += f"; in {count} one motion is left, but the data do not inform all of its components"
     if other := sum(one != AS_READ for one in result["model"].values):
-        text += f"; in {other} the motion is not that of the model as stated: what it may be is named"
+        text += f"; in {other} the motion is not that of the model as stated: what it may be stands with each pass"
     text += _left_open(result, fits & unique, fits & ~unique)
     if cut := result.attrs["cut_passes"]:
         text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"

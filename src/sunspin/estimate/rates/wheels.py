@@ -28,23 +28,29 @@ def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarr
     with one of its alternatives: which, is for the data to say.
     """
     t = np.asarray(telemetry["time"], dtype=np.float64)
-    none = np.zeros((len(t), 3))
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
-        return {"none": none}
+        return {"none": np.zeros((len(t), 3))}
+    return {what: _momentum(vehicle, speed) for what, speed in wheel_speeds(vehicle, telemetry, t).items()}
+
+
+def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t: np.ndarray) -> dict[str, np.ndarray]:
+    """What the wheels may be doing -> their speeds (n, n_wheel), rad/s, at times t (n), s from the epoch; those that coast do so
+    from the first sample."""
     if "wheel_speed_rad_s" in telemetry:
-        return {MEASURED: _momentum(vehicle, filled(t, telemetry, vehicle))}
+        return {MEASURED: filled(t, telemetry, vehicle)}
     nominal = np.array([wheel.speed_rad_s for wheel in vehicle.wheels])
-    found = {HELD: _momentum(vehicle, np.broadcast_to(nominal, (len(t), len(nominal))))}
+    found = {HELD: np.broadcast_to(nominal, (len(t), len(nominal)))}
     if np.any(nominal):
+        begin = float(telemetry["time"].values[0])
         names = dict.fromkeys(name for wheel in vehicle.wheels for name in wheel.alternative_frictions)
         for name in (None, *names):
             frictions = [w.friction if name is None else w.alternative_frictions.get(name, w.friction) for w in vehicle.wheels]
             if any(friction.coulomb_N_m or friction.viscous_N_m_s for friction in frictions):
                 speed = [
-                    spin_down_speed(f.coulomb_N_m, f.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, t - t[0])
+                    spin_down_speed(f.coulomb_N_m, f.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, t - begin)
                     for w, f in zip(vehicle.wheels, frictions, strict=True)
                 ]
-                found[COASTING + (f", friction {name!r}" if name else "")] = _momentum(vehicle, np.stack(speed, axis=1))
+                found[COASTING + (f", friction {name!r}" if name else "")] = np.stack(speed, axis=1)
     return found
 
 

@@ -36,6 +36,10 @@ LEAST_LIT, DARK = 0.01, 0.03
 """Part of the Sun's disc below which it is down; and what panels read in the shadow beside their noise, as a share of full Sun:
 zeros of converters."""
 
+UNTOLD_SHARE = 0.09
+"""Earth's light in full Suns on a panel that looks there, if an orbit says where it comes from and the file does not tell how much
+it is: what :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` of panels that face away from the Sun means."""
+
 UNUSABLE = ("dropped: no panel has a number", LATE, STALE)
 """What `panel_quality` says of samples that say nothing, in the shadow either."""
 AVERAGED = np.polynomial.legendre.leggauss(3)
@@ -127,7 +131,10 @@ class Panels(SunTerm):
     def placed(self, here: Surroundings) -> Self:
         """With the Sun up or down, and the Earth's light where it is known. In the shadow panels must be dark, and say no more;
         where the shift of the orbit leaves open whether the Sun is up, the sample's brightness is free."""
-        made = self if here.albedo_light_N is None else replace(self, earth_N=here.albedo_light_N)
+        made = self
+        if here.albedo_light_N is not None:
+            untold = self.earth_share == 0  # no panel has another opposite to it
+            made = replace(self, earth_N=here.albedo_light_N, earth_share=UNTOLD_SHARE if untold else self.earth_share)
         if here.lit is None or here.lit_sigma is None:
             return made
         dark = here.lit + here.lit_sigma < LEAST_LIT

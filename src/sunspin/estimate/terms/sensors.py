@@ -59,7 +59,9 @@ def read_terms(
         sun, why = None, np.full(telemetry.sizes["time"], UNREAD, dtype=object)
     else:
         sun, why = Panels.read(vehicle, telemetry) if source == "panels" else SunDirection.read(vehicle, telemetry, source)
-    others = [replace(x, calibration=calibration) if type(x) is Magnetometer else x for x in _read(vehicle, telemetry)]
+    t_s = np.asarray(telemetry["time"], dtype=np.float64)
+    others = [x if type(x) is not Magnetometer else x.with_own_zero(t_s) if calibration is None
+              else replace(x, calibration=calibration) for x in _read(vehicle, telemetry)]  # fmt: skip
     return tuple(term for term in (sun, *others) if term is not None), why
 
 

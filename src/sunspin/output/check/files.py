@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.output.check.samples import doubts, intervals, worth
+from sunspin.output.check.samples import doubts, intervals, noise_lines, worth
 from sunspin.output.kinds.telemetry import health_lines, health_summary, status_counts, status_lines
 from sunspin.telemetry.health import NOISE, made_by, panel_health
 from sunspin.telemetry.quality import lit_threshold, panel_quality
@@ -102,11 +102,11 @@ def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], 
     if missed and health["impossible"] and without_loss != NOISE:  # patterns may blame another where panels are turned
         health["explanations"], without_loss = [missed], ""
     summary = {
-        "status": status_counts(sun), "noise_from": str(sun.attrs["noise_from"]),
+        "status": status_counts(sun), "noise": float(sun.attrs["noise"]), "noise_from": str(sun.attrs["noise_from"]),
         **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
         "noise_made": without_loss == NOISE, "made_by": without_loss, "health_of_every": stride,
     }  # fmt: skip
-    return summary, status_lines(sun) + health_lines(summary)
+    return summary, status_lines(sun) + health_lines(summary) + noise_lines(sun)
 
 
 def _counted(n: int, noun: str) -> str:

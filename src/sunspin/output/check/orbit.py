@@ -12,6 +12,9 @@ from sunspin.environment.elements import nearest
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
+from sunspin.output.check.samples import noise_lines
+from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -40,7 +43,10 @@ def orbit_used(
     used, found, words = judged_orbit(orbit, craft, samples)
     summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
     calibration = None if used is None else field_calibration(used, craft, samples, found.made)
-    return used, calibration, {"orbit": summary}, [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
+    said = [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
+    if craft.telemetry.noise is None and "panel" in samples.coords:
+        said += noise_lines(sun_directions(craft, samples, lit_threshold=lit_threshold(craft, samples)))
+    return used, calibration, {"orbit": summary}, said
 
 
 def _nearest(orbit: Any, samples: xr.Dataset) -> Any:
@@ -66,7 +72,7 @@ def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
         "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border,
         "drift_s_day": found.drift_s_day, "drift_sigma_s_day": found.drift_sigma_s_day, "samples": found.samples,
         "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
-        "sign_turned": found.sign_turned,
+        "sign_turned": found.sign_turned, "turned_axes": found.turned_axes,
         "clock_behind_s": found.clock_behind_s, "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0],
         "notes": notes,
     }  # fmt: skip
@@ -81,6 +87,8 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
         lines.append(f"  {off}")
     if found.sign_turned:
         lines.append("  the magnetometer reads the field with the opposite sign: turn its `matrix` round")
+    if found.turned_axes:
+        lines.append(f"  {found.turned_axes}")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]

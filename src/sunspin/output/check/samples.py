@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
+from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.quality import SURELY_LIT, panel_quality, reasons
 from sunspin.telemetry.sun import LIT_SIGMAS, signals
 from sunspin.telemetry.units import wrong_units
@@ -36,6 +37,21 @@ def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> t
     misread = any(wrong.table == "telemetry" and wrong.key.startswith("scale") for wrong in found)
     summary = {"wrong_units": units, "wrong_axes": [axes] if axes else [], "panels_misread": misread}
     return summary | {"missing_sensors": missing, "unused_columns": unused}, lines
+
+
+def noise_lines(sun: xr.Dataset) -> list[str]:
+    """What the error of directions from panels rests on, where the vehicle file states no noise; `sun`: of `sun_directions`."""
+    noise, source = float(sun.attrs["noise"]), str(sun.attrs["noise_from"])
+    if source == "given" or not np.isfinite(noise):
+        return []
+    unit = {"power_W": "W", "current_A": "A"}[sun.attrs["quantity"]]
+    if source != ASSUMED_FROM:
+        return [f"  noise of panel readings: {noise:.3g} {unit}, {source}"]
+    return [
+        f"  NOISE NOT STATED: neither the vehicle file nor the samples give the noise of panel readings; {noise:.3g} {unit}, "
+        f"{ASSUMED_SHARE:.0%} of full Sun, is assumed for directions. Write what you know of it, or "
+        f"`noise = {noise:.3g}`, under [telemetry] of the vehicle file"
+    ]
 
 
 def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[dict[str, Any], list[str]]:

@@ -38,16 +38,16 @@ def _comments(attitude: Attitude) -> list[str]:
     return [*lines, "made from synthetic telemetry"] if attitude.synthetic else lines
 
 
-def _name(attitude: Attitude) -> str:
-    """The object's name on one line of printable ASCII, as the standard wants."""
-    return "".join(c if c.isascii() and c.isprintable() else "_" for c in attitude.name).strip() or "UNKNOWN"
+def _plain(text: str) -> str:
+    """A name on one line of printable ASCII, as the standard wants."""
+    return "".join(c if c.isascii() and c.isprintable() else "_" for c in text).strip()
 
 
 def _metadata(attitude: Attitude, part: np.ndarray) -> list[tuple[str, str]]:
     return [
-        ("OBJECT_NAME", _name(attitude)),
-        ("OBJECT_ID", _name(attitude)),
-        ("CENTER_NAME", "UNKNOWN"),
+        ("OBJECT_NAME", _plain(attitude.name) or "UNKNOWN"),
+        ("OBJECT_ID", _plain(attitude.number) or _plain(attitude.name) or "UNKNOWN"),
+        ("CENTER_NAME", attitude.centre),
         ("REF_FRAME_A", "EME2000" if attitude.frame == J2000 else attitude.frame),  # as the standard calls it
         ("REF_FRAME_B", BODY_FRAME),
         ("ATTITUDE_DIR", "A2B"),

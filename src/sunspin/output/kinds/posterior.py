@@ -13,7 +13,7 @@ import pandas as pd
 from sunspin.estimate.posterior.period import period_sentences
 from sunspin.estimate.posterior.predict import intervals
 from sunspin.estimate.posterior.prior_widths import prior_sentences
-from sunspin.estimate.posterior.verdict import sigmas
+from sunspin.estimate.posterior.verdict import TOO_FEW, sigmas
 from sunspin.estimate.posterior.verdict import summary as main_numbers
 from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
@@ -37,13 +37,16 @@ def posterior_summary(tree: Any) -> Summary:
     speed, low, high = _degrees(rate)
     lines.append(f"  angular speed at the first sample {speed} deg/s, 90 % in {low} to {high}")
     for mode in numbers["modes"][:MOST_MODES]:
-        known = mode["sigma"] is not None
-        digits = digits_of(np.degrees(mode["sigma"])) if known else 2
-        omega, sigma = (", ".join(f"{x:z.{digits}f}" for x in np.degrees(mode[key] or ())) for key in ("omega_B", "sigma"))
-        error = f"+- ({sigma}) deg/s" if known else "deg/s, too few draws for a sigma"
+        digits = digits_of(np.degrees(mode["sigma"]))
+        omega, sigma = (", ".join(f"{x:z.{digits}f}" for x in np.degrees(mode[key])) for key in ("omega_B", "sigma"))
+        rough = ", which is rough: few draws have weight" if mode["effective_draws"] < TOO_FEW else ""
+        error = f"+- ({sigma}) deg/s{rough}"
         lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) {error}  chi-square {mode['chi_square']:.0f}")
     worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
+    numbers |= {name: tree.attrs[name] for name in ("noise", "noise_from") if name in tree.attrs}
+    if numbers.get("noise_from", "given") != "given":
+        lines.append(f"  noise of panel readings: {numbers['noise']:.3g}, {numbers['noise_from']}")
     priors = json.loads(tree.attrs["priors"])
     lines.append("  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items()))
     if "hypotheses" in tree.attrs:

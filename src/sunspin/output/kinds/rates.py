@@ -32,7 +32,7 @@ def rates_summary(result: Any) -> Summary:
     """The verdict, and the motions of each pass, deg/s."""
     found = [_pass(result, k) for k in range(result.sizes["pass_id"])]
     texts, counts = np.unique(result["why"].values, return_counts=True)
-    numbers = {
+    numbers: dict[str, Any] = {
         "verdict": result.attrs["verdict"], "source": result.attrs["source"], "passes": [numbers for numbers, _ in found],
         "acceleration_noise": result.attrs["acceleration_noise"],
         "max_rate_deg_s": float(np.degrees(result.attrs["max_rate_rad_s"])),
@@ -47,6 +47,9 @@ def rates_summary(result: Any) -> Summary:
     counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
     silent = [f"  panel {', '.join(numbers['panels_left_out'])} never reads anything: dead, or never in the Sun; left out"]
     lines += silent if numbers["panels_left_out"] else []
+    numbers |= {name: result.attrs[name] for name in ("noise", "noise_from") if name in result.attrs}
+    if numbers.get("noise_from", "given") != "given":
+        lines.append(f"  error of panel readings: {numbers['noise']:.3g} (median), {numbers['noise_from']}")
     return Summary(numbers, [*lines, *_columns_unseen(result, numbers["passes"]), *counted])
 
 

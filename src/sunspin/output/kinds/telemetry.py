@@ -53,13 +53,14 @@ def sun_summary(sun: Any) -> Summary:
         "samples": int(known.size),
         "reconstructed": int(known.sum()),
         "status": status_counts(sun),
-        "median_sigma_deg": float(np.degrees(np.median(sigma))) if sigma.size and np.isfinite(sigma).all() else None,
-        "noise_from": sun.attrs["noise_from"],
+        "median_sigma_deg": float(np.degrees(np.median(sigma))) if sigma.size else None,
+        "noise": float(sun.attrs["noise"]), "noise_from": sun.attrs["noise_from"],
         "synthetic_telemetry": bool(sun.attrs.get("synthetic", 0)),
     }
     lines = [f"{known.sum()} of {known.size} samples give a direction to the Sun", *status_lines(sun)]
     if numbers["median_sigma_deg"] is not None:
-        lines.append(f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg (noise: {numbers['noise_from']})")
+        noise = "given" if numbers["noise_from"] == "given" else f"{numbers['noise']:.3g}, {numbers['noise_from']}"
+        lines.append(f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg (noise: {noise})")
     return Summary(numbers, lines)
 
 

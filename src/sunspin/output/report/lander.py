@@ -10,7 +10,7 @@ import xarray as xr
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from sunspin.output.report.passes import dense
+from sunspin.output.report.passes import dense, with_wheels
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Special, epoch_ms, motion_order
 from sunspin.output.text import capital
@@ -32,7 +32,7 @@ def section(results: Results) -> Section | None:
     vehicle = results.vehicle
     if vehicle is None:
         return None
-    motions = [made for name, data in _found(results) if (made := motion(vehicle, name, data)) is not None]
+    motions = [made for name, data in _found(results, vehicle) if (made := motion(vehicle, name, data)) is not None]
     if not motions:
         return None
     drawn = bool(vehicle.hull)
@@ -68,10 +68,12 @@ def section(results: Results) -> Section | None:
     return Section("lander", f"{capital(vehicle.name)} in motion", lead, [Special("lander", content, data)])
 
 
-def _found(results: Results) -> list[tuple[str, xr.Dataset]]:
-    found = []
+def _found(results: Results, vehicle: Vehicle) -> list[tuple[str, xr.Dataset]]:
+    found, telemetry = [], results.data.get("telemetry")
     for name, data in results.having("B_from_N", "sun_B", "omega_B"):
-        found += dense(data) if "pass_of" in data else [(str(data.attrs.get("title", name)), data)]
+        doing = str(data.attrs.get("wheels", ""))
+        passes = [(title, with_wheels(run, vehicle, telemetry, doing)) for title, run in dense(data)] if "pass_of" in data else []
+        found += passes if "pass_of" in data else [(str(data.attrs.get("title", name)), data)]
     return sorted(found, key=lambda item: motion_order(item[0]))
 
 
@@ -92,7 +94,7 @@ def motion(vehicle: Vehicle, name: str, data: xr.Dataset) -> dict[str, Any] | No
         "q": _b64(to_scene.as_quat()), "omega": _b64(np.linalg.norm(omega, axis=1)),
         "momentum": None if momentum is None else _b64(to_scene.apply(momentum)),
         "momentum_max": 0.0 if momentum is None else float(np.linalg.norm(momentum, axis=1).max()),
-        "wheel": [_b64(w) for w in wheels.T], "wheel_max": [float(np.abs(w).max()) for w in wheels.T],
+        "wheel": [_b64(w) for w in wheels.T], "wheel_max": [float(np.nan_to_num(np.abs(w)).max()) for w in wheels.T],
         "sun": to_scene.apply(sun)[0].tolist(),
         "power": base64.b64encode(np.round(255 * np.clip(power, 0, 1)).astype("u1").tobytes()).decode("ascii"),
         "events": events,

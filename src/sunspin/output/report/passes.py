@@ -7,6 +7,9 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.environment.frames import J2000
+from sunspin.estimate.rates.wheels import HELD, wheel_speeds
+from sunspin.estimate.wheel_speeds import untold
+from sunspin.vehicle import Vehicle
 
 MOST_PASSES = 12
 """The longest passes are shown."""
@@ -23,6 +26,19 @@ def dense(rates: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     lengths = {int(k): float(np.ptp(rates["curve_time"].values[pass_of == k])) for k in np.unique(pass_of)}
     chosen = sorted(sorted(lengths, key=lambda k: -lengths[k])[:MOST_PASSES])
     return [(f"Pass {int(rates['pass_id'].values[k])}", _dense(rates, k)) for k in chosen]
+
+
+def with_wheels(run: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset | None, doing: str) -> xr.Dataset:
+    """The motion `run` of :func:`dense` with the speeds of the wheels as `rates` took them, NaN where nothing says how fast one
+    turns; `doing`: the attribute `wheels` of its result. Without telemetry only a speed that is held is known."""
+    t = run["time"].values
+    read = xr.Dataset(coords={"time": t}) if telemetry is None else telemetry
+    known = wheel_speeds(vehicle, read, t) if telemetry is not None or HELD in doing else {}
+    what = max((name for name in known if doing.startswith(name) or len(known) == 1), key=len, default="")
+    speed = np.array(known[what]) if what else np.full((len(t), len(vehicle.wheels)), np.nan)
+    silent = untold(vehicle, read)
+    speed[:, [wheel.name in silent for wheel in vehicle.wheels]] = np.nan
+    return run.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
 
 
 def _dense(rates: xr.Dataset, k: int) -> xr.Dataset:

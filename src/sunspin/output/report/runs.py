@@ -7,6 +7,7 @@ import xarray as xr
 
 from sunspin.output.figures.rates import sources
 from sunspin.output.kinds.rate_words import rate_at
+from sunspin.output.kinds.rates import AS_STATED
 from sunspin.output.report.drawn import drawn
 from sunspin.output.report.read import Results
 from sunspin.output.report.section import Section, Table, utc_text
@@ -21,6 +22,9 @@ def rates(results: Results) -> Section | None:
     rows, said = [], [""] * found.sizes["pass_id"]
     if "why_not_decided" in found:
         said = [str(why) or "decided" for why in found["why_not_decided"].values]
+    if "model" in found:
+        said = [f"{text}; likeliest: {model}" if model != AS_STATED else text
+                for text, model in zip(said, found["model"].values.astype(str), strict=True)]  # fmt: skip
     for k in range(found.sizes["pass_id"]):
         at = np.flatnonzero(found["pass_of"].values == k)
         weight, rate = found["weight"].values[k], rate_at(found, k)

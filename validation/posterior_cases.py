@@ -1,0 +1,226 @@
+"""``python -m validation posterior_cases``: Philae as its file draws it, simulated without the package, and what the posterior says.
+
+Nothing of the simulator is the package's: the vehicle file is read as text, the gyrostat is integrated here, panels are cosines. The
+panels are not turned, the wheel coasts, moments, friction and the wheel's speed are off by the posterior's own sigmas, every
+reading has noise and those below zero are clipped; the noise that the vehicle states is right or 15 % off. Case i depends on seed
+and i alone; the first three are fixed in all but the draws: each of them was lost, or did not end, when they were written down.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import resource
+import time
+import tomllib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.integrate import solve_ivp
+
+from sunspin.base.errors import SunspinError
+from sunspin.compute.campaign import kept, rows_folder
+from sunspin.estimate.posterior.estimate import posterior
+from sunspin.telemetry.case import load_case
+
+CASES = 24
+
+SAMPLES, INTERVALS_S, MAX_RATES, MOST_TURNS = (13, 21), (30.0, 120.0), (0.2, 0.45), 4.5
+"""Ranges of samples, seconds between them and largest rates given (rad/s), and turns at the largest rate between two samples."""
+
+NOISES, STATED = (0.015, 0.04), (1.0, 0.85, 1.15)
+"""Noise as a part of the largest panel's full power, and what the vehicle file states of it, times the truth, in turn."""
+
+MOMENTS, FRICTION, SPEED = 0.01, 0.05, 0.005
+"""Relative sigmas by which the body is not as the file says."""
+
+FULL_W = 2.5
+"""Power of the largest panel at normal incidence."""
+
+NEAR_SIGMAS = 4.5
+"""A region is the truth's within this many sigmas of its rates, as in the calibration."""
+
+LIMIT_S, MEDIAN_S, LOST = 400.0, 100.0, 1
+"""Processor time of a case at most, of half of them, and how many of the 24 truths may be missing."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """`rate` rad/s at the first sample, or nan where it is drawn from the ball; `noise` as a part of the largest panel's power."""
+
+    seed: int
+    number: int
+    samples: int
+    interval_s: float
+    max_rate: float
+    noise: float
+    stated: float
+    rate: float = float("nan")
+
+
+def cases(seed: int = 0) -> Iterator[Case]:
+    """The cases of a seed."""
+    yield Case(seed, 0, 13, 60.0, 0.261, 0.036, 0.85, float(np.radians(14.6)))
+    yield Case(seed, 1, 15, 120.0, 0.236, 0.03, 1.0)
+    yield Case(seed, 2, 17, 30.0, 0.45, 0.03, 1.15)
+    for i in range(3, CASES):
+        rng = np.random.default_rng([seed, i])
+        samples, interval = int(rng.integers(SAMPLES[0], SAMPLES[1] + 1)), round(rng.uniform(*INTERVALS_S), 1)
+        fastest = min(MAX_RATES[1], MOST_TURNS * 2 * np.pi / interval)
+        limit = round(rng.uniform(MAX_RATES[0], fastest), 3)
+        yield Case(seed, i, samples, interval, limit, round(rng.uniform(*NOISES), 4), STATED[i % 3])
+
+
+def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
+    """Telemetry in the form of `read_telemetry`, the rate at the first sample (3), rad/s, and the true noise in W."""
+    rng = np.random.default_rng([case.seed, case.number, 1])
+    philae = tomllib.loads(files("sunspin").joinpath("cases/philae/vehicle.toml").read_text("utf-8"))
+    wheel, spin_down = philae["wheel"][0], {k: v["value"] for k, v in philae["wheel"][0]["friction"]["spin_down"].items()}
+    inertia = np.array(philae["body"]["inertia_kg_m2"]["value"])
+    inertia[np.diag_indices(3)] *= 1 + MOMENTS * rng.standard_normal(3)
+    own, speed = wheel["inertia_kg_m2"]["value"], wheel["speed_rad_s"]["value"] * (1 + SPEED * rng.standard_normal())
+    dry = spin_down["c2_per_s"] * spin_down["c3_rad_s"] * own * np.exp(FRICTION * rng.standard_normal())
+    viscous = -spin_down["c2_per_s"] * own * np.exp(FRICTION * rng.standard_normal())
+    way, sun = (x / np.linalg.norm(x) for x in rng.standard_normal((2, 3)))
+    size = case.max_rate * rng.random() ** (1 / 3)
+    omega = way * (case.rate if np.isfinite(case.rate) else size)
+    t = case.interval_s * np.arange(case.samples)
+    seen = directions(inertia, np.array(wheel["axis_B"]["value"]), own, (dry, viscous), (omega, sun, speed), t)
+    normals = np.array([panel["normal_B"]["value"] for panel in philae["panel"]])
+    cells = np.array([panel["cells"]["value"] for panel in philae["panel"]])
+    noise = case.noise * FULL_W
+    power = FULL_W * cells / cells.max() * np.maximum(seen @ normals.T, 0.0)
+    power = np.maximum(power + noise * rng.standard_normal(power.shape), 0.0)
+    names = [panel["name"] for panel in philae["panel"]]
+    data = {"power_W": (("time", "panel"), power, {"units": "W"}), "flag": ("time", np.zeros(len(t), np.uint8))}
+    attrs = {"epoch_utc": "2014-11-12T15:34:04Z", "synthetic": 1, "quantity": "power_W"}
+    return xr.Dataset(data, {"time": ("time", t, {"units": "s"}), "panel": names}, attrs), omega, noise
+
+
+def directions(
+    inertia: np.ndarray, axis: np.ndarray, own: float, friction: tuple[float, float],
+    start: tuple[np.ndarray, np.ndarray, float], t: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Sun (n, 3) in the body at times `t` (n) of a gyrostat whose wheel coasts and, once it stands, turns with the body.
+
+    `own`: the wheel's moment, `friction`: dry (N m) and viscous (N m s), `start`: rate, Sun, the wheel's speed at ``t[0]``. Total
+    momentum H and the wheel's own h in body axes: dH/dt = H x omega, dh/dt = M(W), dr/dt = r x omega, omega = A^-1 (H - h u).
+    """
+    omega, sun, speed = start
+    free, whole = np.linalg.inv(inertia - own * np.outer(axis, axis)), np.linalg.inv(inertia)
+
+    def turning(_, y, coasting):
+        momentum, seen, spin = y[:3], y[3:6], y[6]
+        rate = free @ (momentum - spin * axis) if coasting else whole @ momentum
+        w = spin / own - axis @ rate
+        torque = -np.sign(w) * (friction[0] + friction[1] * abs(w)) if coasting else 0.0
+        return np.concatenate([np.cross(momentum, rate), np.cross(seen, rate), [torque]])
+
+    def stands(_, y, coasting):
+        return y[6] / own - axis @ (free @ (y[:3] - y[6] * axis)) if coasting else 1.0
+
+    stands.terminal = True  # ty: ignore[unresolved-attribute]
+    y = np.concatenate([inertia @ omega + own * speed * axis, sun, [own * (speed + axis @ omega)]])
+    options = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
+    first = solve_ivp(turning, (t[0], t[-1] + 1e-9), y, t_eval=t, events=stands, args=(True,), **options)
+    seen = first.y[3:6].T
+    if len(seen) < len(t):
+        rest = t[len(seen):]
+        begin, y = float(first.t_events[0][0]), first.y_events[0][0]
+        later = solve_ivp(turning, (begin, t[-1] + 1e-9), y, t_eval=rest, args=(False,), **options)
+        seen = np.concatenate([seen, later.y[3:6].T])
+    return seen
+
+
+def run(case: Case, store: Path | None = None) -> dict[str, Any]:
+    """What the posterior says of a case, and whether the truth is in its list."""
+    telemetry, omega, noise = simulated(case)
+    vehicle = load_case("philae").vehicle
+    vehicle = replace(vehicle, telemetry=replace(vehicle.telemetry, noise=case.stated * noise))
+    row, began = asdict(case) | {"omega_B": omega.tolist()}, time.process_time()
+    try:
+        tree = posterior(vehicle, telemetry, {"max_rate_rad_s": case.max_rate}, 0, workers=1, store=store)
+    except SunspinError as error:
+        return row | {"word": "refused", "verdict": str(error), "listed": False, "processor_s": time.process_time() - began}
+    modes = tree["modes"]
+    off, spread = omega - modes["omega_B"].values, modes["omega_cov_B"].values + 1e-14 * np.eye(3)
+    far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
+    nearest = int(np.argmin(far))
+    return row | {
+        "word": tree.attrs["verdict_word"], "verdict": tree.attrs["verdict"], "listed": far[nearest] < NEAR_SIGMAS,
+        "far_sigmas": far[nearest], "weight": float(modes["weight"].values[nearest]), "regions": len(far),
+        "noise_sigmas": tree.attrs["noise_sigmas"], "p": tree.attrs["p_value"],
+        "processor_s": time.process_time() - began,
+    }  # fmt: skip
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """A line a case, and the counts beneath."""
+    head = "  i samples interval_s max_rad_s  rad/s noise stated word           listed  sigmas weight   s"
+    lines = [head]
+    for row in rows:
+        speed = np.linalg.norm(row["omega_B"])
+        lines.append(
+            f"{row['number']:3d} {row['samples']:7d} {row['interval_s']:10.1f} {row['max_rate']:9.3f} {speed:6.3f} {row['noise']:5.3f} "
+            f"{row['stated']:6.2f} {row['word']:<15s}{'yes' if row['listed'] else 'NO':>6s} {row.get('far_sigmas', np.nan):7.1f} "
+            f"{row.get('weight', np.nan):6.2f} {row['processor_s']:4.0f}"
+        )
+    took, words = [row["processor_s"] for row in rows], [row["word"] for row in rows]
+    counts = ", ".join(f"{words.count(word)} {word}" for word in sorted(set(words)))
+    lines.append(f"{sum(row['listed'] for row in rows)} of {len(rows)} truths in the list; {counts}; processor time: median "
+                 f"{np.median(took):.0f} s, longest {max(took):.0f} s")  # fmt: skip
+    return "\n".join(lines)
+
+
+def passed(rows: list[dict[str, Any]]) -> bool:
+    """Whether the rows of a whole seed are what the posterior has to give."""
+    took = [row["processor_s"] for row in rows]
+    lost = sum(not row["listed"] for row in rows)
+    return lost <= LOST and "not explained" not in {row["word"] for row in rows} and np.median(took) <= MEDIAN_S and max(took) <= LIMIT_S
+
+
+def limited(case: Case, limit_s: float) -> dict[str, Any]:
+    """The row of a case, in a process of its own that ends after so much processor time."""
+
+    def work(pipe: Any) -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s), int(limit_s) + 5))
+        pipe.send(json.dumps(run(case)))
+
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=work, args=(there,))
+    process.start()
+    there.close()
+    try:
+        row = json.loads(here.recv())
+    except EOFError:
+        omega = simulated(case)[1].tolist()
+        row = asdict(case) | {"omega_B": omega, "word": "did not end", "verdict": "", "listed": False, "processor_s": limit_s}
+    process.join()
+    return row
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("out", type=Path, help="where rows are kept: the same command goes on where it stopped")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--case", type=int, action="append", help="repeatable; all unless given")
+    parser.add_argument("--limit", type=float, default=LIMIT_S, help="processor time of a case in s, after which it is ended")
+
+
+def command(options: argparse.Namespace) -> int:
+    """Print the table; one unless the rows are what the posterior has to give."""
+    folder = rows_folder(options.out / f"posterior-cases-{options.seed}")
+    rows = []
+    for case in cases(options.seed):
+        if options.case is None or case.number in options.case:
+            rows.append(kept(folder / f"{case.number:02d}.json", partial(limited, case, options.limit)))
+            print(case.number, rows[-1]["word"], f"{rows[-1]['processor_s']:.0f} s", flush=True)
+    print(table(rows))
+    return int(not passed(rows))

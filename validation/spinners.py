@@ -1,0 +1,350 @@
+"""Simulated spinners: a small satellite that turns about one axis, coarse Sun sensors, a magnetometer with a large zero, an orbit.
+
+Nothing of the package makes them. SGP4 gives the place, IGRF the field, ERFA the Sun and the turn of the Earth; the motion is the
+closed form of a symmetric body (slow nutation, a spin that drifts by up to 1 % an orbit), the Earth reflects as a Lambert sphere.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import erfa
+import numpy as np
+import ppigrf
+from click.testing import CliRunner
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+from sgp4.api import Satrec, jday
+
+from sunspin.cli.check import check
+from sunspin.cli.rates import rates
+
+EARTH_KM, ORBIT_S = 6371.0, 5600.0
+FACES = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z": (0, 0, 1), "-Z": (0, 0, -1)}
+SUN_NOISE = 0.01
+"""Noise of a coarse Sun sensor over its full reading."""
+
+GAIN_A, FIELD_NOISE_NT = 0.02, 300.0
+ZERO_OFF, ZERO_OPEN = 0.2, 3.0
+"""Error of a stated zero, and the sigma of one that is not known, over the usual field (35 uT)."""
+
+SEEN = 0.25
+"""Part of the day, at least, in which some face sees the Sun: a file that never shows it says nothing without an orbit."""
+
+USUAL_NT = 35_000.0
+WRONG_NODE_DEG = 20.0
+
+
+class Case(NamedTuple):
+    """One simulated file: what was drawn for it. `faces`: names of panels; `turned`: rows of a signed permutation (3, 3), the axis
+    along which each column of the magnetometer reads; `zero` (3), over the usual field; `zero_known`: the vehicle file states it;
+    `moments`: that about the axis of the spin over that across."""
+
+    seed: int
+    number: int
+    spin_deg_s: float
+    axis: int
+    nutation_deg: float
+    faces: tuple[str, ...]
+    turned: tuple[tuple[int, ...], ...]
+    zero: tuple[float, ...]
+    zero_known: bool
+    moments: float
+    inertia_known: bool
+    albedo: float
+    step_s: float
+    samples: int
+
+    @property
+    def whole_orbit(self) -> bool:
+        return self.samples * self.step_s > 0.95 * ORBIT_S
+
+    @property
+    def turns(self) -> float:
+        return abs(self.spin_deg_s) * self.samples * self.step_s / 360
+
+    @property
+    def is_turned(self) -> bool:
+        return self.turned != ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+
+
+def cases(seed: int, count: int, whole: bool | None = None) -> list[Case]:
+    """Cases drawn from a seed; `whole`: all over a whole orbit (true), all shorter (false), or half of each."""
+    return [_case(seed, number, number % 2 == 0 if whole is None else whole) for number in range(count)]
+
+
+def _case(seed: int, number: int, whole: bool) -> Case:
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    speed = float(10 ** rng.uniform(np.log10(0.2), np.log10(60)))
+    steps = [step for step in (1.0, 2.0, 5.0, 10.0) if step * speed < 100]
+    step = float(rng.choice(steps[-2:]))
+    span = ORBIT_S if whole else float(10 ** rng.uniform(np.log10(76), np.log10(2500)))
+    names = tuple(rng.permutation(list(FACES))[: rng.integers(1, 6)].tolist())
+    turned = np.eye(3, dtype=int)
+    if rng.random() < 1 / 3:
+        turned = np.rint(Rotation.create_group("O").as_matrix()[rng.integers(1, 24)]).astype(int)
+    zero = 10 ** rng.uniform(np.log10(0.3), np.log10(5)) * unit(rng)
+    return Case(
+        seed, number, float(speed * rng.choice([-1, 1])), int(rng.integers(3)), float(rng.uniform(0, 1.5)), names,
+        tuple(map(tuple, turned.tolist())), tuple(zero.tolist()), bool(rng.random() < 0.7), float(rng.uniform(0.3, 1.9)),
+        bool(rng.random() < 0.85), float(rng.uniform(0.1, 0.3)), step, max(76, int(span / step)),
+    )  # fmt: skip
+
+
+def unit(rng: np.random.Generator) -> np.ndarray:
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+class Sky(NamedTuple):
+    """Along the orbit at n instants, true equator and equinox of date: `place_km`, `field_nT` and `sun` (n, 3), `lit` (n)."""
+
+    place_km: np.ndarray
+    field_nT: np.ndarray
+    sun: np.ndarray
+    lit: np.ndarray
+
+
+def elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
+    """Two lines of a low orbit, their epoch up to three days before the start."""
+    inclination, node, perigee, anomaly = rng.uniform([40, 0, 0, 0], [99, 360, 360, 360])
+    epoch = start - timedelta(days=float(rng.uniform(0, 3)))
+    day = (epoch - datetime(epoch.year, 1, 1)).total_seconds() / 86400 + 1
+    first = f"1 99999U 25001A   {epoch.year % 100:02d}{day:012.8f}  .00001000  00000-0  50000-4 0  999"
+    shape = f"{int(rng.uniform(2e3, 2e4)):07d} {perigee:8.4f} {anomaly:8.4f} {rng.uniform(15.0, 15.6):11.8f}"
+    second = f"2 99999 {inclination:8.4f} {node:8.4f} {shape}    1"
+    return summed(first), summed(second)
+
+
+def summed(line: str) -> str:
+    """A line of elements with its check digit."""
+    return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
+
+
+def with_node_turned(second: str, by_deg: float) -> str:
+    return summed(f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}")
+
+
+def along_orbit(two_lines: tuple[str, str], start: datetime, t_s: np.ndarray, ahead_s: float) -> Sky:
+    """Of a satellite so many s ahead of its elements, at s after the start."""
+    knots = np.arange(-20.0, t_s[-1] + 40.0, 10.0)
+    day, fraction = jday(start.year, start.month, start.day, start.hour, start.minute, start.second)
+    error, place, _ = Satrec.twoline2rv(*two_lines).sgp4_array(np.full(len(knots), day), fraction + (knots + ahead_s) / 86400)
+    if error.any():
+        raise ValueError("SGP4 does not propagate these elements")
+    sidereal = erfa.gmst82(day, fraction + knots / 86400)
+    radius = np.linalg.norm(place, axis=1)
+    theta, phi = np.arccos(place[:, 2] / radius), np.arctan2(place[:, 1], place[:, 0])
+    up, south, east = (part[0] for part in ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi - sidereal), start))
+    level = up * np.sin(theta) + south * np.cos(theta)
+    field = np.column_stack([level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi),
+                             up * np.cos(theta) - south * np.sin(theta)])  # fmt: skip
+    earth = erfa.epv00(day, fraction)[0]["p"]
+    sun = erfa.pnm06a(day, fraction) @ -earth
+    sun = np.tile(sun / np.linalg.norm(sun), (len(t_s), 1))
+    place_at = CubicSpline(knots, place)(t_s)
+    along = (place_at * sun).sum(axis=1)
+    lit = (along > 0) | (np.linalg.norm(place_at - along[:, None] * sun, axis=1) > EARTH_KM)
+    return Sky(place_at, CubicSpline(knots, field)(t_s), sun, lit)
+
+
+def spin(case: Case, t_s: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Rates (n, 3) rad/s in the body and turns (n, 3, 3) from space to body, of a body symmetric about the axis of its spin.
+
+    About its momentum the body turns evenly, about its axis it turns back by what is too much; a torque along the momentum
+    stretches the time.
+    """
+    ratio, nutation = case.moments, np.radians(case.nutation_deg)
+    faster = float(rng.uniform(-0.01, 0.01)) / ORBIT_S
+    tau, stretched = t_s + faster * t_s**2 / 2, 1 + faster * t_s
+    spin_rate = np.radians(case.spin_deg_s)
+    # about the axis w3; momentum over the moment across, L/It = w3 ratio / cos(nutation); the body's own turn w3 (1 - ratio)
+    about_momentum, about_axis = spin_rate * ratio / np.cos(nutation), spin_rate * (1 - ratio)
+    begin = rng.uniform(0, 2 * np.pi)
+    own = Rotation.from_rotvec(np.outer(-(begin + about_axis * tau), [0, 0, 1]))
+    tilt = Rotation.from_rotvec([nutation, 0, 0])
+    momentum = Rotation.from_rotvec(np.outer(-about_momentum * tau, [0, 0, 1]))
+    across = spin_rate * ratio * np.tan(nutation)  # L/It sin(nutation)
+    rates = (own * tilt).apply([0, 0, about_momentum])
+    rates = (rates + [0, 0, about_axis]) * stretched[:, None]
+    assert np.allclose(np.linalg.norm(rates[:, :2], axis=1), abs(across) * stretched)
+    permuted = np.roll(np.eye(3), case.axis - 2, axis=0)  # the axis of the spin is that of the case
+    body = (own * tilt * momentum * Rotation.random(random_state=int(rng.integers(2**31)))).as_matrix()
+    return rates @ permuted.T, permuted @ body
+
+
+def earth_light(sky: Sky, body: np.ndarray, normals: np.ndarray, albedo: float) -> np.ndarray:
+    """Light of the Earth on faces (n, p), in full Suns; a face over the sunlit ground right below it gets about `albedo`."""
+    rings, around = 8, 16
+    light = np.zeros((len(body), len(normals)))
+    for k, (place, sun) in enumerate(zip(sky.place_km, sky.sun, strict=True)):
+        radius = np.linalg.norm(place)
+        up = place / radius
+        edge = np.arccos(EARTH_KM / radius)
+        psi = edge * (np.arange(rings) + 0.5) / rings
+        side = np.cross(up, [0.3, 0.5, 0.8])
+        side /= np.linalg.norm(side)
+        azimuth = 2 * np.pi * np.arange(around) / around
+        flat = np.cos(azimuth)[:, None] * side + np.sin(azimuth)[:, None] * np.cross(up, side)
+        ground = (np.cos(psi)[:, None, None] * up + np.sin(psi)[:, None, None] * flat).reshape(-1, 3)
+        ring = np.cos(psi - edge / rings / 2) - np.cos(psi + edge / rings / 2)
+        area = np.repeat(2 * np.pi / around * EARTH_KM**2 * ring, around)
+        ray = EARTH_KM * ground - place
+        distance = np.linalg.norm(ray, axis=1)
+        ray /= distance[:, None]
+        sent = np.maximum(ground @ sun, 0) * np.maximum(-(ray * ground).sum(axis=1), 0) * area / distance**2 / np.pi
+        light[k] = np.maximum(normals @ (body[k] @ ray.T), 0) @ sent
+    full = (EARTH_KM / np.linalg.norm(sky.place_km, axis=1).mean()) ** 2  # of a Lambert sphere of albedo one, right above
+    return albedo / full * light
+
+
+def make(case: Case, folder: Path) -> dict[str, Any]:
+    """Write `vehicle.toml`, `telemetry.csv`, `right.tle` and `wrong.tle`; returns the truth: `t_s`, `rates_deg_s` (n, 3), and the
+    magnetometer's reading = `matrix` field + `zero_nT`."""
+    rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.number, 1)))
+    start = datetime(2026, 1, 1) + timedelta(days=float(np.round(rng.uniform(0, 200), 2)))
+    start = start.replace(microsecond=0)
+    t_s = case.step_s * np.arange(case.samples)
+    ahead_s = float(rng.normal(0, 1.0))
+    normals = np.array([FACES[name] for name in case.faces], dtype=float)
+    while True:
+        two_lines = elements(rng, start)
+        sky = along_orbit(two_lines, start, t_s, ahead_s)
+        rates, body = spin(case, t_s, rng)
+        sun_B, field_B = (np.einsum("nij,nj->ni", body, part) for part in (sky.sun, sky.field_nT))
+        direct = np.maximum(sun_B @ normals.T, 0) * sky.lit[:, None]
+        right_night = sky.lit.mean() < 0.8 if case.whole_orbit else sky.lit.mean() > 0.9
+        if right_night and ((direct > 0.3).any(axis=1)[sky.lit]).mean() > SEEN:
+            break
+    light = direct + earth_light(sky, body, normals, case.albedo)
+    gain = np.exp(0.02 * rng.normal(size=len(normals)))
+    current = GAIN_A * (gain * light + SUN_NOISE * rng.normal(size=light.shape))
+    bent = np.eye(3) + 0.03 * rng.normal(size=(3, 3)) + np.diag(0.03 * rng.normal(size=3))
+    zero = USUAL_NT * np.array(case.zero)
+    inside = field_B @ bent.T + zero + FIELD_NOISE_NT * rng.normal(size=field_B.shape)
+    reading = inside @ np.array(case.turned, dtype=float).T
+    folder.mkdir(parents=True, exist_ok=True)
+    header = ",".join(["time", *(f"i{name}" for name in case.faces), "mx", "my", "mz"])
+    rows = [f"{(start + timedelta(seconds=t)).isoformat(timespec='milliseconds')}Z,"
+            + ",".join(f"{x:.5f}" for x in i) + "," + ",".join(f"{x:.0f}" for x in b)
+            for t, i, b in zip(t_s.tolist(), current, reading, strict=True)]  # fmt: skip
+    (folder / "telemetry.csv").write_text("\n".join([header, *rows]) + "\n", "utf-8")
+    stated = np.array(case.turned) @ zero + ZERO_OFF * USUAL_NT * rng.normal(size=3) if case.zero_known else np.zeros(3)
+    open_nT = USUAL_NT * (ZERO_OFF if case.zero_known else ZERO_OPEN)
+    (folder / "vehicle.toml").write_text(_vehicle(case, stated, open_nT), "utf-8")
+    for name, by_deg in (("right", 0.0), ("wrong", WRONG_NODE_DEG if rng.random() < 0.5 else -WRONG_NODE_DEG)):
+        (folder / f"{name}.tle").write_text(f"SPINNER\n{two_lines[0]}\n{with_node_turned(two_lines[1], by_deg)}\n", "utf-8")
+    return {"t_s": t_s.tolist(), "rates_deg_s": np.degrees(rates).tolist(), "lit": float(sky.lit.mean()),
+            "matrix": (np.array(case.turned) @ bent).tolist(), "zero_nT": (np.array(case.turned) @ zero).tolist()}  # fmt: skip
+
+
+def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
+    lines = ['name = "spinner"']
+    if case.inertia_known:
+        moments = np.full(3, 0.03)
+        moments[case.axis] *= case.moments
+        lines += ["[body]", f"inertia_kg_m2 = {{ value = {np.round(np.diag(moments), 5).tolist()}, sigma = 0.001 }}"]
+    for name in case.faces:
+        lines += ["[[panel]]", f'name = "{name}"', f"normal_B = {list(FACES[name])}", f"gain_A = {GAIN_A}"]
+    lines += ["[telemetry]", 'quantity = "current_A"', 'time_column = "time"', f"noise = {SUN_NOISE * GAIN_A}"]
+    lines += ["[telemetry.columns]"]
+    lines += [f'"{name}" = "i{name}"' for name in case.faces]
+    zero = ", ".join(f"{x:.0f}" for x in zero_nT)
+    lines += ["[magnetometer]", 'columns = ["mx", "my", "mz"]', f"noise = {FIELD_NOISE_NT}", "scale_T = 1e-9",
+              f"zero = {{ value = [{zero}], sigma = {open_nT:.0f} }}", "[disturbance]", "max_rate_rad_s = 1.2"]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+# ------------------------------------------------------------------------------------------------------------------------ judging
+
+
+def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
+    """One row: what the program says of a case. `what`: "check" or "rates", a space, and "right", "wrong" or "none" (elements)."""
+    command, which = what.split()
+    truth = make(case, folder)
+    arguments = [str(folder / "vehicle.toml"), str(folder / "telemetry.csv"), "--json"]
+    arguments += [] if which == "none" else ["--tle", str(folder / f"{which}.tle")]
+    arguments += ["--workers", "1", "--quiet"] if command == "rates" else []
+    began = time.process_time()
+    done = CliRunner().invoke({"check": check, "rates": rates}[command], arguments)
+    row: dict[str, Any] = case._asdict() | {
+        "what": what, "turns": case.turns, "whole": case.whole_orbit, "processor_s": time.process_time() - began,
+        "lit": truth["lit"], "exit_code": done.exit_code,
+        "defect": done.exception is not None and not isinstance(done.exception, SystemExit),
+    }  # fmt: skip
+    if done.exit_code:
+        return row | {"error": (done.stderr or repr(done.exception))[-300:]}
+    said = json.loads(done.stdout)
+    if "orbit" in said:
+        row |= {"orbit": {key: said["orbit"][key] for key in ORBIT_KEYS if key in said["orbit"]}}
+    if command == "rates":
+        row |= {"verdict": said["verdict"], "passes": [_pass(case, truth, one) for one in said["passes"]]}
+    return row
+
+
+ORBIT_KEYS = ("verdict", "better_copies", "copies_expected_better_by_chance", "node_turn_times", "samples", "field_residual_T",
+              "sun_field_residual_rad", "sign_turned", "turned_axes")  # fmt: skip
+
+
+def _pass(case: Case, truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
+    """A pass of `rates` compared with the truth at the instant for which it states its rates, deg/s."""
+    true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - said["at_s"]).argmin()]
+    best = said["modes"][0]
+    omega, sigma = (np.array([best[f"{name}_{axis}_deg_s"] for axis in "xyz"]) for name in ("omega", "sigma"))
+    off = omega - true
+    return {
+        "turns": abs(case.spin_deg_s) * (said["end_s"] - said["start_s"]) / 360, "decided": said["decided"],
+        "why_not": said["why_not_decided"], "samples": said["samples"], "omega": omega.tolist(), "true": true.tolist(),
+        "off": float(off[case.axis]), "sigma": float(sigma[case.axis]), "off_all": off.tolist(), "sigma_all": sigma.tolist(),
+        "wrong": bool((np.abs(off) > np.maximum(WRONG_SIGMAS * sigma, WRONG_DEG_S)).any()),
+    }  # fmt: skip
+
+
+WRONG_SIGMAS, WRONG_DEG_S = 5.0, 0.1
+"""A rate is wrong if a component is off by more than both."""
+
+
+FEWEST_TURNS, SHORT_S = 10.0, 600.0
+"""Passes of fewer turns, and orbits judged by fewer s of a file, are counted apart."""
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """What was counted, a line for each kind of run."""
+    lines = [f"defects: {sum(row['defect'] for row in rows)} of {len(rows)} runs"]
+    for which in ("right", "wrong"):
+        for long in (True, False):
+            command = "check" if long else "rates"
+            found = [row for row in rows if row["what"] == f"{command} {which}" and (row["samples"] * row["step_s"] > SHORT_S) is long]
+            said = [row["orbit"]["verdict"] for row in found if "orbit" in row]
+            counts = ", ".join(f"{said.count(one)} {one}" for one in ("fits", "undecided", "refused"))
+            lines += [f"{which} elements, files of {'more' if long else 'less'} than 10 minutes: {counts}"] if found else []
+    named = [(row, bool(row["orbit"]["turned_axes"])) for row in rows if row["what"] == "check right" and "orbit" in row]
+    turned, others = ([said for row, said in named if _is_turned(row) is kind] for kind in (True, False))
+    lines.append(f"turned axes: named in {sum(turned)} of {len(turned)} files, and in {sum(others)} of {len(others)} others")
+    for which in ("none", "right"):
+        for inertia in (True, False):
+            some = [row for row in rows if row["what"] == f"rates {which}" and row["inertia_known"] is inertia]
+            parts = [one for row in some if not _is_turned(row) for one in row.get("passes", ()) if one["turns"] >= FEWEST_TURNS]
+            lines += [_line(f"rates, elements {which}, moments {'stated' if inertia else 'not stated'}", parts)] if parts else []
+    times = [row["processor_s"] for row in rows if row["what"].startswith("rates") and row["samples"] == 5600]
+    lines += [f"processor, 5,600 samples: at most {max(times):.0f} s"] if times else []
+    return "\n".join(lines)
+
+
+def _line(name: str, parts: list[dict[str, Any]]) -> str:
+    off, sigma = (np.array([part[key] for part in parts]) for key in ("off", "sigma"))
+    decided = np.array([part["decided"] for part in parts])
+    pull = np.sqrt(np.mean((off / sigma)[decided] ** 2)) if decided.any() else np.nan
+    wrong = sum(part["wrong"] for part in parts if part["decided"])
+    return (
+        f"{name}: {len(parts)} passes of ten turns and more, {(~decided).sum()} undecided; along the spin axis: median error "
+        f"{np.median(np.abs(off)):.3f} deg/s, rms pull of those decided {pull:.2f}; {wrong} decided and off by 5 sigma"
+    )
+
+
+def _is_turned(row: dict[str, Any]) -> bool:
+    return not np.array_equal(row["turned"], np.eye(3))
