@@ -254,11 +254,13 @@ def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Cha
     telemetry = telemetry.isel(time=slice(None, None, -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)))
     known_scale = vehicle.gain_unit is not None
     low, high = (0.0 if vehicle.throttled else BRIGHT[0]), BRIGHT[1]
+    noise = 0.0 if vehicle.telemetry.noise is None else vehicle.telemetry.noise / float(gains.min())
+    error = float(np.hypot(READING_ERROR, noise))
     squares = []
     for change in changes:
         other, data = change.applied(vehicle, telemetry)
         read = np.nan_to_num(signals(data)) / gains
-        read = read[(read > READING_ERROR).any(axis=1)]
+        read = read[(read > error).any(axis=1)]
         light = other.response_in().power(sun) / gains
         size, along = np.maximum((light**2).sum(axis=1), 1e-12), read @ light.T
         whole = (read**2).sum(axis=1)[:, None]
@@ -266,7 +268,7 @@ def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Cha
         best = np.argmin(whole - free * np.maximum(along, 0.0), axis=1)
         scale = 1.0 if known_scale or not len(read) else float(np.quantile(free[np.arange(len(read)), best], 0.9))
         level = np.clip(free, low * scale, high * scale)
-        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / READING_ERROR**2)
+        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / error**2)
     each = np.array(squares)
     if not each.size:
         return np.zeros(len(changes))
