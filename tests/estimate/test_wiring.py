@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate.equivalence import Observed, column_changes
-from sunspin.estimate.wiring import Better, Culprit, better, of_sensor
+from sunspin.estimate.wiring import Better, Culprit, better, implausible, of_sensor
 from sunspin.output.kinds.rates import rates_summary
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
@@ -175,6 +175,13 @@ def test_another_wiring_of_panels_must_be_clearly_better_and_fit():
     assert sought(CUBE, data, evidence(9.0), lambda *_: motion()) is None
     assert sought(CUBE, data, evidence(30.0), lambda *_: motion(fits=False)) is None
     assert sought(replace(CUBE, panels=()), data.drop_vars("power_W"), evidence(30.0), lambda *_: motion()) is None
+
+
+def test_samples_by_themselves_show_some_exchanges():
+    """Opposite panels lit together: no Sun lights them. A mirror image is not seen so."""
+    right = exchanged_columns(0, 0)
+    assert not implausible(CUBE, right)
+    assert implausible(CUBE, exchanged_columns(1, 5)) and not implausible(CUBE, exchanged_columns(1, 4))
 
 
 def test_only_changes_that_the_samples_allow_are_searched_with():

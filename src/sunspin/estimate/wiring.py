@@ -56,6 +56,9 @@ WORTH_A_SEARCH = 30.0
 """Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 120
 files with two columns exchanged the right change was at most 0.4 from the best."""
 
+MOST_COMPARED = 60
+"""Samples that are compared so, evenly chosen."""
+
 MOST_RUNS = 3
 """Changes that are estimated in full, at most."""
 
@@ -199,7 +202,8 @@ def _of_panels(observed: Observed, telemetry: xr.Dataset, evidence: Evidence, ru
         return None
     columns, wheels = column_changes(vehicle, telemetry), wheel_changes(vehicle) if len(observed.momenta) else []
     every = [*columns, *wheels]
-    likely = [every[k] for k in _plausible(vehicle, telemetry, every)]
+    cost = _sample_costs(vehicle, telemetry, every)
+    likely = [every[int(k)] for k in np.argsort(cost, kind="stable") if cost[k] <= cost.min() + WORTH_A_SEARCH]
     both = [one.with_wheels(w.reversed_wheels, [x.name for x in vehicle.wheels]) for one in likely if one.columns for w in wheels]
     for changes in (likely, both):
         classes: list[Change] = []
@@ -237,16 +241,26 @@ def _middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
     return result["omega_B"].values[at], float(t[at])
 
 
-def _plausible(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> list[int]:
-    """Numbers of the changes under which the samples, each by itself, may be of one Sun, the likeliest first."""
+def implausible(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
+    """Whether the samples, each by itself, fit some change of columns far better than the file as it is written."""
+    cost = _sample_costs(vehicle, telemetry, [AS_WRITTEN, *column_changes(vehicle, telemetry)])
+    return bool(cost[0] > cost.min() + WORTH_A_SEARCH)
+
+
+def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> np.ndarray:
+    """Log likelihood (m), less that of the best conceivable, that samples cost which are each compared by themselves with every
+    direction of the Sun under each change."""
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
+    telemetry = telemetry.isel(time=slice(None, None, -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)))
     known_scale = vehicle.gain_unit is not None
     low, high = (0.0 if vehicle.throttled else BRIGHT[0]), BRIGHT[1]
+    noise = 0.0 if vehicle.telemetry.noise is None else vehicle.telemetry.noise / float(gains.min())
+    error = float(np.hypot(READING_ERROR, noise))
     squares = []
     for change in changes:
         other, data = change.applied(vehicle, telemetry)
         read = np.nan_to_num(signals(data)) / gains
-        read = read[(read > READING_ERROR).any(axis=1)]
+        read = read[(read > error).any(axis=1)]
         light = other.response_in().power(sun) / gains
         size, along = np.maximum((light**2).sum(axis=1), 1e-12), read @ light.T
         whole = (read**2).sum(axis=1)[:, None]
@@ -254,14 +268,12 @@ def _plausible(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change
         best = np.argmin(whole - free * np.maximum(along, 0.0), axis=1)
         scale = 1.0 if known_scale or not len(read) else float(np.quantile(free[np.arange(len(read)), best], 0.9))
         level = np.clip(free, low * scale, high * scale)
-        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / READING_ERROR**2)
+        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / error**2)
     each = np.array(squares)
     if not each.size:
-        return list(range(len(changes)))
+        return np.zeros(len(changes))
     each /= max(1.0, float(np.median(each, axis=1).min()) / len(gains))  # where the Earth's light is more than that error
-    cost = np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
-    order = np.argsort(cost, kind="stable")
-    return [int(k) for k in order if cost[k] <= cost.min() + WORTH_A_SEARCH]
+    return np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
 
 
 def _fits(result: xr.Dataset | None) -> bool:
