@@ -19,13 +19,19 @@ import xarray as xr
 
 from sunspin.environment.orbit import Orbit, turned
 from sunspin.estimate.orbit.along_track import AlongTrack
-from sunspin.estimate.orbit.invariants import MATRIX_SIGMA, STUDENT, ZERO_SIGMA, spread_evenly
+from sunspin.estimate.orbit.invariants import (
+    EARTH_ALIKE,
+    EARTH_RAD,
+    MATRIX_SIGMA,
+    STUDENT,
+    ZERO_SIGMA,
+    spread_evenly,
+    sun_by_panels,
+)
 from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import cross_matrix, tangents, turn
-from sunspin.telemetry.quality import lit_threshold
-from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
 
 SCALE_FREE = 3.0
@@ -273,7 +279,8 @@ def readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
     usual = np.median(np.diff(time)) if n > 1 else 1.0
     passes = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])
     seen = Readings(time, angle, is_turned, sun, np.hypot(sun_sigma, PANEL_SIGMA_RAD), field, passes)
-    return seen.take(spread_evenly(telemetry, seen.has_field | seen.has_sun, MOST_SAMPLES))
+    both = seen.has_field & seen.has_sun
+    return seen.take(spread_evenly(telemetry, seen.has_field | seen.has_sun, MOST_SAMPLES, both))
 
 
 def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -281,8 +288,9 @@ def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray,
     n = telemetry.sizes["time"]
     sun, sigma = np.full((n, 3), np.nan), np.full(n, np.nan)
     if "panel" in telemetry.coords:
-        found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
-        sun, sigma = found["sun_B"].values, found["sigma_rad"].values
+        found, by_earth = sun_by_panels(vehicle, telemetry)
+        earth = np.sqrt(2) * EARTH_RAD * np.sqrt(max(min(by_earth.sum(), MOST_SAMPLES) / EARTH_ALIKE, 1.0))
+        sun, sigma = found["sun_B"].values, np.hypot(found["sigma_rad"].values, earth * by_earth)
     elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
         sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)
     known = np.isfinite(sigma)  # a direction without an error is no reading
