@@ -1,0 +1,131 @@
+"""Each sentence that tells a user what to do is followed as it stands, and what it promised comes. All telemetry is synthetic."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from clock_twins import craft
+from clock_twins import twin as late_twin
+from fast_twins import Kind
+from fast_twins import twin as fast_twin
+from sunspin.estimate.rates.alternatives import TORQUES_STRONGER
+from sunspin.estimate.rates.finish import Pass
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.result import _models, more_effort, slower
+from sunspin.estimate.rates.start import coarse, finest
+from sunspin.estimate.rates.state import Motion
+from sunspin.vehicle import Panel, Vehicle
+from sunspin.vehicle.file import parse_vehicle
+from sunspin.vehicle.sensors import Gyro, Sensors
+
+NORMALS = np.vstack([np.eye(3), -np.eye(3)])
+CUBE = Vehicle("cube", gain_unit="W", inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
+               panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)])  # fmt: skip
+
+
+def seen(omega, t, seed: int = 1, noise: float = 0.01, body: Vehicle = CUBE) -> xr.Dataset:
+    """Powers of a cube that turns freely."""
+    run = ss.propagate(body, omega, [0.6, 0.0, 0.8], None, t)
+    power = ss.panel_power(CUBE, run["sun_B"].values) + noise * np.random.default_rng(seed).normal(size=(len(t), 6))
+    variables = {"power_W": (("time", "panel"), np.maximum(power, 0)), "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
+                 "omega": run["omega_B"]}  # fmt: skip
+    return xr.Dataset(variables, {"time": t, "panel": list("abcdef")}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
+
+
+def printed(pattern: str, text: str) -> float:
+    found = re.search(pattern, text)
+    assert found is not None, text
+    return float(found[1])
+
+
+TIMES = np.cumsum(10 + 4 * np.random.default_rng(3).random(12))
+
+
+def test_give_more_effort():
+    """A search cut short is complete with the effort that it names, and that is more than what was given."""
+    data, setting = seen([0.01, 0.012, -0.01], TIMES), {"max_rate_rad_s": 0.05, "acceleration_noise": 1e-5}
+    cut = ss.rates(CUBE, data, effort=1e-6, **setting)
+    for text in (cut.attrs["verdict"], str(cut["why_not_decided"].values[0])):
+        effort = printed(r"give more effort \(`--effort ([\d.e+]+)`\)", text)
+        assert effort == 10.0
+    assert not cut["search_complete"].values[0]
+    done = ss.rates(CUBE, data, effort=effort, **setting)
+    assert done["search_complete"].values[0] and done["decided"].values[0] and "effort" not in done.attrs["verdict"]
+    assert printed(r"--effort ([\d.e+]+)", more_effort(20.0)) == 200.0
+
+
+def test_give_a_smaller_largest_rate():
+    """With the rate that the sentence names the grid of starts is fine; with one a little larger it is not."""
+    vehicle, data, _ = fast_twin(Kind(60.0, "long", False, "directions"), np.random.default_rng(5), samples=5)
+    from sunspin.estimate.rates.observe import observations
+
+    o, motion = observations(vehicle, data)[0], Motion(Body.of(vehicle), 1e-5, 0.5)
+    limit = np.radians(printed(r"faster than ([\d.]+) deg/s, give it as `--max-rate`", slower(finest(o))))
+    assert coarse(o, motion, 1.0) and not coarse(o, motion, limit) and coarse(o, motion, 1.02 * limit)
+    result = ss.rates(vehicle, data, max_rate_rad_s=1.0, acceleration_noise=1e-5, effort=1e-9)
+    assert np.degrees(limit) == pytest.approx(printed(r"faster than ([\d.]+) deg/s, give it", result.attrs["verdict"]), rel=1e-3)
+    assert "may have been missed" in result.attrs["verdict"] and "coarse: if no rate" in str(result["why_not_decided"].values[0])
+    followed = ss.rates(vehicle, data, max_rate_rad_s=limit, acceleration_noise=1e-5, effort=1e-9)
+    assert "missed" not in followed.attrs["verdict"] and "coarse" not in str(followed["why_not_decided"].values[0])
+
+
+@pytest.mark.parametrize("way", ["speed_rad_s", "speed_column", "left out"])
+def test_say_how_fast_a_wheel_turns(way):
+    data = seen([0.01, 0.012, -0.01], TIMES)
+    wheel = ss.Wheel("w", [0, 1, 0], 3e-6)
+    silent = ss.rates(replace(CUBE, wheels=(wheel,)), data, max_rate_rad_s=0.05, effort=1e-6)
+    assert "give speed_rad_s or a speed_column, or leave out a wheel that stands" in silent.attrs["verdict"]
+    told = {
+        "speed_rad_s": (replace(CUBE, wheels=(replace(wheel, speed_rad_s=0.01),)), data),
+        "speed_column": (replace(CUBE, wheels=(wheel,)), data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((12, 1))))),
+        "left out": (CUBE, data),
+    }[way]
+    result = ss.rates(*told, max_rate_rad_s=0.05, acceleration_noise=1e-5)
+    assert result["decided"].values[0] and "WHEEL" not in result.attrs["verdict"], result["why_not_decided"].values
+
+
+def test_leave_a_sensor_out():
+    """The gyro's zero is off by 3 deg/s; what is printed is the option of the command line."""
+    from sunspin.cli.rates import UNUSED
+
+    data = seen([0.01, 0.012, -0.01], TIMES)
+    gyro = data["omega"].values + np.radians([3.0, -2.0, 2.5]) + 1e-4 * np.random.default_rng(2).normal(size=(12, 3))
+    data = data.assign(gyro_B=(("time", "axis"), gyro))
+    vehicle = replace(CUBE, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
+    bad = ss.rates(vehicle, data, max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
+    assert not bad["decided"].values[0]
+    found = re.search(r"`--without (\w+)` gives the rates of the others", bad.attrs["verdict"])
+    assert found is not None, bad.attrs["verdict"]
+    good = ss.rates(vehicle, data.drop_vars(UNUSED[found[1]]), max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
+    assert good["decided"].values[0] and "--without" not in good.attrs["verdict"]
+    assert np.abs(good["omega_mean_B"].values[0, 0] - data["omega"].values.mean(axis=0)).max() < np.radians(0.1)
+
+
+@pytest.mark.long
+def test_state_that_sensors_are_late():
+    data, run = late_twin("gyro", 5.3, np.random.default_rng(101))
+    silent = ss.rates(craft("gyro", None), data, max_rate_rad_s=0.15)
+    line = re.search(r"state (sensors_late_s = \{[^}]*\}) under \[clock\] of the vehicle file", silent.attrs["verdict"])
+    assert line is not None and "SEEM LATE" in silent.attrs["verdict"], silent.attrs["verdict"]
+    clock = parse_vehicle(f'name = "a"\n[clock]\n{line[1]}\n', "a").sensors.clock
+    stated = ss.rates(craft("gyro", clock), data, max_rate_rad_s=0.15)
+    assert "SEEM" not in stated.attrs["verdict"] and "late (vehicle file and data)" in stated.attrs["verdict"]
+    assert abs(stated.attrs["sensors_late_s"] - 5.3) < 3.5 * stated.attrs["sensors_late_sigma_s"]
+
+
+def test_torques_of_most_passes_are_not_stronger_than_in_the_rest_of_the_file():
+    def passes(*models: str) -> list[Pass]:
+        one = Pass(*([None] * 7))
+        return [one._replace(model=(model, 0.9)) for model in models]
+
+    motion = Motion(Body.of(CUBE), 2e-5, 0.05)
+    assert _models(passes(TORQUES_STRONGER, "as stated"), motion) == [TORQUES_STRONGER, "as stated"]
+    for models in ((TORQUES_STRONGER,), (TORQUES_STRONGER, TORQUES_STRONGER, "as stated")):
+        named = _models(passes(*models), motion)
+        assert named[0] == "unknown torques stronger than 2e-05 rad/s^1.5" and not any("rest" in name for name in named)
