@@ -9,24 +9,35 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import orbit_twins
+import satellites
 import sunspin as ss
 from clock_twins import craft
 from clock_twins import twin as late_twin
 from fast_twins import Kind
 from fast_twins import twin as fast_twin
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.orbit import in_orbit
+from sunspin.estimate.orbit import check as orbit_check
+from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimate.rates import estimate
 from sunspin.estimate.rates.alternatives import TORQUES_STRONGER
 from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.noise import HIGHER_NOISES
 from sunspin.estimate.rates.result import _models, more_effort, slower
 from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion
+from sunspin.output.check import orbit as check_words
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
+from tle_twins import make as tle_twin
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
 CUBE = Vehicle("cube", gain_unit="W", inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
                panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)])  # fmt: skip
+SPHERE = replace(CUBE, inertia_kg_m2=np.eye(3))
 
 
 def seen(omega, t, seed: int = 1, noise: float = 0.01, body: Vehicle = CUBE) -> xr.Dataset:
@@ -129,3 +140,84 @@ def test_torques_of_most_passes_are_not_stronger_than_in_the_rest_of_the_file():
     for models in ((TORQUES_STRONGER,), (TORQUES_STRONGER, TORQUES_STRONGER, "as stated")):
         named = _models(passes(*models), motion)
         assert named[0] == "unknown torques stronger than 2e-05 rad/s^1.5" and not any("rest" in name for name in named)
+
+
+def test_set_the_scale_that_check_names(tmp_path):
+    """Readings in W that the vehicle file takes for mW: the line that is named is replaced by what is printed."""
+    from sunspin.output.check.files import about_telemetry
+
+    made = satellites.six_faces(tmp_path, np.random.default_rng(1))
+    made.vehicle.write_text(made.vehicle.read_text().replace("[telemetry]", "[telemetry]\nscale = 0.001"))
+
+    def wrong() -> list[str]:
+        lines = about_telemetry(ss.load_vehicle(made.vehicle), made.telemetry, str(made.vehicle))[2]
+        return [line for line in lines if "WRONG" in line]
+
+    (said,) = wrong()
+    found = re.search(r"set (scale = [\d.e-]+) under \[telemetry\], line (\d+)", said)
+    assert found is not None, said
+    text = made.vehicle.read_text("utf-8").splitlines()
+    text[int(found[2]) - 1] = found[1]
+    made.vehicle.write_text("\n".join(text), "utf-8")
+    assert not wrong()
+
+
+@pytest.mark.long
+def test_give_its_inertia():
+    """A long body at 3.4 deg/s, 12 s between samples, seen by the Sun alone: of unknown inertia it is not decided, and with its own
+    one, products of inertia included, it is, rightly."""
+    vehicle, data, run, _ = orbit_twins.make(2, 12)
+    taken_for_a_sphere = ss.rates(vehicle, data)
+    verdict, why = taken_for_a_sphere.attrs["verdict"], str(taken_for_a_sphere["why_not_decided"].values[0])
+    assert "GIVE ITS INERTIA" in verdict and "give its inertia" in why and not taken_for_a_sphere["decided"].values[0]
+    rng = np.random.default_rng(np.random.SeedSequence(2, spawn_key=(12,)))
+    _ = orbit_twins.Orbit.drawn(rng), orbit_twins.Ground.drawn(rng)
+    body, _ = orbit_twins.drawn_body(rng)
+    known = ss.rates(replace(vehicle, inertia_kg_m2=body.inertia), data)
+    assert "INERTIA" not in known.attrs["verdict"] and known["decided"].values[0], known["why_not_decided"].values
+    truth = run["omega_B"].sel(time=known["time"].values).values
+    off = (known["omega_mean_B"].values[0, 0] - truth.mean(axis=0)) / known["omega_sigma_all_B"].values[0]
+    assert np.abs(off).max() < 4
+
+
+def test_a_body_that_is_decided_is_not_asked_for_its_inertia(monkeypatch):
+    """A noise that is strong on the ladder and smaller once refined: the pass is decided, and the verdict says no other thing."""
+    monkeypatch.setattr(estimate, "choose", lambda o, *_: (HIGHER_NOISES[0], o, "none"))
+    data = seen([0.01, 0.012, -0.01], TIMES, body=SPHERE)
+    result = ss.rates(replace(SPHERE, inertia_kg_m2=None), data, max_rate_rad_s=0.05)
+    asked = "GIVE ITS INERTIA" in result.attrs["verdict"]
+    assert result.attrs["acceleration_noise"] < HIGHER_NOISES[0] and bool(result["decided"].values[0]) is not asked
+
+
+def in_an_orbit(data: xr.Dataset, given: tuple[str, str], **options):
+    return in_orbit(parse_elements("\n".join(given), "twin"), data.attrs["epoch_utc"], data["time"].values, **options)
+
+
+def test_turn_the_matrix_round(monkeypatch):
+    monkeypatch.setattr(orbit_check, "COPIES", 10)
+    vehicle, data, given, about = tle_twin(1, 1)
+    orbit, wrong = in_an_orbit(data, given, shift_sigma_s=about["sigma_s"]), data.assign(field_B=-data["field_B"])
+    _, _, words = judged_orbit(orbit, vehicle, wrong)
+    assert "WITH THE OPPOSITE SIGN: turn its `matrix` round" in words
+    part = vehicle.sensors.magnetometer
+    turned = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix)))
+    used, _, words = judged_orbit(orbit, turned, wrong.assign(field_B=-wrong["field_B"]))  # as its columns are read now
+    assert used is not None and "SIGN" not in words
+
+
+def test_widen_the_shift(monkeypatch):
+    monkeypatch.setattr(orbit_check, "COPIES", 10)
+    vehicle, data, given, about = tle_twin(1, 1)
+    found = {}
+    for sigma in (abs(about["ahead_s"]) / 6, abs(about["ahead_s"])):
+        found[sigma] = about_orbit_lines(vehicle, data, in_an_orbit(data, given, shift_sigma_s=sigma, shift_s=0.0))
+    narrow, wide = found.values()
+    assert any("widen --tle-shift-sigma" in line for line in narrow), narrow
+    assert not any("widen" in line for line in wide) and "fit" in wide[0], wide
+
+
+def about_orbit_lines(vehicle, data, orbit) -> list[str]:
+    """What `check` says of an orbit."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(check_words, "orbit_of", lambda *_: orbit)
+        return check_words.about_orbit(vehicle, data, None, None)[1]
