@@ -37,7 +37,7 @@ from sunspin.estimate.rates.result import SUSPECTED, believed, cures, dataset_of
 from sunspin.estimate.rates.rough import roughly
 from sunspin.estimate.rates.side_by_side import begun, each, processes
 from sunspin.estimate.rates.smooth import cost_limit
-from sunspin.estimate.rates.start import coarse
+from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.rates.wheel_signs import Anew, Reversed, doubted_signs, reversed_momenta, tasks
 from sunspin.estimate.rates.wheels import momentum_of_each, wheel_momenta
@@ -186,8 +186,7 @@ def rates(
     """
     local = _along_the_sun(environment)
     forces = acting(torques, local)
-    orbit = local.orbit if isinstance(local, SunAlongZ) else None
-    calibration = calibration or (None if orbit is None else field_calibration(orbit, vehicle, telemetry))
+    calibration = calibration or (field_calibration(local.orbit, vehicle, telemetry) if isinstance(local, SunAlongZ) else None)
     o, why, source = observations(vehicle, telemetry, source, local, calibration)
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
@@ -219,17 +218,16 @@ def rates(
         turned = signs(o, list(zip(wholes, parts, modes, strict=True)), Anew(body, rate_max, given, clock, others, more))
     found, walk, period_attrs = _linked(o, modes, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
-    missed, unmet = _doubted(o, parts, motion, rate_max, given)
+    missed, unmet, fine = _doubted(o, parts, motion, rate_max, given)
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
+    result = result.assign_coords(pass_id=ids).assign_attrs(effort_given=effort, fine_up_to_rad_s=fine)
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
-    result = result.assign_coords(pass_id=ids).assign(
-        believed(o, found, motion, cures(cut, missed, unmet, result.attrs["wheels_untold"]), telemetry.attrs.get("epoch_utc"))
-    )
-    result = result.assign(without_periods(found)).assign_attrs(
+    said = believed(o, found, motion, cures(result.attrs, cut, missed, unmet), telemetry.attrs.get("epoch_utc"))
+    result = result.assign(said | without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL,
-        no_sphere=int(unmet.any() or _far_from_sphere(body, noise)),
+        no_sphere=int(unmet.sum()),
     )  # fmt: skip
     observed = _observed(vehicle, telemetry, wheels, source, orbit is not None)
     result = _columns_checked(result, observed, telemetry)
@@ -314,10 +312,12 @@ def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.D
 
 def _doubted(
     o: Observations, parts: list[np.ndarray], motion: Motion, rate_max: float, given: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of which passes the search was coarse, and which may not have met their motion."""
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Of which passes the search was coarse, which may not have met their motion, and up to which rate (rad/s) the search is fine
+    in all of the coarse ones, NaN where there is none."""
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
-    return missed, np.array([not_met(motion, given, float(np.diff(o.t_s[part]).min())) for part in parts])
+    fine = min((finest(o.take(part)) for part, much in zip(parts, missed, strict=True) if much), default=np.nan)
+    return missed, np.array([not_met(motion, given, float(np.diff(o.t_s[part]).min())) for part in parts]), fine
 
 
 def not_met(motion: Motion, given: float | None, apart_s: float) -> bool:

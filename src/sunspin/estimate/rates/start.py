@@ -169,6 +169,13 @@ def coarse(o: Observations, motion: Motion, rate_max: float) -> bool:
     return not steady(o, index, motion, rate_max) and grid_step(1, dt, rate_max) * dt > COARSE_RAD
 
 
+def finest(o: Observations) -> float:
+    """The largest rate (rad/s) up to which no motion of a pass is missed by the grid of starts, in three figures, rounded down."""
+    limit = COARSE_RAD / float(np.diff(o.t_s).min()) * (4 * np.pi / 3 / GRID_MOST) ** (-1 / 3)
+    unit = 10.0 ** (np.floor(np.log10(limit)) - 2)
+    return float(np.floor(limit / unit) * unit)
+
+
 def _ball(size: float, rate_max: float) -> np.ndarray:
     axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
