@@ -182,6 +182,10 @@ def test_samples_by_themselves_show_some_exchanges():
     right = exchanged_columns(0, 0)
     assert not implausible(CUBE, right)
     assert implausible(CUBE, exchanged_columns(1, 5)) and not implausible(CUBE, exchanged_columns(1, 4))
+    assert not implausible(CUBE, right.assign(power_W=0.3 * right["power_W"]))  # a full battery dims what it reads
+    gains = zip(CUBE.panels, (1.0, 7.0, 2.0, 1.0, 7.0, 2.0), strict=True)
+    unequal = replace(CUBE, panels=tuple(replace(panel, gain=gain) for panel, gain in gains))
+    assert not implausible(unequal, right.assign(power_W=right["power_W"] * unequal.panel_gains))
 
 
 def test_only_changes_that_the_samples_allow_are_searched_with():

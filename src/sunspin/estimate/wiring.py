@@ -49,8 +49,9 @@ DIRECTIONS, READING_ERROR = 3000, 0.06
 """Directions of the Sun in which samples are compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
 share of full Sun: half of that distance, and gains."""
 
-BRIGHT = (0.85, 1.15)
-"""Brightness of a sample, in full Suns, that panels may show."""
+BRIGHTEST = 1.15
+"""Brightness of a sample, in full Suns, that panels may show at most. There is no lower limit, since a full battery dims samples:
+with one of 0.85 four right passes of skCUBE seemed to have a reversed panel, and of simulated exchanges no more were seen."""
 
 WORTH_A_SEARCH = 30.0
 """Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 120
@@ -253,21 +254,20 @@ def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Cha
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
     telemetry = telemetry.isel(time=slice(None, None, -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)))
     known_scale = vehicle.gain_unit is not None
-    low, high = (0.0 if vehicle.throttled else BRIGHT[0]), BRIGHT[1]
     noise = 0.0 if vehicle.telemetry.noise is None else vehicle.telemetry.noise / float(gains.min())
     error = float(np.hypot(READING_ERROR, noise))
+    lit = (np.nan_to_num(signals(telemetry)) > error * gains.max()).any(axis=1)
     squares = []
     for change in changes:
-        other, data = change.applied(vehicle, telemetry)
+        other, data = change.applied(vehicle, telemetry.isel(time=lit))
         read = np.nan_to_num(signals(data)) / gains
-        read = read[(read > error).any(axis=1)]
         light = other.response_in().power(sun) / gains
         size, along = np.maximum((light**2).sum(axis=1), 1e-12), read @ light.T
         whole = (read**2).sum(axis=1)[:, None]
         free = np.maximum(along, 0.0) / size
         best = np.argmin(whole - free * np.maximum(along, 0.0), axis=1)
         scale = 1.0 if known_scale or not len(read) else float(np.quantile(free[np.arange(len(read)), best], 0.9))
-        level = np.clip(free, low * scale, high * scale)
+        level = np.minimum(free, BRIGHTEST * scale)
         squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / error**2)
     each = np.array(squares)
     if not each.size:
