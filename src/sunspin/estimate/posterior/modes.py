@@ -73,9 +73,9 @@ MOST_WORK = 200_000
 """Motions times samples that are fitted to one window at most: about a minute of one core at 0.3 ms each, and of five samples
 40,000 motions. Without this bound up to 750,000 motions are fitted to five samples 120 s apart."""
 
-FIT_S, START_S = 0.005, 5e-5
-"""s of one core for a motion that is fitted to five samples, with what follows, and for a start; measured on Philae, samples 50 to
-120 s apart."""
+FIT_S, START_S, WINDOW_S = 0.005, 5e-5, 3e-4
+"""s of one core for a motion that is fitted to five samples, with what follows, for a start, and for a unit of the volume of rates
+of the first five samples; measured on Philae, samples 50 to 120 s apart. The last is good to a factor of five, and chooses only."""
 
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
@@ -118,7 +118,7 @@ SIZES_FITTED = (1, 3, 5)
 FIRST_FASTER, SPUN_UNSURE = 1.05, 0.15
 """Times the prior's largest rate, and part of what wheels hand over, beyond which a motion cannot have begun."""
 
-MOST_SPUN = 0.3
+MOST_SPUN = 0.6
 """Of the largest rate, what wheels may have handed over at the reference: the grid has to hold it too (at 0.8 it has ten times as
 many points, which took 80 s), and first fits hold the friction that it depends on."""
 
@@ -172,9 +172,9 @@ class Plan:
 
 
 def plan(model: Model, data: Readings, scale: float) -> Plan:
-    """The reference whose nearest samples leave the fewest motions, of those samples at which no wheel can have stopped.
+    """The reference from which the search is the shortest, of those samples at which no wheel can have stopped.
 
-    The motions that fit the first `FEW` samples are what takes time: about as many as directions that these allow, times the volume
+    Starts take time, and motions that fit the first `FEW` samples: about as many as directions that these allow, times the volume
     of rates in units of the time that they reach from the reference, which is half as far from the middle of a file.
     """
     lit = np.flatnonzero(data.lit.any(axis=1))
@@ -188,8 +188,9 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
         edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
         reach, after = float(np.abs(data.t_s[window] - data.t_s[a]).max()), float(data.t_s[a])
-        work = (fastest(model, after) * reach) ** 3 * np.prod([len(suns[int(i)]) for i in window], dtype=float)
-        tried.append((work, int(a), around, edge, suns[int(a)]))
+        took = START_S * len(suns[int(a)]) * c.cell_count(ball(model, after), edge)
+        took += WINDOW_S * (fastest(model, after) * reach) ** 3 * np.prod([len(suns[int(i)]) for i in window], dtype=float)
+        tried.append((took, int(a), around, edge, suns[int(a)]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
     return Plan(anchor, around, edge, found, min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)))
 
