@@ -132,7 +132,7 @@ def directions(
     first = solve_ivp(turning, (t[0], t[-1] + 1e-9), y, t_eval=t, events=stands, args=(True,), **options)
     seen = first.y[3:6].T
     if len(seen) < len(t):
-        rest = t[len(seen):]
+        rest = t[len(seen) :]
         begin, y = float(first.t_events[0][0]), first.y_events[0][0]
         later = solve_ivp(turning, (begin, t[-1] + 1e-9), y, t_eval=rest, args=(False,), **options)
         seen = np.concatenate([seen, later.y[3:6].T])

@@ -16,7 +16,7 @@ from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
-from sunspin.estimate.posterior.family import APART, boxes, denser, joined, same_mode
+from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
 from sunspin.estimate.posterior.fit import Begun, Fit, Levels, OfStates, Slopes, chunk_rows
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
 from sunspin.estimate.posterior.model import STANDING, Model, State, Unknown
@@ -73,9 +73,9 @@ MOST_WORK = 200_000
 """Motions times samples that are fitted to one window at most: about a minute of one core at 0.3 ms each, and of five samples
 40,000 motions. Without this bound up to 750,000 motions are fitted to five samples 120 s apart."""
 
-FIT_S, START_S = 0.005, 5e-5
-"""s of one core for a motion that is fitted to five samples, with what follows, and for a start; measured on Philae, samples 50 to
-120 s apart."""
+FIT_S, START_S, WINDOW_S = 0.005, 5e-5, 3e-4
+"""s of one core for a motion that is fitted to five samples, with what follows, for a start, and for a unit of the volume of rates
+of the first five samples; measured on Philae, samples 50 to 120 s apart. The last is good to a factor of five, and chooses only."""
 
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
@@ -118,8 +118,9 @@ SIZES_FITTED = (1, 3, 5)
 FIRST_FASTER, SPUN_UNSURE = 1.05, 0.15
 """Times the prior's largest rate, and part of what wheels hand over, beyond which a motion cannot have begun."""
 
-FRICTION_SIGMA = 0.05
-"""Part of what wheels hand over that is not known: as motions are first fitted with friction held, later references lose more."""
+MOST_SPUN = 0.6
+"""Of the largest rate, what wheels may have handed over at the reference: the grid has to hold it too (at 0.8 it has ten times as
+many points, which took 80 s), and first fits hold the friction that it depends on."""
 
 INSIDE = 0.95
 """Part of the largest rate at which modes begin that lie beyond it: draws about them stay inside."""
@@ -171,13 +172,14 @@ class Plan:
 
 
 def plan(model: Model, data: Readings, scale: float) -> Plan:
-    """The reference whose nearest samples leave the fewest motions, of those samples at which no wheel can have stopped.
+    """The reference from which the search is the shortest, of those samples at which no wheel can have stopped.
 
-    The motions that fit the first `FEW` samples are what takes time: about as many as directions that these allow, times the volume
+    Starts take time, and motions that fit the first `FEW` samples: about as many as directions that these allow, times the volume
     of rates in units of the time that they reach from the reference, which is half as far from the middle of a file.
     """
     lit = np.flatnonzero(data.lit.any(axis=1))
     choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
+    choices = [a for a in choices if _spun_up(model, float(data.t_s[a])) <= MOST_SPUN * model.max_rate] or choices[:1]
     choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
     suns = {i: c.sun_candidates(model, data, scale, i) for i in sorted({int(i) for a in choices for i in _nearest(data, a, FEW)})}
     tried = []
@@ -186,9 +188,9 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
         edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
         reach, after = float(np.abs(data.t_s[window] - data.t_s[a]).max()), float(data.t_s[a])
-        blurred = 1.0 + FRICTION_SIGMA * _spun_up(model, after) * reach / APART
-        work = (fastest(model, after) * reach) ** 3 * blurred * np.prod([len(suns[int(i)]) for i in window], dtype=float)
-        tried.append((work, int(a), around, edge, suns[int(a)]))
+        took = START_S * len(suns[int(a)]) * c.cell_count(ball(model, after), edge)
+        took += WINDOW_S * (fastest(model, after) * reach) ** 3 * np.prod([len(suns[int(i)]) for i in window], dtype=float)
+        tried.append((took, int(a), around, edge, suns[int(a)]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
     return Plan(anchor, around, edge, found, min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)))
 
@@ -303,7 +305,7 @@ class Search:
 
     def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
         """Starts around the reference; `data` counts time from it."""
-        if (took := START_S * c.cell_count(chosen.fastest, chosen.edge) * len(chosen.suns)) > LONG_S:
+        if (took := START_S * c.cell_count(chosen.limit, chosen.edge) * len(chosen.suns)) > LONG_S:
             smaller = chosen.given * (LONG_S / took) ** (1 / 3)
             self._say(f"looking for starts takes about {took / 60:.1f} min; with {MAX_RATE}{smaller:.2g} it takes about one")
         near = data.take(chosen.tried)
@@ -311,11 +313,13 @@ class Search:
         # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
         free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_of_the_vehicle(model))
         grid = c.Attitudes(free, tried.t_s, chosen.edge)
-        found = self.run(grid, "grid of rates", 8192)
+        turn = self.run(grid, "grid of rates", 8192)["turn"]
         here = data.value[chosen.anchor], data.used[chosen.anchor]
-        cells = c.Starts(grid, found["turn"], found["first_speed"], chosen.fastest, tried, *here, chosen.suns, scale)
+        cells = c.Starts(grid, turn, tried, *here, chosen.suns, scale)
         state, hits = cells.found(worker_count(self.workers))
-        return replace(state, u=np.zeros((len(state), len(model.unknowns)))), hits
+        state = replace(state, u=np.zeros((len(state), len(model.unknowns))))
+        slow = c.first_speed(model, state) <= chosen.fastest
+        return state.take(slow), hits[slow]
 
     def fit(
         self, likelihood: Likelihood, state: State, levels: Levels, label: str, every: bool = False, **options: Any
