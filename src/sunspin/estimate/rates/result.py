@@ -224,7 +224,10 @@ def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
     text = ""
     if sides := int((one & (result["weight"].values[:, 0] < DECIDED)).sum()):
         text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
-    count = int(several.sum())
+    unlisted = int(result.attrs.get("symmetric_unlisted", 0))
+    if unlisted:
+        text += f"; in {unlisted} a rotation or mirror of the body gives the same readings, and its motion is not listed"
+    count = int(several.sum()) - unlisted
     if count and "alike" in result.attrs:
         return f"{text}; in {count} several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
     if count:
