@@ -16,10 +16,12 @@ from clock_twins import craft
 from clock_twins import twin as late_twin
 from fast_twins import Kind
 from fast_twins import twin as fast_twin
+from posteriors import philae_draws
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit import check as orbit_check
 from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimate.posterior import period as of_draws
 from sunspin.estimate.rates import estimate
 from sunspin.estimate.rates.alternatives import TORQUES_STRONGER
 from sunspin.estimate.rates.finish import Pass
@@ -28,6 +30,7 @@ from sunspin.estimate.rates.noise import HIGHER_NOISES
 from sunspin.estimate.rates.result import _models, more_effort, slower
 from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion
+from sunspin.estimate.terms.period import Period
 from sunspin.output.check import orbit as check_words
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.file import parse_vehicle
@@ -221,3 +224,33 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check_words, "orbit_of", lambda *_: orbit)
         return check_words.about_orbit(vehicle, data, None, None)[1]
+
+
+def test_state_the_zero_of_a_gyro_with_a_sigma():
+    """Readings half a degree a second off, of a gyro whose zero the file takes for known: the pass is explained by another zero; with
+    a sigma of the zero in the file it is explained as stated."""
+    data = seen([0.01, 0.012, -0.01], TIMES)
+    gyro = data["omega"].values + np.radians([0.4, 0.0, -0.3]) + 5e-4 * np.random.default_rng(2).normal(size=(12, 3))
+    data = data.assign(gyro_B=(("time", "axis"), gyro))
+    found = {}
+    for sigma in (0.0, np.radians(0.5)):
+        part = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4, zero_sigma=np.full(3, sigma))
+        vehicle = replace(CUBE, sensors=Sensors(gyro=part))
+        found[sigma] = ss.rates(vehicle, data, max_rate_rad_s=0.1, acceleration_noise=1e-5)
+    known, stated = found.values()
+    assert "state its zero with a sigma" in str(known["model"].values[0]), known["model"].values
+    assert stated["model"].values[0] == "as stated" and stated["decided"].values[0], stated["why_not_decided"].values
+    off = stated["omega_mean_B"].values[0, 0] - data["omega"].values.mean(axis=0)
+    assert np.abs(off / stated["omega_sigma_all_B"].values[0]).max() < 4
+
+
+def test_more_draws_tell_what_periods_decide(monkeypatch):
+    """A period that few draws have: the same draws, and eight times as many, as `--draws` gives."""
+    decided = {}
+    for count in (4000, 32000):
+        tree, _ = philae_draws(count, 0.01)
+        monkeypatch.setattr(of_draws, "periods_of", lambda *_, n=count: np.stack([np.linspace(10, 20, n)] * 3, axis=1))
+        of_draws.with_periods(ss.load_vehicle("philae"), tree, [Period(0.0, 14.0, 0.05)])
+        decided[count] = of_draws.period_sentences(tree["period"].to_dataset())
+    few, many = decided.values()
+    assert "ask for more --draws" in few[0] and len(many) == 2 and "with periods the angular speed" in many[1]
