@@ -227,8 +227,8 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
 
 
 def test_state_the_zero_of_a_gyro_with_a_sigma():
-    """Readings half a degree a second off, of a gyro whose zero the file takes for known: the pass is explained by another zero; with
-    a sigma of the zero in the file it is explained as stated."""
+    """Readings half a degree a second off, of a gyro whose zero the file takes for known: the pass is explained by another zero;
+    with a sigma of the zero in the file it is explained as stated."""
     data = seen([0.01, 0.012, -0.01], TIMES)
     gyro = data["omega"].values + np.radians([0.4, 0.0, -0.3]) + 5e-4 * np.random.default_rng(2).normal(size=(12, 3))
     data = data.assign(gyro_B=(("time", "axis"), gyro))

@@ -229,7 +229,7 @@ def rates(
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL,
         no_sphere=int(unmet.sum()),
     )  # fmt: skip
-    observed = _observed(vehicle, telemetry, wheels, source, orbit is not None)
+    observed = _observed(vehicle, telemetry, wheels, source, isinstance(local, SunAlongZ))
     result = _columns_checked(result, observed, telemetry)
     if wirings and (not result["fits"].values.all() or _suspicious(result, observed, telemetry)):
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
