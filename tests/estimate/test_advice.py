@@ -226,24 +226,6 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
         return check_words.about_orbit(vehicle, data, None, None)[1]
 
 
-def test_state_the_zero_of_a_gyro_with_a_sigma():
-    """Readings half a degree a second off, of a gyro whose zero the file takes for known: the pass is explained by another zero;
-    with a sigma of the zero in the file it is explained as stated."""
-    data = seen([0.01, 0.012, -0.01], TIMES)
-    gyro = data["omega"].values + np.radians([0.4, 0.0, -0.3]) + 5e-4 * np.random.default_rng(2).normal(size=(12, 3))
-    data = data.assign(gyro_B=(("time", "axis"), gyro))
-    found = {}
-    for sigma in (0.0, np.radians(0.5)):
-        part = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4, zero_sigma=np.full(3, sigma))
-        vehicle = replace(CUBE, sensors=Sensors(gyro=part))
-        found[sigma] = ss.rates(vehicle, data, max_rate_rad_s=0.1, acceleration_noise=1e-5)
-    known, stated = found.values()
-    assert "state its zero with a sigma" in str(known["model"].values[0]), known["model"].values
-    assert stated["model"].values[0] == "as stated" and stated["decided"].values[0], stated["why_not_decided"].values
-    off = stated["omega_mean_B"].values[0, 0] - data["omega"].values.mean(axis=0)
-    assert np.abs(off / stated["omega_sigma_all_B"].values[0]).max() < 4
-
-
 def test_more_draws_tell_what_periods_decide(monkeypatch):
     """A period that few draws have: the same draws, and eight times as many, as `--draws` gives."""
     decided = {}
