@@ -16,10 +16,12 @@ from clock_twins import craft
 from clock_twins import twin as late_twin
 from fast_twins import Kind
 from fast_twins import twin as fast_twin
+from posteriors import philae_draws
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit import check as orbit_check
 from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimate.posterior import period as of_draws
 from sunspin.estimate.rates import estimate
 from sunspin.estimate.rates.alternatives import TORQUES_STRONGER
 from sunspin.estimate.rates.finish import Pass
@@ -28,6 +30,7 @@ from sunspin.estimate.rates.noise import HIGHER_NOISES
 from sunspin.estimate.rates.result import _models, more_effort, slower
 from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion
+from sunspin.estimate.terms.period import Period
 from sunspin.output.check import orbit as check_words
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.file import parse_vehicle
@@ -221,3 +224,15 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check_words, "orbit_of", lambda *_: orbit)
         return check_words.about_orbit(vehicle, data, None, None)[1]
+
+
+def test_more_draws_tell_what_periods_decide(monkeypatch):
+    """A period that few draws have: the same draws, and eight times as many, as `--draws` gives."""
+    decided = {}
+    for count in (4000, 32000):
+        tree, _ = philae_draws(count, 0.01)
+        monkeypatch.setattr(of_draws, "periods_of", lambda *_, n=count: np.stack([np.linspace(10, 20, n)] * 3, axis=1))
+        of_draws.with_periods(ss.load_vehicle("philae"), tree, [Period(0.0, 14.0, 0.05)])
+        decided[count] = of_draws.period_sentences(tree["period"].to_dataset())
+    few, many = decided.values()
+    assert "ask for more --draws" in few[0] and len(many) == 2 and "with periods the angular speed" in many[1]
