@@ -16,6 +16,7 @@ CAMPAIGNS = {
     "controls": "telemetry of landers that did something else, and of spoilt files, through the Philae study",
     "verdicts": "simulated passes of every kind: wrong among decided, undecided among decidable, before and now",
     "torque": "posteriors of telemetry under a torque that nobody told of, and of a body that is not as stated",
+    "posterior_cases": "Philae, 30 to 120 s apart, simulated without the package: is the truth in the list, and how soon",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/real-data.md",
     "right": "right files of every form through `check` and `rates`: each accusation is a false alarm",
     "spinners": "spinners with coarse Sun sensors and a magnetometer through `check` and `rates`, elements right, wrong or none",

@@ -214,7 +214,7 @@ def _judged(made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dic
     if row["named"]:
         if truth in row["named"]:
             return kept | {"outcome": "named rightly" if len(row["named"]) == 1 else "named among several"}
-        return kept | {"outcome": "equivalent" if alike else "a false change named"}
+        return kept | {"outcome": "a false change named"}
     if "CHECK" in row["verdict"]:
         return kept | {"outcome": "a false change named" if truth not in row["verdict"] else "named rightly"}
     within = "decided, and right within its errors" if row["decided"] else "undecided"

@@ -78,6 +78,13 @@ def test_output_that_is_closed_or_full(tmp_path, closed, said):
         assert (done.stderr.count("\n") == 1) is (said and code == 2)
 
 
+def test_an_error_that_cannot_be_written_leaves_its_exit_code():
+    shell = f'"{sys.executable}" -m sunspin.cli'
+    for words, full, code in (("check nowhere.toml", "2>/dev/full", 2), ("--version", ">/dev/full 2>/dev/full", 2)):
+        done = subprocess.run(["/bin/sh", "-c", f"{shell} {words} {full}"], capture_output=True, text=True, timeout=120)
+        assert done.returncode == code and not done.stderr
+
+
 def test_no_arguments_show_the_help(sunspin):
     code, out, err = sunspin()
     assert (code, err) == (0, "")

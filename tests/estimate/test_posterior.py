@@ -252,6 +252,7 @@ def _found(**changes):
         ({"p": 1e-4}, "not explained", "no motion fits"),
         ({"noise_sigmas": 5.0}, "not explained", "more than was assumed"),
         ({"p": 1e-4, "dark": "no panel was lit"}, "not explained", "in shadow then, leave that out with --from and --to"),
+        ({"p": 1e-4, "complete": False, "doubts": ["more hypotheses than could be followed"]}, "not sure", "none fits"),
         ({"tail": 0.9}, "not sure", "rough"),
         ({"doubts": ["only rates up to 11.5 deg/s could be searched"]}, "not sure", "only rates"),
         ({"length": np.array([0.3])}, "line", "a line"),

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli.common import Group
+from sunspin.output.compare import _pass as one_pass
 from sunspin.output.folder import MARKER, write_netcdf
 
 
@@ -193,3 +194,10 @@ def test_summaries_of_any_content_end_in_a_sentence(tmp_path, command, key):
             assert not ss.compare(*pair)["beyond"].values.any()  # two of the same
         except InputError as error:
             assert re.search("nothing in common|something else than", str(error)) and str(error).isprintable()
+
+
+def test_a_time_with_other_decimals_is_the_same_time():
+    """Versions before this wrote 58.200000 where this one writes 58.200: their rates are compared at that instant all the same."""
+    old, new = (a_pass(1, 3, 9.0, utc_at=f"2026-01-01T04:05:58.200{more}Z") for more in ("000", ""))
+    assert all("utc_at" not in str(moved) for moved in one_pass(old, new))
+    assert any("omega_x" in moved.name for moved in one_pass(old, new))

@@ -28,11 +28,13 @@ def test_satellites_have_four_to_nine_panels_and_two_exchanges_each():
         np.testing.assert_array_equal(made.readings, satellite(0, i).readings)  # a case is its number
 
 
-@pytest.mark.parametrize(("i", "outcome"), [(0, "named rightly"), pytest.param(5, "named rightly", marks=pytest.mark.long)])
+@pytest.mark.parametrize(("i", "fits"), [(0, False), pytest.param(10, True, marks=pytest.mark.long)])
 @pytest.mark.evidence("rates", "modelled", "columns of two panels exchanged, on satellites with wings and wheels")
-def test_exchanged_columns_are_named_and_the_right_file_is_not_accused(i, outcome):
+def test_exchanged_columns_are_named_and_the_right_file_is_not_accused(i, fits):
+    """Also where the file fits as it is written, as strong torques and gains that are off explain nearly everything."""
     rows = [run((0, i, which)) for which in (-1, 0)]
     assert rows[0]["outcome"] == "decided" and rows[0]["pull"] < 5
     pair = " and ".join(rows[1]["pair"])
-    assert rows[1]["outcome"] == outcome and rows[1]["named"] == [f"the columns of panels {pair} exchanged"]
+    assert rows[1]["outcome"] == "named rightly" and rows[1]["fits"] == fits and not rows[1]["decided"]
+    assert rows[1]["named"] == [f"the columns of panels {pair} exchanged"]
     assert "| named rightly | 0 | 1 |" in table(rows)

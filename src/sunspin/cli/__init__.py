@@ -99,7 +99,11 @@ def _heed_the_end() -> None:
 
 def _say(text: str, code: int) -> int:
     said = printable(text)
-    print("sunspin: " + (said if len(said) <= LONGEST else f"{said[: LONGEST // 2]} ... {said[-LONGEST // 2 :]}"), file=sys.stderr)
+    said = said if len(said) <= LONGEST else f"{said[: LONGEST // 2]} ... {said[-LONGEST // 2 :]}"
+    try:
+        print(f"sunspin: {said}", file=sys.stderr, flush=True)
+    except OSError:  # nobody can read it, as where the disk is full; the exit code still says it
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")
     return code
 
 

@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -248,7 +249,12 @@ def announced(command: str, quiet: bool) -> Callable[[str], None] | None:
     """What says a line on standard error when work begins; None if `quiet`, or where a terminal shows a progress line."""
     if quiet or os.isatty(2):
         return None
-    return lambda line: print(f"sunspin: {command}: {printable(line)}", file=sys.stderr, flush=True)
+
+    def say(line: str) -> None:
+        with suppress(OSError):  # a log that cannot be written stops no work
+            print(f"sunspin: {command}: {printable(line)}", file=sys.stderr, flush=True)
+
+    return say
 
 
 def on_terminal(quiet: bool) -> bool:

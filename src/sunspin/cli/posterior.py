@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import click
 
 from sunspin.cli.changes import Changeable, opened, say_idle, set_options
@@ -66,6 +68,8 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
 
+    if quiet:
+        logging.getLogger("sunspin").setLevel(logging.ERROR)
     made = opened(vehicle, sets, "collision", **short)
     craft, changes = made.craft, (*made.craft.changes, *made.assumptions.changes)
     if predict is None:

@@ -49,12 +49,16 @@ DIRECTIONS, READING_ERROR = 3000, 0.06
 """Directions of the Sun in which samples are compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
 share of full Sun: half of that distance, and gains."""
 
-BRIGHT = (0.85, 1.15)
-"""Brightness of a sample, in full Suns, that panels may show."""
+BRIGHTEST = 1.15
+"""Brightness of a sample, in full Suns, that panels may show at most. There is no lower limit, since a full battery dims samples:
+with one of 0.85 four right passes of skCUBE seemed to have a reversed panel, and of simulated exchanges no more were seen."""
 
 WORTH_A_SEARCH = 30.0
 """Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 120
 files with two columns exchanged the right change was at most 0.4 from the best."""
+
+MOST_COMPARED = 60
+"""Samples that are compared so, evenly chosen."""
 
 MOST_RUNS = 3
 """Changes that are estimated in full, at most."""
@@ -198,14 +202,18 @@ def _of_panels(observed: Observed, telemetry: xr.Dataset, evidence: Evidence, ru
     if not np.isfinite(stated):
         return None
     columns, wheels = column_changes(vehicle, telemetry), wheel_changes(vehicle) if len(observed.momenta) else []
-    every = [*columns, *wheels]
-    likely = [every[k] for k in _plausible(vehicle, telemetry, every)]
-    both = [one.with_wheels(w.reversed_wheels, [x.name for x in vehicle.wheels]) for one in likely if one.columns for w in wheels]
-    for changes in (likely, both):
-        classes: list[Change] = []
-        for one in changes:
-            if not any(len(equivalence(observed, other, one)) for other in [AS_WRITTEN, *classes]):
-                classes.append(one)
+    every = [AS_WRITTEN, *columns, *wheels]
+    cost = _sample_costs(vehicle, telemetry, every)
+    near = [int(k) for k in np.argsort(cost, kind="stable") if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
+    likely = [(every[k], cost[k]) for k in near]
+    names = [wheel.name for wheel in vehicle.wheels]
+    both = [(one.with_wheels(w.reversed_wheels, names), c) for one, c in likely if one.columns for w in wheels]
+    for level in (likely, both):
+        changes, known = [one for one, _ in level], [(AS_WRITTEN, cost[0])]
+        for one, c in level:  # what looks the same has the same dark panels, and so the same cost
+            if not any(abs(c - other_c) < CLEARLY and len(equivalence(observed, other, one)) for other, other_c in known):
+                known.append((one, c))
+        classes = [one for one, _ in known[1:]]
         gains = [evidence(*one.applied(vehicle, telemetry)) - stated if may_go_on() else -np.inf for one in classes]
         ranked = sorted((k for k in range(len(classes)) if gains[k] > CLEARLY), key=lambda k: -gains[k])
         named: list[Named] = []
@@ -237,31 +245,38 @@ def _middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
     return result["omega_B"].values[at], float(t[at])
 
 
-def _plausible(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> list[int]:
-    """Numbers of the changes under which the samples, each by itself, may be of one Sun, the likeliest first."""
+def implausible(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
+    """Whether the samples, each by itself, fit some change of columns far better than the file as it is written."""
+    cost = _sample_costs(vehicle, telemetry, [AS_WRITTEN, *column_changes(vehicle, telemetry)])
+    return bool(cost[0] > cost.min() + WORTH_A_SEARCH)
+
+
+def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> np.ndarray:
+    """Log likelihood (m), less that of the best conceivable, that samples cost which are each compared by themselves with every
+    direction of the Sun under each change."""
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
+    telemetry = telemetry.isel(time=slice(None, None, -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)))
     known_scale = vehicle.gain_unit is not None
-    low, high = (0.0 if vehicle.throttled else BRIGHT[0]), BRIGHT[1]
+    noise = 0.0 if vehicle.telemetry.noise is None else vehicle.telemetry.noise / float(gains.min())
+    error = float(np.hypot(READING_ERROR, noise))
+    lit = (np.nan_to_num(signals(telemetry)) > error * gains.max()).any(axis=1)
     squares = []
     for change in changes:
-        other, data = change.applied(vehicle, telemetry)
+        other, data = change.applied(vehicle, telemetry.isel(time=lit))
         read = np.nan_to_num(signals(data)) / gains
-        read = read[(read > READING_ERROR).any(axis=1)]
         light = other.response_in().power(sun) / gains
         size, along = np.maximum((light**2).sum(axis=1), 1e-12), read @ light.T
         whole = (read**2).sum(axis=1)[:, None]
         free = np.maximum(along, 0.0) / size
         best = np.argmin(whole - free * np.maximum(along, 0.0), axis=1)
         scale = 1.0 if known_scale or not len(read) else float(np.quantile(free[np.arange(len(read)), best], 0.9))
-        level = np.clip(free, low * scale, high * scale)
-        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / READING_ERROR**2)
+        level = np.minimum(free, BRIGHTEST * scale)
+        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / error**2)
     each = np.array(squares)
     if not each.size:
-        return list(range(len(changes)))
+        return np.zeros(len(changes))
     each /= max(1.0, float(np.median(each, axis=1).min()) / len(gains))  # where the Earth's light is more than that error
-    cost = np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
-    order = np.argsort(cost, kind="stable")
-    return [int(k) for k in order if cost[k] <= cost.min() + WORTH_A_SEARCH]
+    return np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
 
 
 def _fits(result: xr.Dataset | None) -> bool:

@@ -205,6 +205,8 @@ def _pass(a: dict[str, Any], b: dict[str, Any]) -> Iterator[Moved]:
     name, best = f"pass {a.get('pass_id')}", [_list(one, "modes")[0] for one in (a, b) if _list(one, "modes")]
     if len(best) < 2:
         return
+    if _instant(a) == _instant(b):  # an earlier version wrote the same time with other decimals
+        a = a | {"utc_at": b.get("utc_at")}
     held = [_held(one) for one in (a, b)]
     of = "the likeliest motion" if all(len(modes) == 1 for modes in held) else "the likeliest motion, or all where not decided"
     words = [_changed(key, a, b) for key in ("decided", "wiring", "utc_at")]
@@ -231,6 +233,14 @@ def _pass(a: dict[str, Any], b: dict[str, Any]) -> Iterator[Moved]:
         f"{name} weight", "weight of the likeliest motion", [f"{w:.3f}" for w in weights], "", weights[1] - weights[0],
         float("nan"), "none known", [np.array([w]) for w in weights], [],
     )  # fmt: skip
+
+
+def _instant(one: dict[str, Any]) -> Any:
+    """When the rates of a pass are given, as a time where it is one."""
+    try:
+        return datetime.fromisoformat(str(one.get("utc_at")))
+    except ValueError:
+        return one.get("utc_at")
 
 
 def _held(one: dict[str, Any]) -> list[dict[str, Any]]:

@@ -116,9 +116,10 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset, most: int = MOST_SAMPLES) -
         covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
         light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
         by_earth &= ~there
-    sun = np.where(np.array(np.isfinite(covariance).all(axis=(1, 2)))[:, None], sun, np.nan)  # without an error it is no reading
-    field = np.isfinite(reading).all(axis=1)
-    use = spread_evenly(telemetry, field | np.isfinite(light), most, np.array(field & np.isfinite(sun).all(axis=1)))
+    known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))  # without an error it is no reading
+    sun = np.where(known[:, None], sun, np.nan)
+    field = np.asarray(np.isfinite(reading).all(axis=1))
+    use = spread_evenly(telemetry, field | np.isfinite(light), most, field & np.asarray(np.isfinite(sun).all(axis=1)))
     seen, by_earth = Seen(*(part[use] for part in (time, reading, sun, covariance, light))), by_earth[use]
     variance = EARTH_RAD**2 * max(by_earth.sum() / EARTH_ALIKE, 1.0)
     return seen._replace(covariance=seen.covariance + variance * by_earth[:, None, None] * np.eye(3))

@@ -28,14 +28,15 @@ STEP, LEAST, WIDEST = 0.02, 0.03, 3.0
 def brightness(vehicle: Vehicle, data: Readings) -> float:
     """A first guess of the scale, signal of a panel of gain one at normal incidence.
 
-    The median over samples that give a direction, else the likeliest scale. Gains in a unit are then
-    believed instead where they can be, as their prior is narrow. A sample gives a direction by panels that are lit beyond noise: with
-    noise of 2 to 4 % on dark panels too, of which the lit threshold took half for lit, one guess in four was off by more than 10 % (up
-    to a factor of 4), and no start settled.
+    The median over samples that give a direction, else the likeliest scale. Gains in a unit are then believed instead where they
+    can be, as their prior is narrow. A sample gives a direction by panels that are lit beyond noise: half of the dark panels' noise
+    is above a small lit threshold, and with 2 to 4 % of it one guess in four was off by more than 10 %, up to a factor of 5; where
+    it was, no start settled.
     """
     value = np.where(data.used, data.value, 0.0)
     sure = max(data.threshold, LIT_SIGMAS * data.sigma)
-    told = is_reconstructed(sun_directions(vehicle, value, noise=data.sigma, lit_threshold=sure)["status"].values) & data.used.all(axis=1)
+    status = sun_directions(vehicle, value, noise=data.sigma, lit_threshold=sure)["status"].values
+    told = is_reconstructed(status) & data.used.all(axis=1)
     if told.any():
         shape = panel_power(vehicle, best_directions(vehicle, value[told])[0])
         return float(np.median(np.sum(shape * value[told], axis=1) / np.sum(shape**2, axis=1)))
@@ -46,8 +47,8 @@ def brightness(vehicle: Vehicle, data: Readings) -> float:
 def _likeliest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
     """The scale under which readings (K, P) are the likeliest, each sample's direction being anywhere on the sphere.
 
-    A scale at which every sample has a direction is not enough: too bright a Sun is not contradicted where no panel looks along it,
-    but then directions near the edge of what panels see would have to be the rule, and readings just below the largest would be rare.
+    A scale at which every sample has a direction is not enough: too bright a Sun is not contradicted where no panel looks along it.
+    But directions near the edge of what panels see would have to be the rule then, and readings just below the largest rare.
     """
     light = value / vehicle.input_gains
     brightest = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:MOST_SAMPLES]

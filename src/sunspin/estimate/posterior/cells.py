@@ -134,8 +134,7 @@ def largest_ball(cells: float, edge: float) -> float:
 class Attitudes:
     """Row -> rotations of the body at the `times` (m, s from the reference), for the rates of a grid with step `edge`.
 
-    As unit quaternions (scalar last) that take components at the reference to components at the time. And the angular speed at the
-    first sample, rad/s.
+    As unit quaternions (scalar last) that take components at the reference to components at the time.
     """
 
     model: Model
@@ -144,7 +143,7 @@ class Attitudes:
 
     @property
     def outputs(self) -> Mapping[str, Any]:
-        return {"turn": ("float32", (len(self.times), 4)), "first_speed": ("float32", ())}
+        return {"turn": ("float32", (len(self.times), 4))}
 
     @property
     def side(self) -> int:
@@ -190,12 +189,12 @@ class Attitudes:
             good = np.isfinite(turn).all(axis=(1, 2))
             turn[~good] = np.eye(3)
             turns[:, i] = Rotation.from_matrix(turn).as_quat()
-        return {"turn": turns, "first_speed": first_speed(model, State(omega, across, nominal.u)).astype(np.float32)}
+        return {"turn": turns}
 
 
 def first_speed(model: Model, state: State) -> np.ndarray:
     """Angular speeds (n) at the first sample of motions given at the reference, rad/s; infinite where they cannot be computed."""
-    if not model.after_s:
+    if not (model.after_s and len(state)):
         return np.linalg.norm(state.omega, axis=1)
     speed = np.linalg.norm(model.run(model.rows(state), [-model.after_s], TRIAL_ERROR).omega_B[:, 0], axis=1)
     return np.where(np.isfinite(speed), speed, np.inf)
@@ -203,16 +202,13 @@ def first_speed(model: Model, state: State) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Starts:
-    """The starts in the cells between the rows of `attitudes`, of which `turn` and `first_speed` are the results.
+    """The starts in the cells between the rows of `attitudes`, of which `turn` is the result.
 
-    `data` are the samples tried and `here` the reference's readings (P), `suns` (c, 3) directions there. `fastest`: cells all of whose
-    corners turn faster than that (rad/s) at the first sample, by a step of the grid, are left out.
+    `data` are the samples tried and `here` the reference's readings (P), `suns` (c, 3) directions there.
     """
 
     attitudes: Attitudes
     turn: np.ndarray
-    first_speed: np.ndarray
-    fastest: float
     data: Readings
     here: np.ndarray
     here_used: np.ndarray
@@ -228,21 +224,16 @@ class Starts:
 
     @cached_property
     def cells(self) -> np.ndarray:
-        """Places (n) of the lowest corners of cells all of whose corners are on the grid, and one within the prior's ball."""
+        """Places (n) of the lowest corners of cells all of whose corners are on the grid."""
         side = self.attitudes.side
         there = (self.row_of >= 0).reshape((side,) * 3)
-        slow = np.zeros(side**3, dtype=bool)
-        slow[self.attitudes.places] = self.first_speed <= self.fastest + self.attitudes.edge
-        slow = slow.reshape(there.shape)
-        whole, prior = np.ones((side - 1,) * 3, dtype=bool), np.zeros((side - 1,) * 3, dtype=bool)
+        whole = np.ones((side - 1,) * 3, dtype=bool)
         for a in (0, 1):
             for b in (0, 1):
                 for c in (0, 1):
-                    corner = (slice(a, side - 1 + a), slice(b, side - 1 + b), slice(c, side - 1 + c))
-                    whole &= there[corner]
-                    prior |= slow[corner]
+                    whole &= there[a : side - 1 + a, b : side - 1 + b, c : side - 1 + c]
         full = np.zeros((side,) * 3, dtype=bool)
-        full[:-1, :-1, :-1] = whole & prior
+        full[:-1, :-1, :-1] = whole
         return np.flatnonzero(full)
 
     def found(self, workers: int) -> tuple[State, np.ndarray]:

@@ -40,7 +40,7 @@ from sunspin.estimate.posterior.hypotheses import (
 from sunspin.estimate.posterior.importance import Known, resampled, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
-from sunspin.estimate.posterior.modes import Modes, Plan, Search, at_reference, beyond_all, plan, require_few, within
+from sunspin.estimate.posterior.modes import NO_TORQUES, Modes, Plan, Search, at_reference, beyond_all, plan, require_few, within
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import (
@@ -83,6 +83,10 @@ LOST = 1e-3
 
 CHECKED = 400
 """Draws by which the model as stated is judged before others are searched for."""
+
+LONG_SEARCH = 400_000
+"""Motions times samples fitted, two minutes of one core, beyond which no search under torques follows: it would take twice as long
+again."""
 
 OF_REGION = 4000
 """Draws of equal weight by which mean and covariance of a region are told."""
@@ -257,10 +261,13 @@ def _tried(
     tried = [first, *_sampled(asked, seed, search, OTHERS_DRAWS, first)]
     checked = _together(tried[:1], seed, CHECKED)[2]
     fits = checked.p > ASKED_P and abs(checked.noise_sigmas) < ASKED_NOISE and mixed(tried).weight[0] > ASKED_WEIGHT
-    if not fits and most_deg:
+    lost: list[str] = []
+    if not fits and most_deg and search.fitted > LONG_SEARCH:
+        lost = [NO_TORQUES]
+    elif not fits and most_deg and stated.modes.complete:  # else motions that were not followed may fit without a torque
         asked = likely(stated, [searched(one, search, chosen, scale) if one.likelihood.model.frame else one for one in every])
         tried = [first, *_sampled(asked, seed, search, 1.0)]
-    return tried, _unsampled([stated, *asked], tried)
+    return tried, _unsampled([stated, *asked], tried) + lost
 
 
 def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.ndarray, Check]:
@@ -417,7 +424,7 @@ def _judge(
         regions["weight"].values, rate, np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)), regions["starts"].values,
         float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
         drawn.effective, doubts, np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
-        dark_stretch(tree.attrs["t_first_s"] + data.t_s, awake),
+        dark_stretch(tree.attrs["t_first_s"] + data.t_s, awake), modes.complete,
     )  # fmt: skip
     word, text = verdict(found)
     if word != "not explained" and (alike := alike_motions(vehicle)):

@@ -9,13 +9,13 @@ import numpy as np
 from sunspin.estimate.posterior.model import State
 from sunspin.solve.rotations import moved, tangents
 
-APART = 0.4
+APART = 0.6
 """rad at the end of the next window: hypotheses nearer to each other are one."""
 
 SUN_APART = 0.3
 """The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
 
-LOOSE, BESIDE = 0.35, 0.45
+LOOSE, BESIDE = 0.5, 0.65
 """rad: a hypothesis free by more than this at the end of the next window is one of a family, and gets neighbours this far away."""
 
 AGAIN = 1.35

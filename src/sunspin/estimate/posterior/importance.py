@@ -21,6 +21,7 @@ from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.modes import Modes, standing
 from sunspin.estimate.posterior.turns import drawn_turns, rest_of, with_turns, without_turns
+from sunspin.estimate.posterior.verdict import EFFECTIVE_LIMIT, TAIL_LIMIT
 from sunspin.solve.weights import effective_draws, pareto_tail
 
 ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
@@ -127,15 +128,17 @@ def sample(
     the modes promised. `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
     Where sheets with one soft direction do not become good, others with two are learnt too, and both propose. Bends of what is
-    `known` are taken instead of found; where these do not become good enough, sheets are learnt as otherwise. `least`: the log
-    evidence below which nobody asks how good the draws are.
+    `known` are taken instead of found; where these do not become good enough, sheets are learnt as otherwise, unless the draws that
+    are `known` are not to be trusted themselves: twelve rounds more for each hypothesis would not make the verdict sure. `least`:
+    the log evidence below which nobody asks how good the draws are.
     """
     bent = None
     if known is not None and known.drawn.bent is not None:
         rest = rest_of(likelihood.model)
         bent = known.drawn.bent.counted_in(known.times[rest[rest < len(known.times)]])
     tracks: list[_Track] = []
-    for softs in SOFTS if bent is None else (LENT, *SOFTS):
+    rough = known is not None and (known.drawn.effective < EFFECTIVE_LIMIT or known.drawn.tail > TAIL_LIMIT)
+    for softs in SOFTS if bent is None else (LENT,) if rough else (LENT, *SOFTS):
         lent = bent if softs == LENT else None
         tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part, lent, least))
         if tracks[-1].good is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,7 +41,7 @@ HASTE_LEVELS, HASTE_SLACK = ((2.0, 3), (1.0, 3)), 20.0
 """The same on all samples where it is asked which hypotheses may become modes, and by how much these may be worse than modes."""
 
 SLACK = 10.0
-"""What a true motion's misfit may have beyond three sigmas of its expectation: one or two readings that are no good."""
+"""What one or two readings that are no good add to a true motion's misfit."""
 
 SLACK_STILL = 4.0
 """The same while inertia, friction and wheel are left as they are."""
@@ -68,7 +69,25 @@ LOOK = 0.6
 MOST_FEW, MOST = 100_000, 20_000
 """Hypotheses carried on at most, before those on one sheet are joined and after; the verdict says when there were more."""
 
+MOST_WORK = 200_000
+"""Motions times samples that are fitted to one window at most: about a minute of one core at 0.3 ms each, and of five samples
+40,000 motions. Without this bound up to 750,000 motions are fitted to five samples 120 s apart."""
+
+FIT_S, START_S, WINDOW_S = 0.005, 5e-5, 3e-4
+"""s of one core for a motion that is fitted to five samples, with what follows, for a start, and for a unit of the volume of rates
+of the first five samples; measured on Philae, samples 50 to 120 s apart. The last is good to a factor of five, and chooses only."""
+
+LONG_S = 60.0
+"""A stage that takes longer than this is announced before it begins."""
+
 MORE = "more hypotheses than could be followed"
+
+MAX_RATE = "--prior max_rate_rad_s="
+
+NO_TORQUES = "motions under a steady torque were not searched for, as this would take longer than the search without"
+
+INCOMPLETE = (MORE, "could be searched", NO_TORQUES)
+"""Words of the notes on a search that did not follow all motions that may fit."""
 
 KEPT_ANYWAY = 100
 """Hypotheses carried on where the readings rule out all."""
@@ -99,6 +118,10 @@ SIZES_FITTED = (1, 3, 5)
 FIRST_FASTER, SPUN_UNSURE = 1.05, 0.15
 """Times the prior's largest rate, and part of what wheels hand over, beyond which a motion cannot have begun."""
 
+MOST_SPUN = 0.6
+"""Of the largest rate, what wheels may have handed over at the reference: the grid has to hold it too (at 0.8 it has ten times as
+many points, which took 80 s), and first fits hold the friction that it depends on."""
+
 INSIDE = 0.95
 """Part of the largest rate at which modes begin that lie beyond it: draws about them stay inside."""
 
@@ -120,6 +143,11 @@ class Modes:
     share: np.ndarray = field(default_factory=lambda: np.ones(1))
     beyond: tuple[State, np.ndarray] | None = None
 
+    @property
+    def complete(self) -> bool:
+        """Whether all motions that may fit were followed."""
+        return not any(word in note for note in self.notes for word in INCOMPLETE)
+
 
 def within(modes: Modes, max_rate: float) -> Modes:
     """The modes drawn back into the ball of rates where they all lie outside: no draw about them would count."""
@@ -132,7 +160,7 @@ def within(modes: Modes, max_rate: float) -> Modes:
 @dataclass(frozen=True)
 class Plan:
     """Where the search starts: sample taken as the reference, samples tried, grid step, directions, largest rate there and at the
-    first sample."""
+    first sample, and that of the prior, rad/s."""
 
     anchor: int
     tried: np.ndarray
@@ -140,21 +168,29 @@ class Plan:
     suns: np.ndarray
     limit: float
     fastest: float = np.inf
+    given: float = np.inf
 
 
 def plan(model: Model, data: Readings, scale: float) -> Plan:
-    """The reference whose neighbourhood needs the fewest cells, of those samples at which no wheel can have stopped."""
+    """The reference from which the search is the shortest, of those samples at which no wheel can have stopped.
+
+    Starts take time, and motions that fit the first `FEW` samples: about as many as directions that these allow, times the volume
+    of rates in units of the time that they reach from the reference, which is half as far from the middle of a file.
+    """
     lit = np.flatnonzero(data.lit.any(axis=1))
     choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
+    choices = [a for a in choices if _spun_up(model, float(data.t_s[a])) <= MOST_SPUN * model.max_rate] or choices[:1]
     choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
-    suns = {i: c.sun_candidates(model, data, scale, i) for a in choices for i in (a, *_neighbours(data, a))}
+    suns = {i: c.sun_candidates(model, data, scale, i) for i in sorted({int(i) for a in choices for i in _nearest(data, a, FEW)})}
     tried = []
     for a in choices:
-        around = _neighbours(data, a)
+        around, window = _neighbours(data, a), _nearest(data, a, FEW)
         edge = c.grid_edge(data.t_s[around] - data.t_s[a])
         edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
-        work = len(suns[a]) * (fastest(model, float(data.t_s[a])) / edge) ** 3 * np.prod([len(suns[i]) for i in around])
-        tried.append((work, int(a), around, edge, suns[a]))
+        reach, after = float(np.abs(data.t_s[window] - data.t_s[a]).max()), float(data.t_s[a])
+        took = START_S * len(suns[int(a)]) * c.cell_count(ball(model, after), edge)
+        took += WINDOW_S * (fastest(model, after) * reach) ** 3 * np.prod([len(suns[int(i)]) for i in window], dtype=float)
+        tried.append((took, int(a), around, edge, suns[int(a)]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
     return Plan(anchor, around, edge, found, min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)))
 
@@ -199,8 +235,9 @@ def ball(model: Model, after_s: float) -> float:
 def fastest(model: Model, after_s: float) -> float:
     """An angular speed at the first sample, rad/s, that no motion of the prior's ball exceeds, as computed back from a reference.
 
-    The ball that holds all that comes of the prior's at the reference is far larger than it: for Philae 7 min later four times, and
-    most motions in it began beyond the largest rate. Beyond that by 5 %, and by three sigmas of what friction is not known by, they are left out.
+    The ball that holds all that comes of the prior's at the reference is far larger than it, for Philae 7 min later four times, and
+    most motions in it began beyond the largest rate. Those beyond it by 5 %, and by three sigmas of what friction is not known by,
+    are left out.
     """
     return FIRST_FASTER * model.max_rate + SPUN_UNSURE * _spun_up(model, after_s)
 
@@ -218,7 +255,13 @@ def at_reference(model: Model, chosen: Plan, data: Readings) -> tuple[Model, Pla
     after = float(data.t_s[chosen.anchor])
     wider = ball(model, after)
     limit = chosen.limit if chosen.limit < model.max_rate else wider
-    return replace(model, after_s=after, max_rate=wider), replace(chosen, limit=limit, fastest=fastest(model, after))
+    chosen = replace(chosen, limit=limit, fastest=fastest(model, after), given=model.max_rate)
+    return replace(model, after_s=after, max_rate=wider), chosen
+
+
+def _nearest(data: Readings, a: int, count: int) -> np.ndarray:
+    """The samples (count) nearest in time to sample `a`, itself among them."""
+    return np.sort(np.argsort(np.abs(data.t_s - data.t_s[a]), kind="stable")[:count])
 
 
 def _neighbours(data: Readings, a: int) -> np.ndarray:
@@ -230,7 +273,8 @@ def _neighbours(data: Readings, a: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Look(OfStates):
-    """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad, and so does the prior: at most `fastest` rad/s at first."""
+    """Row -> whether a sample allows a hypothesis, give or take `LOOK` rad, and so does the prior: at most `fastest` rad/s at the
+    first sample."""
 
     scale: float
     fastest: float
@@ -250,6 +294,8 @@ class Search:
     def __init__(self, workers: int | None, store: Path | None, progress: bool) -> None:
         self.workers, self.store, self.progress = workers, store, progress
         self.stage = 0
+        self.said: set[str] = set()
+        self.fitted = 0  # motions times samples
 
     def run(self, function: Any, label: str, chunk: int) -> dict[str, np.ndarray]:
         """All rows of a function, kept in a folder of its own."""
@@ -259,21 +305,28 @@ class Search:
 
     def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
         """Starts around the reference; `data` counts time from it."""
+        if (took := START_S * c.cell_count(chosen.limit, chosen.edge) * len(chosen.suns)) > LONG_S:
+            smaller = chosen.given * (LONG_S / took) ** (1 / 3)
+            self._say(f"looking for starts takes about {took / 60:.1f} min; with {MAX_RATE}{smaller:.2g} it takes about one")
         near = data.take(chosen.tried)
         tried = replace(near, others=())
         # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
         free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_of_the_vehicle(model))
         grid = c.Attitudes(free, tried.t_s, chosen.edge)
-        found = self.run(grid, "grid of rates", 8192)
-        cells = c.Starts(grid, found["turn"], found["first_speed"], chosen.fastest, tried, data.value[chosen.anchor], data.used[chosen.anchor], chosen.suns, scale)
+        turn = self.run(grid, "grid of rates", 8192)["turn"]
+        here = data.value[chosen.anchor], data.used[chosen.anchor]
+        cells = c.Starts(grid, turn, tried, *here, chosen.suns, scale)
         state, hits = cells.found(worker_count(self.workers))
-        return replace(state, u=np.zeros((len(state), len(model.unknowns)))), hits
+        state = replace(state, u=np.zeros((len(state), len(model.unknowns))))
+        slow = c.first_speed(model, state) <= chosen.fastest
+        return state.take(slow), hits[slow]
 
     def fit(
         self, likelihood: Likelihood, state: State, levels: Levels, label: str, every: bool = False, **options: Any
     ) -> dict[str, np.ndarray]:
         """Least squares from each state; from several turns about the Sun where it depends on that: `every` one, or the best."""
         turns = _turned(likelihood.model, state)
+        self.fitted += len(turns) * len(state) * len(likelihood.data)
         found = self.run(Fit(likelihood, State.joined(turns), levels, **options), label, chunk_rows(likelihood))
         if every or len(turns) == 1:
             return found
@@ -332,17 +385,39 @@ class Search:
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
                 state, hits, beside, origin = denser(state, normal, hits, beside, reach, model.max_rate)
             keep = self._looked(now, data.take(np.setdiff1d(following, used)), state, scale, chosen.fastest)
-            keep = np.flatnonzero(keep) if keep.any() else np.arange(len(state))
-            if any(MORE in note for note in notes):  # not sure it is already: no need to fit millions
-                keep = keep[_at_most(MOST_FEW, len(keep))[0]]
+            keep, note = self._followed(np.flatnonzero(keep) if keep.any() else np.arange(len(state)), len(following), chosen)
+            notes += [f"{note} ({len(following)} samples)"] if note else []
             state, hits, beside, origin = state.take(keep), hits[keep], beside[keep], origin[keep]
             used = following
+
+    def _followed(self, keep: np.ndarray, samples: int, chosen: Plan) -> tuple[np.ndarray, str]:
+        """Which motions are fitted to a window of so many samples, and a remark where not all are. What takes long, or is left out,
+        is said before it begins, with what would help."""
+        some, note = _at_most(MOST_WORK // samples, len(keep))
+        took = FIT_S * len(some) * samples / FEW
+        if note:
+            smaller = chosen.given * (len(some) / len(keep)) ** (1 / 3)
+            self._say(f"{len(keep)} motions may fit {samples} samples; {len(some)} of them are followed, which takes about "
+                      f"{took / 60:.1f} min, and the search will not be complete; with {MAX_RATE}{smaller:.2g} about all of "
+                      "them would be followed")  # fmt: skip
+        elif samples == FEW and took > LONG_S:
+            self._say(f"{len(keep)} motions may fit {samples} samples; following them takes about {took / 60:.1f} min, and in "
+                      f"proportion to the cube of {MAX_RATE.rstrip('=')} less")  # fmt: skip
+        return keep[some], note
+
+    def _say(self, text: str) -> None:
+        """Tell whoever waits; once for each text."""
+        if text not in self.said:
+            self.said.add(text)
+            logging.getLogger("sunspin").warning("sunspin: %s", text)
 
     def _one_each(
         self, likelihood: Likelihood, state: State, normal: np.ndarray, hits: np.ndarray, beside: np.ndarray, label: str
     ) -> tuple[State, np.ndarray, np.ndarray, np.ndarray, str]:
         """Hypotheses (best first) with what goes with them, one for each sheet, and a remark where not all are followed."""
         if len(likelihood.data) > FEW:
+            first, hits = joined(state, normal, hits)  # most are copies already, and a fit to the end takes as long as the first
+            state, beside = state.take(first), beside[first]
             found = self.fit(likelihood, state, AGAIN_LEVELS, f"{label} again", normal=True)
             order = np.argsort(found["cost"], kind="stable")
             state = State(found["omega"], found["sun"], found["u"]).take(order)
@@ -509,10 +584,14 @@ def expected(data: Readings) -> float:
 
 
 def likeliest(likelihood: Likelihood, still: bool = False) -> float:
-    """The misfit that a true motion does not exceed."""
+    """The misfit that a true motion does not exceed.
+
+    Half a unit for each number, and what noise larger than stated, three sigmas of chance and spoilt readings may add: these have
+    nothing to do with each other, so their squares add.
+    """
     model, n = likelihood.model, expected(likelihood.data)
     noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
-    return (0.5 + noisy) * n + 3 * np.sqrt(0.5 * n) + SLACK + (SLACK_STILL if still else 0.0)
+    return 0.5 * n + float(np.sqrt((noisy * n) ** 2 + 4.5 * n + SLACK**2)) + (SLACK_STILL if still else 0.0)
 
 
 def beyond_all(likelihood: Likelihood, modes: Modes) -> bool:
@@ -524,7 +603,7 @@ def _thinned(state: State, cost: np.ndarray, hits: np.ndarray, reach_s: float, l
     """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
-    possible = order[cost[order] <= limit]
+    possible = order[cost[order] <= min(limit, cost[order].min(initial=np.inf) + DROP + SLACK)]
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"

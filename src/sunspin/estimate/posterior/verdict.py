@@ -41,7 +41,8 @@ DARK_RUN = 3
 class Found:
     """What the verdict is made of: regions' weights, rates (r, 3), longest sigma of each (rad/s), starts that led to each, interval
     of the samples (s), check, tail, effective draws, remarks that put the search in doubt; `speed` (r), rad/s, root mean square:
-    a region's draws turn faster than its mean rate; `dark`: the stretch in which nothing was lit, in words."""
+    a region's draws turn faster than its mean rate; `dark`: the stretch in which nothing was lit, in words; `complete`: all
+    motions that may fit were followed."""
 
     weight: np.ndarray
     rate: np.ndarray
@@ -56,6 +57,7 @@ class Found:
     doubts: list[str]
     speed: np.ndarray
     dark: str = ""
+    complete: bool = True
 
     @property
     def rough(self) -> bool:
@@ -73,6 +75,8 @@ def verdict(found: Found) -> tuple[str, str]:
     """A word ("unique", "aliases", "line", "not explained", "not sure") and the sentence."""
     told = np.flatnonzero(found.weight >= COUNTS)
     if refused(found.p, found.noise_sigmas):
+        if not found.complete:
+            return "not sure", f"not sure: {'; '.join(found.doubts)}, and of the motions that were followed none fits"
         return "not explained", _not_explained(found)
     doubts = list(found.doubts)
     if found.rough:

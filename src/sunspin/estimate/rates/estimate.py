@@ -37,7 +37,7 @@ from sunspin.estimate.rates.result import SUSPECTED, believed, cures, dataset_of
 from sunspin.estimate.rates.rough import roughly
 from sunspin.estimate.rates.side_by_side import begun, each, processes
 from sunspin.estimate.rates.smooth import cost_limit
-from sunspin.estimate.rates.start import coarse
+from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.rates.wheel_signs import Anew, Reversed, doubted_signs, reversed_momenta, tasks
 from sunspin.estimate.rates.wheels import momentum_of_each, wheel_momenta
@@ -47,7 +47,7 @@ from sunspin.estimate.terms.period import Period
 from sunspin.estimate.terms.sensors import FIELD
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import alike_motions, misfit
-from sunspin.estimate.wiring import Better, Named, better
+from sunspin.estimate.wiring import Better, Named, better, implausible
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 from sunspin.vehicle.timeline import utc_after
@@ -61,6 +61,11 @@ DEFAULT_MAX_RATE = 1.0
 NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE, SIGN_SHARE = 0.3, 0.75, 0.4, 0.6
 """Of the effort: as far as the choice of the torques' strength may go, and the search of all passes; beside it, for wirings and for
 wheels that turn the other way."""
+
+STRAINED, CALMER = 3e-4, 10.0
+"""Acceleration noise (rad/s^1.5) chosen by the data from which a file that fits may have other columns than it states: of eight
+files with two columns exchanged that fit five wanted as much, of their right ones none more than 5e-6. And by what factor a change
+must lower it."""
 
 MUCH_MORE = 1.5
 """A search that was cut short begins anew where it may take so many times more."""
@@ -181,8 +186,7 @@ def rates(
     """
     local = _along_the_sun(environment)
     forces = acting(torques, local)
-    orbit = local.orbit if isinstance(local, SunAlongZ) else None
-    calibration = calibration or (None if orbit is None else field_calibration(orbit, vehicle, telemetry))
+    calibration = calibration or (field_calibration(local.orbit, vehicle, telemetry) if isinstance(local, SunAlongZ) else None)
     o, why, source = observations(vehicle, telemetry, source, local, calibration)
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
@@ -214,25 +218,24 @@ def rates(
         turned = signs(o, list(zip(wholes, parts, modes, strict=True)), Anew(body, rate_max, given, clock, others, more))
     found, walk, period_attrs = _linked(o, modes, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
-    missed, unmet = _doubted(o, parts, motion, rate_max, given)
+    missed, unmet, fine = _doubted(o, parts, motion, rate_max, given)
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
+    result = result.assign_coords(pass_id=ids).assign_attrs(effort_given=effort, fine_up_to_rad_s=fine)
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
-    result = result.assign_coords(pass_id=ids).assign(
-        believed(o, found, motion, cures(cut, missed, unmet, result.attrs["wheels_untold"]), telemetry.attrs.get("epoch_utc"))
-    )
-    result = result.assign(without_periods(found)).assign_attrs(
+    said = believed(o, found, motion, cures(result.attrs, cut, missed, unmet), telemetry.attrs.get("epoch_utc"))
+    result = result.assign(said | without_periods(found)).assign_attrs(
         late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
         cut_passes=int(cut.sum()), effort=spent.spent / USUAL,
-        no_sphere=int(unmet.any() or _far_from_sphere(body, noise)),
+        no_sphere=int(unmet.sum()),
     )  # fmt: skip
-    observed = _observed(vehicle, telemetry, wheels, source, orbit is not None)
+    observed = _observed(vehicle, telemetry, wheels, source, isinstance(local, SunAlongZ))
     result = _columns_checked(result, observed, telemetry)
-    if wirings and not result["fits"].values.all():
+    if wirings and (not result["fits"].values.all() or _suspicious(result, observed, telemetry)):
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
             result = _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques)
-            if "wiring_doubt" not in result.attrs and turned is None and may_go_on():
-                bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
+            bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
+            if bad and "wiring_doubt" not in result.attrs and turned is None and may_go_on():
                 result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
         result = result.assign_attrs(wirings_cut=int(tried.close()))
     return _judged(_wheel_doubted(result, turned, observed, telemetry), vehicle, telemetry)
@@ -260,6 +263,32 @@ def _columns_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Datas
     return result.assign_attrs(columns_unseen=json.dumps(told))
 
 
+def _suspicious(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:
+    """Whether a file of panels alone that fits may do so only because strong torques were allowed, or because gains were."""
+    if not observed.panels or observed.sensors:
+        return False
+    return _strained(result) or implausible(observed.vehicle, _longest(result, telemetry, np.arange(result.sizes["pass_id"])))
+
+
+def _strained(result: xr.Dataset) -> bool:
+    chosen = result.attrs["acceleration_noise_from"] != "given" and not result.attrs["body"].startswith("nearly a sphere")
+    return chosen and result.attrs["acceleration_noise"] >= STRAINED
+
+
+def _longest(result: xr.Dataset, telemetry: xr.Dataset, which: np.ndarray) -> xr.Dataset:
+    """The samples used of the pass with the most of them, of some passes."""
+    k = which[np.argmax(result["samples"].values[which])]
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    return telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
+
+
+def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
+    """The result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
+    why = ["; ".join(filter(None, (str(one), what))) for one in result["why_not_decided"].values]
+    doubted = {name: ("pass_id", np.full(len(why), one)) for name, one in (("decided", False), ("wiring", DOUBTFUL))}
+    return result.assign(doubted | {"why_not_decided": ("pass_id", why)})
+
+
 def _begin(body: Body, parts: list[np.ndarray], effort: float, progress: bool | Callable[[str], None]) -> None:
     """Load the compiled step of a body, once a function `progress` has been called with what is searched and how long that may
     take: an effort of one is about a minute and a half of one core."""
@@ -283,10 +312,12 @@ def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.D
 
 def _doubted(
     o: Observations, parts: list[np.ndarray], motion: Motion, rate_max: float, given: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of which passes the search was coarse, and which may not have met their motion."""
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Of which passes the search was coarse, which may not have met their motion, and up to which rate (rad/s) the search is fine
+    in all of the coarse ones, NaN where there is none."""
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
-    return missed, np.array([not_met(motion, given, float(np.diff(o.t_s[part]).min())) for part in parts])
+    fine = min((finest(o.take(part)) for part, much in zip(parts, missed, strict=True) if much), default=np.nan)
+    return missed, np.array([not_met(motion, given, float(np.diff(o.t_s[part]).min())) for part in parts]), fine
 
 
 def not_met(motion: Motion, given: float | None, apart_s: float) -> bool:
@@ -398,9 +429,7 @@ def _wheel_doubted(
     changes that look the same. If it does not fit either, and all others were tried, no change is named."""
     if turned is None:
         return result
-    why = ["; ".join(filter(None, (str(one), "the sign of a wheel"))) for one in result["why_not_decided"].values]
-    doubted = {name: ("pass_id", np.full(len(why), one)) for name, one in (("decided", False), ("wiring", DOUBTFUL))}
-    result = result.assign(doubted | {"why_not_decided": ("pass_id", why)})
+    result = _undecided(result, "the sign of a wheel")
     if "wiring_doubt" in result.attrs:
         return result
     change = wheel_change(observed.vehicle, turned.wheels)
@@ -453,11 +482,12 @@ def _odd_sensor(
 
 
 def _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques) -> xr.Dataset:
-    """The result with the changes that fit the longest pass that does not fit as stated, or the sensor that is in its way."""
+    """The result with the changes that fit the longest pass that does not fit as stated, or the sensor that is in its way. If all
+    fit, the longest: then a change must explain the samples far better, each by itself or with far weaker torques."""
     bad = np.flatnonzero(~result["fits"].values)
-    k = bad[np.argmax(result["samples"].values[bad])]
-    times, first = np.unique(telemetry["time"].values, return_index=True)
-    part = telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
+    part = _longest(result, telemetry, bad if len(bad) else np.arange(result.sizes["pass_id"]))
+    calmer = not len(bad) and not implausible(observed.vehicle, part)
+    most_noise = result.attrs["acceleration_noise"] / CALMER if calmer else np.inf
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
     vehicle = observed.vehicle
     here = _observed(vehicle, part, result.attrs["wheels"], result.attrs["source"], observed.in_orbit)
@@ -473,16 +503,16 @@ def _other_wiring(result, observed, telemetry, rate_max, environment, calibratio
 
     def run(other: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
         try:
-            return rates(other, data, torques=torques, **setting)
+            made = rates(other, data, torques=torques, **setting)
         except InputError:
             return None
+        return made if made.attrs["acceleration_noise"] <= most_noise else None
 
     found = better(vehicle, part, here, evidence, run, TURN_RATE)
     if found is None:
         return result
     if isinstance(found, Better):
-        result = result.assign(wiring=("pass_id", np.where(result["fits"].values, result["wiring"].values, DOUBTFUL)))
-        return _named(result, found)
+        return _named(_undecided(result, "columns, signs or axes"), found)
     return result.assign_attrs(wiring_doubt=found.words())
 
 

@@ -13,6 +13,7 @@ from sunspin.base.provenance import provenance
 from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, padded, speeds, table
+from sunspin.estimate.rates.alternatives import TORQUES_STRONGER
 from sunspin.estimate.rates.dense import curve
 from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
@@ -28,6 +29,12 @@ from sunspin.solve.rotations import continuous
 
 DECIDED = 0.9
 """A mode with at least this weight is called decided."""
+
+ROUNDING = 1e-3
+"""Negative part of a covariance's largest variance beyond which it is rounding: 0.6 for a panel that hardly sees the Sun."""
+
+ANY_DIRECTION_RAD = float(np.sqrt((np.pi**2 - 4) / 2))
+"""Rms angle between a direction and one that may be any."""
 
 OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
 """Where the error of panel readings comes from without a stated noise."""
@@ -45,8 +52,7 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
     means = [(p.mean, p.mean_sigma) for p in found]
     pass_of = np.repeat(np.arange(len(found)), [len(p.index) for p in found])
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
-    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
-    sun_sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->n", across, covariance[:, :3, :3], across), 0.0))
+    sun_sigma = _sun_sigma(sun, covariance[:, :3, :3])
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
         "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
@@ -85,6 +91,16 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
         attrs=attrs,
     )  # fmt: skip
     return with_curves(result, o, found, motion)
+
+
+def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """One sigma (n) of directions of the Sun (n, 3), rad, from covariances (n, 3, 3) of the attitude. Where readings determine so
+    little that rounding is left of a covariance, which then has negative variances, the direction may be any."""
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
+    variance = np.einsum("nij,njk,nik->n", across, covariance, across)
+    values = np.linalg.eigvalsh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
+    lost = (values[:, 0] < -ROUNDING * np.abs(values[:, -1])) | (variance <= 0)
+    return np.where(lost, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def with_curves(result: xr.Dataset, o: Observations, found: list[Pass], motion: Motion) -> xr.Dataset:
@@ -133,12 +149,26 @@ def in_the_field(result: xr.Dataset) -> xr.Dataset:
     ).assign_attrs(frame_N=FIELD_Z_LOCAL, field_used=1)  # fmt: skip
 
 
-def cures(cut: np.ndarray, coarse: np.ndarray, unmet: np.ndarray, wheels: str) -> list[str]:
+def more_effort(given: float) -> str:
+    """What to do where an effort of `given` was spent: an option that gives ten times the usual one, or ten times that."""
+    return f"give more effort (`--effort {10 * max(given, 1.0):g}`)"
+
+
+def slower(limit_rad_s: float) -> str:
+    """What to do where the search is fine enough up to `limit_rad_s` only, which is given in three figures, rounded down."""
+    limit = np.degrees(limit_rad_s)
+    figure = 10.0 ** (np.floor(np.log10(limit)) - 2)
+    return f"if no rate is faster than {np.floor(limit / figure) * figure:.4g} deg/s, give it as `--max-rate`"
+
+
+def cures(attrs: dict[str, Any], cut: np.ndarray, coarse: np.ndarray, unmet: np.ndarray) -> list[str]:
     """Of each pass what the search may have left out and what would help, in words; empty where nothing. `cut` (n), `coarse` (n)
-    and `unmet` (n): where it was cut short, was coarse, or may not have met the motion; `wheels` whose speed nothing tells."""
+    and `unmet` (n): where it was cut short, was coarse, or may not have met the motion; `attrs` of the result: effort, rate up to
+    which the search is fine, wheels whose speed nothing tells."""
+    wheels = attrs["wheels_untold"]
     every = {
-        "cut short: give more effort, `--effort 10`": cut,
-        "coarse: give a smaller largest rate if you know one": coarse,
+        f"cut short: {more_effort(attrs['effort_given'])}": cut,
+        f"coarse: {slower(attrs['fine_up_to_rad_s'])}": coarse,
         "torques as strong as no satellite has, or the body is no sphere: give its inertia": unmet,
         f"nothing tells the speed of wheel {wheels}: give speed_rad_s or a speed_column": np.full(len(cut), wheels != ""),
     }
@@ -170,9 +200,17 @@ def believed(o: Observations, found: list[Pass], motion: Motion, cure: list[str]
     return table(rows, epoch_utc) | {
         "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
         "sensor": names, "figure": ["readings", "beyond", "chance"],
-        "model": ("pass_id", [p.model[0] for p in found], {"long_name": "what holds most of the weight of all that was tried"}),
+        "model": ("pass_id", _models(found, motion), {"long_name": "what holds most of the weight of all that was tried"}),
         "model_weight": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
     }  # fmt: skip
+
+
+def _models(found: list[Pass], motion: Motion) -> list[str]:
+    """The likeliest model of each pass, in words. Torques that are stronger in most passes are not "stronger than in the rest"."""
+    names = [p.model[0] for p in found]
+    if 2 * sum(TORQUES_STRONGER in name for name in names) <= len(names):
+        return names
+    return [name.replace(TORQUES_STRONGER, f"unknown torques stronger than {motion.noise:.2g} rad/s^1.5") for name in names]
 
 
 def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -210,11 +248,11 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; in {other} the motion is not that of the model as stated: what it may be stands with each pass"
     text += _left_open(result, fits & unique, fits & ~unique)
     if cut := result.attrs["cut_passes"]:
-        text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: give more effort (`--effort 10`)"
+        text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: {more_effort(result.attrs['effort_given'])}"
     if result.attrs.get("wirings_cut"):
-        text += "; not every other wiring was tried: give more effort (`--effort 10`)"
+        text += f"; not every other wiring was tried: {more_effort(result.attrs['effort_given'])}"
     if missed := result.attrs["coarse_passes"]:
-        text += f"; in {missed} the search is coarse and a motion may have been missed: give a smaller largest rate if you know one"
+        text += f"; in {missed} the search is coarse and a motion may have been missed: {slower(result.attrs['fine_up_to_rad_s'])}"
     if unsure := result.attrs["wheels_untold"]:
         text += (
             f"; NOTHING TELLS THE SPEED OF WHEEL {unsure}: taken for standing, and another motion about a wheel that spins may fit"
@@ -222,7 +260,9 @@ def verdict(result: xr.Dataset) -> str:
         )
     late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
     if result.attrs["sensors_late_from"] == SUSPECTED:
-        text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: see [clock] of the vehicle file"
+        text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: if they are, state "
+        text += f"sensors_late_s = {{ value = {result.attrs['sensors_late_s']:.2f}, sigma = "
+        text += f"{max(1.0, result.attrs['sensors_late_sigma_s']):.2f} }} under [clock] of the vehicle file"
     elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     return text + _seen_alone(result)
@@ -238,6 +278,7 @@ def _seen_alone(result: xr.Dataset) -> str:
     if any(result.attrs[f"{sensor.name}_used"] for sensor in SENSORS):
         return ""
     text = "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
-    if result.attrs["no_sphere"]:
-        text += "; the body is far from the sphere that the search takes it for, and another motion may fit: GIVE ITS INERTIA"
+    if count := result.attrs["no_sphere"]:
+        text += f"; in {count} the body is far from the sphere that the search takes it for, and another motion may fit: "
+        text += "GIVE ITS INERTIA"
     return text

@@ -169,6 +169,11 @@ def coarse(o: Observations, motion: Motion, rate_max: float) -> bool:
     return not steady(o, index, motion, rate_max) and grid_step(1, dt, rate_max) * dt > COARSE_RAD
 
 
+def finest(o: Observations) -> float:
+    """The largest rate (rad/s) up to which the grid of starts of a pass misses no motion; see `coarse`."""
+    return COARSE_RAD / float(np.diff(o.t_s).min()) * (GRID_MOST / (4 * np.pi / 3)) ** (1 / 3)
+
+
 def _ball(size: float, rate_max: float) -> np.ndarray:
     axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
