@@ -54,8 +54,8 @@ BRIGHTEST = 1.15
 with one of 0.85 four right passes of skCUBE seemed to have a reversed panel, and of simulated exchanges no more were seen."""
 
 WORTH_A_SEARCH = 30.0
-"""Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 120
-files with two columns exchanged the right change was at most 0.4 from the best."""
+"""Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 60
+files with two columns exchanged the right change was at most 0.8 from the best."""
 
 MOST_COMPARED = 60
 """Samples that are compared so, evenly chosen."""
