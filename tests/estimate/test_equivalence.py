@@ -20,6 +20,7 @@ from sunspin.estimate.equivalence import (
     unseen_changes,
     wheel_changes,
 )
+from sunspin.estimate.rates.estimate import _unlisted
 from sunspin.vehicle import Channel, Panel, Vehicle, Wheel
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
@@ -159,6 +160,21 @@ def test_the_columns_of_a_half_turn_are_exchanged_together():
     (turn,) = equivalence(replace(lit(six), momenta=observed.momenta), AS_WRITTEN, both)
     np.testing.assert_allclose(turn, X @ Y, atol=1e-12)
     assert names(unseen_changes(replace(lit(six), momenta=observed.momenta), empty)) == {pair("+z", "-z")}  # one mistake before two
+
+
+def test_a_motion_is_not_unique_if_its_symmetric_one_is_not_listed():
+    """Sides only: the mirror along z changes no reading. With a panel on +z, lit or dark, the readings tell."""
+    ring, omega, sigma = body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y")), np.radians([1.0, -2.0, 3.0]), np.full((2, 3), 1e-3)
+    sun = np.array([[0.6, 0.7, 0.4], [-0.7, 0.6, 0.4], [-0.6, -0.7, 0.4], [0.7, -0.6, -0.4]])
+    observed = lit(ring, sun_B=sun / np.linalg.norm(sun, axis=1)[:, None])
+    mirrored = rate_under(Z, omega)
+    assert _unlisted(observed, np.array([omega, np.full(3, np.nan)]), sigma, 0.01)
+    assert not _unlisted(observed, np.array([omega, mirrored]), sigma, 0.01)
+    top, low = body(FACES[:5], NAMES[:5]), sun * [1.0, 1.0, 0.25]
+    for suns, seen in ((sun, True), (low, False)):  # at most a tenth of full Sun on +z: not lit, and ten sigmas of noise
+        observed = Observed(top, np.array([True, True, seen, True, True]), sun_B=suns / np.linalg.norm(suns, axis=1)[:, None])
+        assert len(equivalence(observed, AS_WRITTEN, AS_WRITTEN)) == (1 if seen else 2)
+        assert not _unlisted(observed, omega[None], sigma[:1], 0.01)
 
 
 SENSORS = Sensors(

@@ -202,15 +202,18 @@ def _of_panels(observed: Observed, telemetry: xr.Dataset, evidence: Evidence, ru
     if not np.isfinite(stated):
         return None
     columns, wheels = column_changes(vehicle, telemetry), wheel_changes(vehicle) if len(observed.momenta) else []
-    every = [*columns, *wheels]
+    every = [AS_WRITTEN, *columns, *wheels]
     cost = _sample_costs(vehicle, telemetry, every)
-    likely = [every[int(k)] for k in np.argsort(cost, kind="stable") if cost[k] <= cost.min() + WORTH_A_SEARCH]
-    both = [one.with_wheels(w.reversed_wheels, [x.name for x in vehicle.wheels]) for one in likely if one.columns for w in wheels]
-    for changes in (likely, both):
-        classes: list[Change] = []
-        for one in changes:
-            if not any(len(equivalence(observed, other, one)) for other in [AS_WRITTEN, *classes]):
-                classes.append(one)
+    near = [int(k) for k in np.argsort(cost, kind="stable") if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
+    likely = [(every[k], cost[k]) for k in near]
+    names = [wheel.name for wheel in vehicle.wheels]
+    both = [(one.with_wheels(w.reversed_wheels, names), c) for one, c in likely if one.columns for w in wheels]
+    for level in (likely, both):
+        changes, known = [one for one, _ in level], [(AS_WRITTEN, cost[0])]
+        for one, c in level:  # what looks the same has the same dark panels, and so the same cost
+            if not any(abs(c - other_c) < CLEARLY and len(equivalence(observed, other, one)) for other, other_c in known):
+                known.append((one, c))
+        classes = [one for one, _ in known[1:]]
         gains = [evidence(*one.applied(vehicle, telemetry)) - stated if may_go_on() else -np.inf for one in classes]
         ranked = sorted((k for k in range(len(classes)) if gains[k] > CLEARLY), key=lambda k: -gains[k])
         named: list[Named] = []

@@ -73,6 +73,10 @@ MOST_WORK = 200_000
 """Motions times samples that are fitted to one window at most: about a minute of one core at 0.3 ms each, and of five samples
 40,000 motions. Without this bound up to 750,000 motions are fitted to five samples 120 s apart."""
 
+MOST_SEARCH, LEAST_WORK = 900_000, 30_000
+"""The same of a whole search, about four minutes: a window gets at most a third of what is left, and as much of the second in any
+case, so that every search ends."""
+
 FIT_S, START_S, WINDOW_S = 0.005, 5e-5, 3e-4
 """s of one core for a motion that is fitted to five samples, with what follows, for a start, and for a unit of the volume of rates
 of the first five samples; measured on Philae, samples 50 to 120 s apart. The last is good to a factor of five, and chooses only."""
@@ -393,7 +397,8 @@ class Search:
     def _followed(self, keep: np.ndarray, samples: int, chosen: Plan) -> tuple[np.ndarray, str]:
         """Which motions are fitted to a window of so many samples, and a remark where not all are. What takes long, or is left out,
         is said before it begins, with what would help."""
-        some, note = _at_most(MOST_WORK // samples, len(keep))
+        most = min(MOST_WORK, max(MOST_SEARCH - self.fitted, LEAST_WORK) // 3)
+        some, note = _at_most(most // samples, len(keep))
         took = FIT_S * len(some) * samples / FEW
         if note:
             smaller = chosen.given * (len(some) / len(keep)) ** (1 / 3)

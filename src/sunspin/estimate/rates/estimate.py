@@ -19,7 +19,18 @@ from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
-from sunspin.estimate.equivalence import Observed, alike, column_changes, rate_under, unseen_changes, wheel_change, wheel_changes
+from sunspin.estimate.equivalence import (
+    AS_WRITTEN,
+    CLEARLY,
+    Observed,
+    alike,
+    column_changes,
+    equivalence,
+    rate_under,
+    unseen_changes,
+    wheel_change,
+    wheel_changes,
+)
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.passes import AS_STATED, DOUBTFUL, UNCHECKED
 from sunspin.estimate.rates.alternatives import Others
@@ -29,6 +40,7 @@ from sunspin.estimate.rates.finish import Pass, finished, leading, link
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
+from sunspin.estimate.rates.images import SAME_SIGMAS
 from sunspin.estimate.rates.motion import Body, load, require_followed
 from sunspin.estimate.rates.noise import HIGHER_NOISES, Task, choose, evidence_of_noises, quick_evidence, refined
 from sunspin.estimate.rates.observe import observations, passes, usable
@@ -230,7 +242,7 @@ def rates(
         no_sphere=int(unmet.sum()),
     )  # fmt: skip
     observed = _observed(vehicle, telemetry, wheels, source, isinstance(local, SunAlongZ))
-    result = _columns_checked(result, observed, telemetry)
+    result = _symmetric_checked(_columns_checked(result, observed, telemetry), observed, telemetry)
     if wirings and (not result["fits"].values.all() or _suspicious(result, observed, telemetry)):
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
             result = _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques)
@@ -261,6 +273,38 @@ def _columns_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Datas
         return result.assign(wiring=("pass_id", np.where(result["wiring"].values == UNCHECKED, AS_STATED, result["wiring"].values)))
     told = [{"what": change.what, "matrix": np.round(matrix, 6).tolist()} for change, matrix in unseen]
     return result.assign_attrs(columns_unseen=json.dumps(told))
+
+
+def _symmetric_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> xr.Dataset:
+    """The result with no pass unique whose panels read the same in a motion that is not listed: the file is equivalent to itself
+    by a rotation or mirror of the body, as where the lit panels lie in a plane."""
+    decided, unique, why = (result[name].values.copy() for name in ("decided", "unique", "why_not_decided"))
+    why = why.astype(object)
+    if not observed.panels or "noise" not in result.attrs:
+        return result
+    doubted = 0
+    for k in np.flatnonzero(unique & result["fits"].values):
+        lit = Observed.of(observed.vehicle, _longest(result, telemetry, np.array([k]))).lit
+        sun = result["sun_B"].values[result["pass_of"].values == k]
+        seen = replace(observed, lit=lit, sun_B=sun)
+        omega, sigma = (np.stack([result[f"{what}_{axis}"].values[k] for axis in "xyz"], axis=1) for what in ("omega", "sigma"))
+        if _unlisted(seen, omega, sigma, result.attrs["noise"]):
+            decided[k] = unique[k] = False
+            doubted += 1
+            why[k] = "; ".join(filter(None, (str(why[k]), "several motions: a symmetric one is not listed")))
+    flags = {name: ("pass_id", value) for name, value in (("decided", decided), ("unique", unique))}
+    return result.assign(flags | {"why_not_decided": ("pass_id", why.astype(np.str_))}).assign_attrs(symmetric_unlisted=doubted)
+
+
+def _unlisted(seen: Observed, omega: np.ndarray, sigma: np.ndarray, noise: float) -> bool:
+    """Whether the first of some motions, of rates (K, 3) with sigmas (K, 3), rad/s, at one time, has a symmetric one that gives
+    the same readings within their `noise` (W or A, or in gains) and is none of them."""
+    power = seen.vehicle.response_in().power
+    for m in equivalence(seen, AS_WRITTEN, AS_WRITTEN):
+        listed = (np.abs(rate_under(m, omega[0]) - omega) < SAME_SIGMAS * sigma).all(axis=1)  # NaN: there is no such motion
+        if not listed.any() and (((power(seen.sun_B @ m.T) - power(seen.sun_B)) / noise) ** 2).sum() / 2 <= CLEARLY:
+            return True
+    return False
 
 
 def _suspicious(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:

@@ -26,6 +26,10 @@ MAX_FIELD_S = 1000.0
 """The same if a magnetometer is read and no orbit is known: that the field turns ever faster or slower holds for a sixth of an
 orbit. Over half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014."""
 
+MAX_DARK_S = 300.0
+"""A pass goes on if the panels show no Sun for less than this and a magnetometer reads on; the shadow of the Earth lasts longer. A
+body with one panel that turned once in 28 s had a pass for each turn."""
+
 MAX_SAMPLES = 40
 """Samples of a pass beyond this are thinned."""
 
@@ -85,10 +89,14 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
         )  # fmt: skip
     times = o.t_s[use]
     gap = GAP_FACTOR * float(np.median(np.diff(times))) if gap_s is None else gap_s
-    unplaced = any(isinstance(term, Magnetometer) and term.known is None and term.pairs().any() for term in o.terms)
-    longest = MAX_FIELD_S if unplaced else MAX_PASS_S
+    fields = [term for term in o.terms if isinstance(term, Magnetometer) and term.known is None and term.pairs().any()]
+    longest = MAX_FIELD_S if fields else MAX_PASS_S
+    ends = np.flatnonzero(np.diff(times) > gap)
+    if fields and gap_s is None:
+        read = o.t_s[fields[0].present()]
+        ends = np.array([k for k in ends if not _goes_on(read, times[k], times[k + 1], gap)], dtype=int)
     found = []
-    for part in np.split(use, np.flatnonzero(np.diff(times) > gap) + 1):
+    for part in np.split(use, ends + 1):
         pieces = max(1, int(np.ceil((o.t_s[part[-1]] - o.t_s[part[0]]) / longest)))
         edges = o.t_s[part[0]] + np.arange(1, pieces) * (o.t_s[part[-1]] - o.t_s[part[0]]) / pieces
         pieces_of = np.split(part, np.searchsorted(o.t_s[part], edges))
@@ -96,6 +104,12 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
     if not found:
         raise InputError(sentence("no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"))
     return found
+
+
+def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float) -> bool:
+    """Whether readings at times (n) go on between two samples that show the Sun: a body with few panels turns them away."""
+    between = read_s[(read_s >= start_s) & (read_s <= end_s)]
+    return end_s - start_s < MAX_DARK_S and len(between) > 1 and bool(np.diff(between).max() <= gap_s)
 
 
 def _dense_from(informed: np.ndarray) -> int:

@@ -155,8 +155,10 @@ def more_effort(given: float) -> str:
 
 
 def slower(limit_rad_s: float) -> str:
-    """What to do where the search is fine enough up to a rate of `limit_rad_s` only."""
-    return f"if no rate is faster than {np.degrees(limit_rad_s):.4g} deg/s, give it as `--max-rate`"
+    """What to do where the search is fine enough up to `limit_rad_s` only, which is given in three figures, rounded down."""
+    limit = np.degrees(limit_rad_s)
+    figure = 10.0 ** (np.floor(np.log10(limit)) - 2)
+    return f"if no rate is faster than {np.floor(limit / figure) * figure:.4g} deg/s, give it as `--max-rate`"
 
 
 def cures(attrs: dict[str, Any], cut: np.ndarray, coarse: np.ndarray, unmet: np.ndarray) -> list[str]:
@@ -222,7 +224,10 @@ def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
     text = ""
     if sides := int((one & (result["weight"].values[:, 0] < DECIDED)).sum()):
         text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
-    count = int(several.sum())
+    unlisted = int(result.attrs.get("symmetric_unlisted", 0))
+    if unlisted:
+        text += f"; in {unlisted} a rotation or mirror of the body gives the same readings, and its motion is not listed"
+    count = int(several.sum()) - unlisted
     if count and "alike" in result.attrs:
         return f"{text}; in {count} several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
     if count:

@@ -170,10 +170,8 @@ def coarse(o: Observations, motion: Motion, rate_max: float) -> bool:
 
 
 def finest(o: Observations) -> float:
-    """The largest rate (rad/s) up to which no motion of a pass is missed by the grid of starts, in three figures, rounded down."""
-    limit = COARSE_RAD / float(np.diff(o.t_s).min()) * (4 * np.pi / 3 / GRID_MOST) ** (-1 / 3)
-    unit = 10.0 ** (np.floor(np.log10(limit)) - 2)
-    return float(np.floor(limit / unit) * unit)
+    """The largest rate (rad/s) up to which the grid of starts of a pass misses no motion; see `coarse`."""
+    return COARSE_RAD / float(np.diff(o.t_s).min()) * (GRID_MOST / (4 * np.pi / 3)) ** (1 / 3)
 
 
 def _ball(size: float, rate_max: float) -> np.ndarray:
