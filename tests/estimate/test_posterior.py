@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -278,6 +279,24 @@ def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemet
     shadow["current_A"][-6:] = 1e-3 * shadow["current_A"][:6].values
     said = ss.posterior(cube, shadow, PRIORS, draws=200).attrs["verdict"]
     assert "not explained" in said and "no panel was lit in 6 samples in a row" in said and "--from" in said and "dead" not in said
+    begins = re.search(r"from ([\d.]+) to [\d.]+ s: if the vehicle was in shadow then, leave that out", said)
+    assert begins is not None, said
+    lit = ss.posterior(cube, shadow, PRIORS, draws=200, end_s=float(begins[1]) - 1.0)
+    assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"], lit.attrs["verdict"]
+    off = RATE - lit["modes"]["omega_B"].values[0]
+    assert off @ np.linalg.solve(lit["modes"]["omega_cov_B"].values[0], off) < 16.3
+
+
+def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, telemetry):
+    """A body near a sphere, whose largest rate is given 3 % too small: what is asked for is done, and the motion is decided."""
+    ball = replace(cube, inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
+    data = ss.twin(ball, {"omega_B": RATE, "sun_B": SUN, "t_s": telemetry["time"].values, "scale": 0.37}, seed=1)
+    size = float(np.linalg.norm(RATE))
+    short, long = (ss.posterior(ball, data, SMALL | {"max_rate_rad_s": most}, seed=0, draws=300, workers=1)
+                   for most in (size / 1.03, 1.5 * size))  # fmt: skip
+    assert "run into the limit of those searched; raise max_rate_rad_s" in short.attrs["verdict"], short.attrs["verdict"]
+    assert not short["passes"]["decided"].values[0]
+    assert "raise" not in long.attrs["verdict"] and long["passes"]["decided"].values[0], long.attrs["verdict"]
 
 
 @pytest.mark.parametrize(

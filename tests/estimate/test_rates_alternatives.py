@@ -102,15 +102,16 @@ def test_noise_of_the_rate_makes_the_attitude_wander_and_holds_at_both_ends():
     assert bridge(np.array([0.25]), np.array([8.0]), 0.0, 0.02)[0][0, 0] == pytest.approx(0.02**2 * 8 * 0.25 * 0.75)
 
 
-def tried(push, noise, zero_deg_s=None):
+def tried(push, noise, zero_deg_s=None, zero_sigma=0.0):
     """All hypotheses of a pass moved so, begun at its true motion, with the noise that explains it as unknown torques; with a gyro
-    whose zero is so much off though its file takes it for known, if one is given."""
+    whose zero is so much off though its file takes it for known, or known to `zero_sigma` (rad/s), if one is given."""
     sun = unit(np.random.default_rng(3))  # as `seen` draws it
     omega, attitude = spin(START, T_S, push)
     made = seen(FACES, omega, attitude, T_S, 0.01, np.random.default_rng(3))
     vehicle, telemetry = made.vehicle, made.telemetry
     if zero_deg_s is not None:
-        vehicle = replace(vehicle, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 1e-3)))
+        gyro = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, zero_sigma))
+        vehicle = replace(vehicle, sensors=Sensors(gyro=gyro))
         read = omega + np.radians(zero_deg_s) + 1e-3 * np.random.default_rng(4).normal(size=omega.shape)
         telemetry = telemetry.assign(gyro_B=(("time", "axis"), read))
     o, why, _ = observations(vehicle, telemetry)
@@ -146,6 +147,16 @@ def test_a_zero_of_the_gyro_that_the_file_does_not_have_is_named_and_the_rates_a
     assert best.hypothesis.what.startswith(words)
     off = np.degrees(np.abs(best.fit.track.omega[counted(found)[0].members[0][1]] - omega).max())
     assert off < 0.05
+
+
+def test_the_zero_of_a_gyro_that_is_stated_with_a_sigma_needs_no_other_model():
+    """What the name of the other zero asks for is done, and the pass is explained as stated."""
+    named = max(tried(None, 1e-6, [0.3, 0.0, -0.2])[0], key=lambda trial: trial.best).hypothesis.what
+    assert named.endswith("beside that of the file: state its zero with a sigma")
+    found, omega = tried(None, 1e-6, [0.3, 0.0, -0.2], np.radians(0.5))
+    best = max(found, key=lambda trial: trial.best)
+    assert best.hypothesis.what == AS_STATED
+    assert np.degrees(np.abs(best.fit.track.omega[counted(found)[0].members[0][1]] - omega).max()) < 0.05
 
 
 def test_hypotheses_that_lead_to_one_motion_share_its_weight():
