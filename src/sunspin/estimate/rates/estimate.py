@@ -75,9 +75,9 @@ NOISE_SHARE, SEARCH_SHARE, WIRING_SHARE, SIGN_SHARE = 0.3, 0.75, 0.4, 0.6
 wheels that turn the other way."""
 
 STRAINED, CALMER = 1e-4, 4.0
-"""Acceleration noise (rad/s^1.5) chosen by the data from which a file that fits may have other columns than it states: of nine files
-with two columns exchanged that fit six wanted as much, of their right ones none more than 5e-6. And by what factor a change must
-lower it."""
+"""Acceleration noise (rad/s^1.5) chosen by the data from which a file that fits may have other columns than it states: of nine
+files with two columns exchanged that fit six wanted as much, of their right ones none more than 5e-6. And by what factor a change
+must lower it."""
 
 MUCH_MORE = 1.5
 """A search that was cut short begins anew where it may take so many times more."""
