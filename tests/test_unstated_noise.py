@@ -193,7 +193,7 @@ def test_a_direction_without_an_error_is_no_reading(monkeypatch):
     assert np.isfinite(seen.sun).all(axis=1).tolist() == [True, False, True, True]
 
     found = xr.Dataset({"sun_B": (("time", "axis"), sun), "sigma_rad": ("time", np.array([0.01, np.nan, 0.02, 0.03]))})
-    monkeypatch.setattr(sensor_calibration, "sun_directions", lambda *_, **__: found)
+    monkeypatch.setattr(sensor_calibration, "sun_by_panels", lambda *_: (found, np.zeros(4, dtype=bool)))
     read = sensor_calibration.readings(craft, of_powers(craft, np.ones((4, 1))))
     assert read.t_s.tolist() == [0.0, 2.0, 3.0] and np.isfinite(read.sun_sigma).all()
 
