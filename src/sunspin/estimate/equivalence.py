@@ -141,11 +141,6 @@ def wheel_changes(vehicle: Vehicle) -> list[Change]:
     return [wheel_change(vehicle, one) for one in which if one]
 
 
-def axes_changes(name: str, matrices: Sequence[tuple[str, np.ndarray, str]]) -> list[Change]:
-    """A sensor whose variable is `name`, read along other axes: (words, matrix (3, 3), what to write) of each."""
-    return [Change(what, axes=MappingProxyType({name: matrix}), do=do) for what, matrix, do in matrices]
-
-
 @dataclass(frozen=True)
 class Observed:
     """What a telemetry file has read, as far as it tells changes apart.

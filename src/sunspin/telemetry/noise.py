@@ -16,8 +16,9 @@ ASSUMED_SHARE = 0.03
 """Noise of a panel reading, as a share of full Sun, where the vehicle file states none and the readings show none. Cautious: the
 vehicle files of this package state 0.007 (the example of `sunspin init`), 0.01 (skCUBE) and 0.02 (Philae)."""
 
+DARK_FROM = "estimated from readings below zero"
 ASSUMED_FROM = "assumed: the vehicle file states none and the readings show none"
-"""Where such noise comes from, in results."""
+"""Where a noise that is not stated comes from, in results."""
 
 BRIGHT_QUANTILE = 0.9
 """Of the samples' largest readings: what the panels give in full Sun, spikes apart."""

@@ -15,7 +15,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
-from sunspin.telemetry.noise import ASSUMED_FROM, assumed_noise, dark_noise
+from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import Pattern, lit_patterns, named, observable_patterns
@@ -161,7 +161,7 @@ def sun_directions(
     if noise is None:
         noise = _pooled_noise(clean, delta, lit, status)
     if np.isnan(noise) and dark is not None:
-        noise, noise_from = dark, "estimated from readings below zero"
+        noise, noise_from = dark, DARK_FROM
     doubtful = told.copy()
     doubtful[told] = _several(vehicle, clean[told], noise) | _free(vehicle, direction[told])
     if np.isnan(noise):

@@ -28,6 +28,7 @@ from sunspin.estimate.orbit.invariants import (
     contradicted,
     fit,
     predict,
+    predicted_angles,
     seen_in,
     turned_axes,
 )
@@ -298,7 +299,7 @@ def _left(seen: Seen, there: Predicted, calibration: np.ndarray) -> tuple[float,
     """Medians of what is left of the field's strength (T) and of its angle to the Sun (rad), NaN where no sample shows both."""
     field = seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:]
     size = np.linalg.norm(field, axis=1)
-    both = [angles(field, seen.sun), np.arccos(np.clip(there.to_sun[0] / there.strength[0], -1, 1))]
+    both = [angles(field, seen.sun), predicted_angles(there)]
     angle = float(np.nanmedian(np.abs(both[0] - both[1]))) if np.isfinite(both[0]).any() else np.nan
     return float(np.nanmedian(np.abs(size - there.strength[0]))), angle
 

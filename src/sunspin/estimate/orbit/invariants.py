@@ -121,8 +121,7 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset, most: int = MOST_SAMPLES) -
     field = np.asarray(np.isfinite(reading).all(axis=1))
     use = spread_evenly(telemetry, field | np.isfinite(light), most, field & np.asarray(np.isfinite(sun).all(axis=1)))
     seen, by_earth = Seen(*(part[use] for part in (time, reading, sun, covariance, light))), by_earth[use]
-    variance = EARTH_RAD**2 * max(by_earth.sum() / EARTH_ALIKE, 1.0)
-    return seen._replace(covariance=seen.covariance + variance * by_earth[:, None, None] * np.eye(3))
+    return seen._replace(covariance=seen.covariance + earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3))
 
 
 def sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[xr.Dataset, np.ndarray]:
@@ -135,6 +134,11 @@ def sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[xr.Dataset, 
     rests = found["lit"].values & alone
     doubtful = (rests & (share < EARTH_MOST)).any(axis=1)
     return found.assign(sun_B=found["sun_B"].where(~xr.DataArray(doubtful, dims="time"))), rests.any(axis=1) & ~doubtful
+
+
+def earth_variance(count: int) -> float:
+    """Of each component of a direction that rests on a panel with no other opposite to it, rad^2, where so many samples do."""
+    return EARTH_RAD**2 * max(count / EARTH_ALIKE, 1.0)
 
 
 def spread_evenly(telemetry: xr.Dataset, shows: np.ndarray, most: int, first: np.ndarray | None = None) -> np.ndarray:
@@ -360,13 +364,14 @@ def angles(field: np.ndarray, sun: np.ndarray) -> np.ndarray:
 
 def contradicted(seen: Seen, there: Predicted, calibration: np.ndarray) -> bool:
     """Whether `FEWEST` samples or more show an angle between field and Sun that is not the one predicted (one shift)."""
-    off = np.abs(angles(seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:], seen.sun) - _predicted_angles(there))
+    off = np.abs(angles(seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:], seen.sun) - predicted_angles(there))
     both = np.isfinite(off)
     stated = np.sqrt(np.trace(seen.covariance[both], axis1=1, axis2=2) / 2)
     return bool(both.sum() >= FEWEST and np.median(off[both]) > MOST_ANGLE_RAD + np.median(np.minimum(stated, MOST_ANGLE_RAD)))
 
 
-def _predicted_angles(there: Predicted) -> np.ndarray:
+def predicted_angles(there: Predicted) -> np.ndarray:
+    """Angles (n) in rad between field and Sun where an orbit at its one shift puts them."""
     return np.arccos(np.clip(there.to_sun[0] / there.strength[0], -1, 1))
 
 
@@ -383,7 +388,7 @@ def turned_axes(seen: Seen, there: Predicted) -> tuple[str, list[int], tuple[flo
     some, part = Seen(*(each[use] for each in seen)), Predicted(*(each[:, use] for each in there))
     values = calibrated(some._replace(sun=np.full_like(some.sun, np.nan)), part).values[0]
     field = some.field @ values[:9].reshape(3, 3).T - values[9:]
-    ways, known = list(signed_axes()), _predicted_angles(part)
+    ways, known = list(signed_axes()), predicted_angles(part)
     left = np.array([np.nanmedian(np.abs(angles(field[:, order] * sign, some.sun) - known)) for _, order, sign in ways])
     best, second = np.argsort(left)[:2]
     reversed_all = np.array_equal(axes_matrix(*ways[best][1:]), -np.eye(3))

@@ -20,11 +20,10 @@ import xarray as xr
 from sunspin.environment.orbit import Orbit, turned
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.orbit.invariants import (
-    EARTH_ALIKE,
-    EARTH_RAD,
     MATRIX_SIGMA,
     STUDENT,
     ZERO_SIGMA,
+    earth_variance,
     spread_evenly,
     sun_by_panels,
 )
@@ -289,7 +288,7 @@ def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray,
     sun, sigma = np.full((n, 3), np.nan), np.full(n, np.nan)
     if "panel" in telemetry.coords:
         found, by_earth = sun_by_panels(vehicle, telemetry)
-        earth = np.sqrt(2) * EARTH_RAD * np.sqrt(max(min(by_earth.sum(), MOST_SAMPLES) / EARTH_ALIKE, 1.0))
+        earth = np.sqrt(2 * earth_variance(min(by_earth.sum(), MOST_SAMPLES)))
         sun, sigma = found["sun_B"].values, np.hypot(found["sigma_rad"].values, earth * by_earth)
     elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
         sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)

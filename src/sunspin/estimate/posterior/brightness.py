@@ -30,7 +30,7 @@ def brightness(vehicle: Vehicle, data: Readings) -> float:
 
     The median over samples that give a direction, else the likeliest scale. Gains in a unit are then believed instead where they
     can be, as their prior is narrow. A sample gives a direction by panels that are lit beyond noise: half of the dark panels' noise
-    is above a small lit threshold, and with 2 to 4 % of it one guess in four was off by more than 10 %, up to a factor of 5; where
+    is above a small lit threshold, and with 2 to 4 % of it one guess in three was off by more than 10 %, up to a factor of 5; where
     it was, no start settled.
     """
     value = np.where(data.used, data.value, 0.0)

@@ -12,7 +12,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.readings import READINGS
-from sunspin.telemetry.noise import ASSUMED_FROM, assumed_noise, dark_noise
+from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -154,7 +154,7 @@ def _noise(vehicle: Vehicle, value: np.ndarray, used: np.ndarray) -> tuple[float
     if vehicle.telemetry.noise is not None:
         return vehicle.telemetry.noise, "given"
     if (dark := dark_noise(value[used])) is not None:
-        return dark, "estimated from readings below zero"
+        return dark, DARK_FROM
     return assumed_noise(value), ASSUMED_FROM
 
 

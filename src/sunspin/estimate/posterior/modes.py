@@ -438,10 +438,10 @@ class Search:
         found = self.run(Slopes(likelihood, parents, still), "derivatives", chunk_rows(likelihood))
         return Begun(parents.take(origin), found["moves"][origin], found["seen"][origin])
 
-    def _looked(self, model: Model, coming: Readings, state: State, scale: float, fastest_: float) -> np.ndarray:
+    def _looked(self, model: Model, coming: Readings, state: State, scale: float, limit_rad_s: float) -> np.ndarray:
         """Which hypotheses (n) the nearest of the coming samples allows; one run each, where a fit takes fifty."""
         nearest = coming.take(np.array([np.argmin(np.abs(coming.t_s))]))
-        look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale, fastest_)
+        look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale, limit_rad_s)
         return self.run(look, "looking ahead", 8192)["allowed"]
 
     def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:

@@ -278,10 +278,10 @@ def _columns_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Datas
 def _symmetric_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> xr.Dataset:
     """The result with no pass unique whose panels read the same in a motion that is not listed: the file is equivalent to itself
     by a rotation or mirror of the body, as where the lit panels lie in a plane."""
-    decided, unique, why = (result[name].values.copy() for name in ("decided", "unique", "why_not_decided"))
-    why = why.astype(object)
     if not observed.panels or "noise" not in result.attrs:
         return result
+    decided, unique, why = (result[name].values.copy() for name in ("decided", "unique", "why_not_decided"))
+    why = why.astype(object)
     doubted = 0
     for k in np.flatnonzero(unique & result["fits"].values):
         lit = Observed.of(observed.vehicle, _longest(result, telemetry, np.array([k]))).lit
@@ -369,12 +369,7 @@ def not_met(motion: Motion, given: float | None, apart_s: float) -> bool:
     be, too, the data want torques as strong as hardly any satellite has, or that turn the body far between samples `apart_s` s
     apart, as a nutation does that was not seen."""
     far = motion.noise * np.sqrt(apart_s**3 / 3) > UNSEEN_RAD
-    return given is None and bool(motion.body.spherical and (far or _far_from_sphere(motion.body, motion.noise)))
-
-
-def _far_from_sphere(body: Body, noise: float) -> bool:
-    """Whether a body is taken for a sphere and needs torques so strong (rad/s^1.5)."""
-    return body.spherical and noise >= HIGHER_NOISES[0]
+    return given is None and bool(motion.body.spherical and (far or motion.noise >= HIGHER_NOISES[0]))
 
 
 def _useful(
