@@ -112,6 +112,34 @@ def test_a_zero_of_the_magnetometer_that_is_not_well_known_is_an_unknown():
     assert np.all(np.abs(found - off) < 3 * sigma) and np.sum(sigma < 0.15) > 1, (found, sigma)
 
 
+@pytest.mark.evidence("rates", "modelled", "a magnetometer with soft iron whose zero, and so its matrix, is not calibrated")
+def test_a_matrix_of_the_magnetometer_that_is_not_known_is_an_unknown():
+    """Of a fast spinner soft iron turns the axis by degrees: in every draw by more sigmas where the matrix is taken for exact."""
+    rng, motion, o, truth = np.random.default_rng(3), Motion(Body.of(craft()), 1e-5, 0.1), *both()
+    o = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, Gyro)))
+    exact, pulls = only(o, Magnetometer), {0.0: [], 0.05: []}
+    for _ in range(8):
+        bent = replace(exact, field_B=exact.field_B @ (np.eye(3) + 0.05 * rng.normal(size=(3, 3))).T)
+        for sigma, of_these in pulls.items():
+            pass_ = replace(o, terms=tuple(replace(bent, matrix_sigma=sigma) if term is exact else term for term in o.terms))
+            fit = with_common(pass_.freed(), truth, motion, None)
+            off = fit.track.omega[0] - truth.omega[0]
+            covariance = fit.track.covariance[0, :, 3:, 3:]
+            of_these.append(np.sqrt(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off).mean() / 3))
+    assert np.median(pulls[0.05]) < 1.3 and max(pulls[0.05]) < 2 and all(np.array(pulls[0.0]) > pulls[0.05]), pulls
+
+
+def test_what_the_matrix_adds_is_the_change_of_the_residuals():
+    o, truth = both(samples=4)
+    term = replace(only(o, Magnetometer), matrix_sigma=0.03, turn_rate=0.0)
+    relative = truth.attitude[:, 1:] @ np.swapaxes(truth.attitude[:, :-1], -1, -2)
+    columns = term.gained(o.t_s, Seen(truth.attitude, truth.omega))
+    for k, element in enumerate(np.eye(9).reshape(9, 3, 3)):
+        less = replace(term, field_B=term.field_B - 0.03 * term.field_B @ element.T)
+        change = less.between(o.t_s, relative)[0] - term.between(o.t_s, relative)[0]
+        np.testing.assert_allclose(columns[..., k - 9], change, atol=1e-9)
+
+
 @pytest.mark.evidence("rates", "verified", "panels that lose half of grazing light, read by that law and by the cosine")
 def test_another_law_of_the_panels_is_the_responses_alone():
     """At the truth readings cost as sound ones do under the law that made them, more under the cosine; and slopes are its own."""

@@ -2,8 +2,8 @@
 
 Along a pass the field in N changes the same way for minutes, by up to two turns an orbit. Taken for noise from sample to sample
 that averages out, and the turn about the Sun line, which only the field determines, is off by more than its sigma. So the rate of
-change in N, and the drift of that, are unknowns of a pass; what does not change evenly stays noise. So is the zero in the body,
-where the vehicle file says how well it is known.
+change in N, and the drift of that, are unknowns of a pass; what does not change evenly stays noise. So is the zero in the body
+where the vehicle file says how well it is known, and with it the matrix: who does not know the zero has not calibrated the axes.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ LEFT = 0.2
 class Magnetometer(PairTerm):
     """Fields (n, 3), NaN where not read, with one sigma, in any unit (infinite: only the dipole's torque uses them); `turn_rate`
     (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown; `zero_B`
-    (u, 3): one sigma of each error of the zero. `known`: the
-    same readings where an orbit says the field; the search, which does not know the turn about the Sun, compares neighbours."""
+    (u, 3): one sigma of each error of the zero; `matrix_sigma`: of each element of the matrix that makes the reading of the field.
+    `known`: the same readings where an orbit says the field; the search, which does not know the turn about the Sun, compares neighbours."""
 
     name: ClassVar[str] = "field"
     called: ClassVar[str] = "magnetometer"
@@ -55,6 +55,7 @@ class Magnetometer(PairTerm):
     turn_rate: float = TURN_RATE
     drift_N: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))
     zero_B: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    matrix_sigma: float = 0.0
     calibration: FieldCalibration | None = None
     known: KnownField | None = None
 
@@ -67,7 +68,8 @@ class Magnetometer(PairTerm):
         noise = part.noise if part is not None else None
         read = without_outliers(np.asarray(telemetry[VARIABLES[cls.table]], dtype=np.float64))
         zero = np.zeros((0, 3)) if part is None or not part.zero_sigma.any() else (part.matrix * part.zero_sigma).T
-        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), zero_B=zero)
+        bent = SOFT_IRON if len(zero) else 0.0
+        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), zero_B=zero, matrix_sigma=bent)
 
     def with_own_zero(self, t_s: np.ndarray) -> Self:
         """Less the zero, and with its errors, that the strengths at times (n) show: as a body turns, readings stay on a sphere
@@ -114,7 +116,7 @@ class Magnetometer(PairTerm):
         known = KnownField(read, one.field(read), sigma, here.field_N, one.columns(read), along)
         # a zero turns with the body, so neighbours differ by its error; axes that are turned turn all readings alike
         own = np.sqrt(np.nanmedian((_not_turned(known.own_B, known.read_B) ** 2).sum(axis=(1, 2))) / 3)
-        return replace(self, sigma=float(np.hypot(one.noise_T, own)), zero_B=np.zeros((0, 3)), known=known)
+        return replace(self, sigma=float(np.hypot(one.noise_T, own)), zero_B=np.zeros((0, 3)), matrix_sigma=0.0, known=known)
 
     @property
     def vector_B(self) -> np.ndarray:
@@ -136,7 +138,7 @@ class Magnetometer(PairTerm):
         if not len(change) or not self.zero_B.any():
             return self
         # along an axis about which the body spins a zero moves no neighbour against the other, as the field there changes nothing
-        moved = ((change @ self.zero_B.T) ** 2).sum() / (change**2).sum()
+        moved = ((change @ self.zero_B.T) ** 2).sum() / (change**2).sum() + self.matrix_sigma**2 * (change**2).sum(axis=1).mean()
         return replace(self, sigma=float(np.hypot(self.sigma, np.sqrt(moved))))
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
@@ -166,7 +168,8 @@ class Magnetometer(PairTerm):
         drift = (Unknown(f"{self.name}_drift_{i}", "field_drift", "field s-1", 0.0, float(s), i) for i, s in enumerate(sizes))
         sizes = np.linalg.norm(self.zero_B, axis=1)
         zero = (Unknown(f"{self.name}_zero_{i}", "field_zero", "field", 0.0, float(s), i) for i, s in enumerate(sizes))
-        return (*drift, *zero)
+        bent = (Unknown(f"{self.name}_matrix_{i}", "field_matrix", "1", 0.0, self.matrix_sigma, i) for i in range(9))
+        return (*drift, *zero, *(bent if self.matrix_sigma else ()))
 
     def between(self, t_s: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pair = self.pairs()
@@ -184,7 +187,11 @@ class Magnetometer(PairTerm):
         change = np.einsum("knij,nmj->knim", seen.attitude[:, 1:], self.drift_N[:-1]) * np.diff(t_s)[:, None, None]
         relative = seen.attitude[:, 1:] @ np.swapaxes(seen.attitude[:, :-1], -1, -2)
         zero = self.zero_B.T - relative @ self.zero_B.T  # a zero stays where it is while the field is carried on
-        return np.concatenate([change, zero], axis=-1) * inverse
+        parts = [change, zero]
+        if self.matrix_sigma:  # the elements of a matrix, row by row
+            off = self.matrix_sigma * np.einsum("ij,nk->nijk", np.eye(3), np.nan_to_num(self.vector_B)).reshape(-1, 3, 9)
+            parts.append(off[1:] - relative @ off[:-1])
+        return np.concatenate(parts, axis=-1) * inverse
 
 
 def _not_turned(error_B: np.ndarray, field_B: np.ndarray) -> np.ndarray:
