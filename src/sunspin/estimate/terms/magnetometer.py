@@ -39,10 +39,13 @@ LEFT = 0.2
 
 @dataclass(frozen=True)
 class Magnetometer(PairTerm):
-    """Fields (n, 3), NaN where not read, with one sigma, in any unit (infinite: only the dipole's torque uses them); `turn_rate`
-    (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown; `zero_B`
-    (u, 3): one sigma of each error of the zero; `matrix_sigma`: of each element of the matrix that makes the reading of the field.
-    `known`: the same readings where an orbit says the field; the search, which does not know the turn about the Sun, compares neighbours."""
+    """Fields (n, 3), NaN where not read, with one sigma, in any unit (infinite: only the dipole's torque uses them).
+
+    `turn_rate` (rad/s): what the field turns any way beside its drift, of which `drift_N` (n, u, 3) is one sigma of each unknown;
+    `zero_B` (u, 3): one sigma of each error of the zero; `matrix_sigma`: of each element of the matrix that makes the reading of
+    the field. `known`: the same readings where an orbit says the field; the search, which does not know the turn about the Sun,
+    compares neighbours.
+    """
 
     name: ClassVar[str] = "field"
     called: ClassVar[str] = "magnetometer"
