@@ -36,6 +36,7 @@ from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
 from tle_twins import make as tle_twin
+from validation import spinners
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
 CUBE = Vehicle("cube", gain_unit="W", inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
@@ -87,6 +88,26 @@ def test_give_a_smaller_largest_rate():
     assert "may have been missed" in result.attrs["verdict"] and "coarse: if no rate" in str(result["why_not_decided"].values[0])
     followed = ss.rates(vehicle, data, max_rate_rad_s=limit, acceleration_noise=1e-5, effort=1e-9)
     assert "missed" not in followed.attrs["verdict"] and "coarse" not in str(followed["why_not_decided"].values[0])
+
+
+@pytest.mark.long
+def test_state_the_zero_of_a_magnetometer_with_a_sigma(tmp_path):
+    """docs/howto/orbit.md: a zero of a third of the field, taken for none, fits no motion; with its sigma the motion comes."""
+    mounted = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    zero, faces = (0.2, -0.3, 0.25), ("-X", "+Y", "-Z", "+X")
+    case = spinners.Case(5, 2, -6.0, 1, 1.0, faces, mounted, zero, True, 1.3, True, 0.1, 2.0, 150)
+    true = np.array(spinners.make(case, tmp_path)["rates_deg_s"])
+    written = (tmp_path / "vehicle.toml").read_text("utf-8")
+    results = {}
+    for sigma in ("", ", sigma = 10000"):
+        (tmp_path / "vehicle.toml").write_text(re.sub("zero = .*", f"zero = {{ value = [0, 0, 0]{sigma} }}", written), "utf-8")
+        vehicle = ss.load_vehicle(tmp_path / "vehicle.toml")
+        results[sigma] = ss.rates(vehicle, ss.read_telemetry(tmp_path / "telemetry.csv", vehicle))
+    exact, open_zero = results.values()
+    assert not exact["decided"].any() and open_zero["decided"].all()
+    pull = np.radians(true) - open_zero["omega_B"].values
+    pull /= np.sqrt(np.diagonal(open_zero["omega_cov_B"].values, axis1=1, axis2=2))
+    assert np.abs(pull).max() < 4
 
 
 @pytest.mark.parametrize("way", ["speed_rad_s", "speed_column", "left out"])

@@ -338,7 +338,7 @@ def _begin(body: Body, parts: list[np.ndarray], effort: float, progress: bool | 
     take: an effort of one is about a minute and a half of one core."""
     if callable(progress):
         most = 1.5 * allowed(effort) / USUAL * (1 + WIRING_SHARE)
-        long = f"up to {most:.2g} minutes of one core" if np.isfinite(most) else "as long as it needs"
+        long = "as long as it needs" if np.isinf(most) else f"up to {most:.2g} minutes of one core" if most > 0.02 else "a second"
         passes = f"{len(parts)} pass{'es' if len(parts) > 1 else ''}"
         progress(f"{sum(map(len, parts))} samples in {passes}; the search takes {long}")
     load(body)
