@@ -28,10 +28,14 @@ FIELD_FACTOR = 5.0
 TURN_RATE = 2.2e-3
 """rad/s; a satellite in low orbit sees the Earth's field turn at about twice its own rate of 1.1e-3 rad/s."""
 
-WINDOW_S, FEWEST_IN_WINDOW, ALIKE, SOFT_IRON = 300.0, 8, 30, 0.03
+WINDOW_S, FEWEST_IN_WINDOW, ALIKE = 300.0, 8, 30
 """The strength of the field changes by a parabola in so many s of a low orbit (it turns by 0.6 rad at most); a window with fewer
-readings is not used; soft iron makes the errors of so many neighbouring readings one, and bends the field by this part of itself,
-which looks like a zero. On 16 simulated spinners the zero is then off by 0.1 to 2 sigma across the axis of the spin."""
+readings is not used; soft iron makes the errors of so many neighbouring readings one."""
+
+SOFT_IRON = 0.05
+"""One sigma of each element of the matrix of a magnetometer that is not calibrated: iron that bends the field, axes off by three
+degrees. To the strengths it looks like a zero of this part of the field: on 16 simulated spinners the zero is then off by 0.1 to 2
+sigma across the axis of the spin. At 0.03 a pass of three turns was decided 8 sigma off."""
 
 LEFT = 0.2
 """Part of the field's turning that does not change evenly over a pass, and stays noise."""
