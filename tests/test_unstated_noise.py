@@ -214,14 +214,14 @@ def test_drawn_files_are_judged_and_directions_have_errors(seed, tmp_path, few_c
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(100, 124))
+@pytest.mark.parametrize("seed", [*range(100, 108), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(108, 124))])
 def test_more_drawn_files_and_their_rates(seed, tmp_path, few_copies):
     everything(Spinner.drawn(seed), tmp_path, seed, "check", "sun", "rates")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("orbit", [False, True])
-@pytest.mark.parametrize("stated", [None, 0.02])
+@pytest.mark.parametrize("stated", [None, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_posteriors_without_a_noise_say_which_is_assumed(stated, orbit, tmp_path, undrawn):
     spinner = replace(UNSTATED, samples=4, interval_s=10.0, rate_deg_s=3.0, stated=stated, orbit=orbit, magnetometer=False)
     everything(spinner, tmp_path, 3, "posterior")
