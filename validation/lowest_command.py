@@ -35,7 +35,7 @@ def pins() -> list[str]:
         wanted += project["optional-dependencies"].get(extra, [])
     lowest: dict[str, str] = {}
     for requirement in wanted:
-        found = re.fullmatch(r"([\w.-]+(?:\[[\w,]+\])?)>=([\w.]+)", requirement)
+        found = re.fullmatch(r"([\w.-]+(?:\[[\w,]+\])?)[>=]=([\w.]+)", requirement)
         if found is None:
             raise SystemExit(f"{requirement}: no lower bound")
         lowest[found[1]] = found[2]

@@ -25,8 +25,8 @@ from sunspin.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class HistogramRows:
-    """Row -> histogram of r_z over `duration_s` of one motion of a grid, the wheels coasting: of reconstructible directions or all.
-    """
+    """Row -> histogram of r_z over `duration_s` of one motion of a grid, the wheels coasting: of directions that are
+    reconstructible, or of all."""
 
     vehicle: Vehicle
     start: Start

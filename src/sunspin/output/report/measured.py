@@ -123,7 +123,8 @@ def powers(results: Results) -> Section | None:
         caption += f" Left out, as it never reads anything: {left} (crosses{line})."
     if results.command == "reproduce" and modelled:
         caption += (
-            " Different motions share how often the Sun stands how high, not when: only one motion can meet the dots one by one."
+            " Different motions share how often the Sun stands how high, not when: only "
+            "one motion can meet the dots one by one."
         )
     plot = Plot(
         "powers", data, layout,

@@ -279,7 +279,8 @@ def _flat(results: Results) -> list[Drawn]:
         low, high = float(np.nanmin(field)), float(np.nanmax(field))
         found.append(item(results, Drawing(
             f"map-{name}", partial(map_figure, field),
-            f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: in valleys a motion fits better than its neighbours.",
+            f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: "
+            "in valleys a motion fits better than its neighbours.",
             f"E over {x} and {y}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
             + synthetic_words(results.synthetic),
         )))  # fmt: skip
